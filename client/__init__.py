@@ -1,0 +1,1 @@
+"""The viewers: a Python websocket client and the browser page (`client/web`)."""

@@ -1,0 +1,5 @@
+"""Scenes of level-of-detail neural Gaussians: cameras, anchors, rendering, training.
+
+The ground floor (this package's own modules) needs numpy alone; `core.render`, `core.train`, `core.initialise` and
+`core.data` need the training libraries. Nothing here imports `codec`, `server` or `client`.
+"""

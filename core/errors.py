@@ -1,0 +1,89 @@
+"""Everything that streamlod raises on purpose.
+
+    StreamlodError
+    +-- InputError            a file, a folder, a picture or an option is not usable
+    +-- BitstreamError        bytes that are not a valid packet or file (refusal codes in codec/FORMAT.md)
+    +-- SessionError          a peer broke the viewer protocol
+    +-- ModelError            training or a scene reached a state from which it can't go on
+    +-- BackendUnavailable    a rendering backend or an optional package is missing
+
+Each carries its facts as fields and writes one sentence: what was wrong, and what to do.
+"""
+
+from __future__ import annotations
+
+
+class StreamlodError(Exception):
+    """Base of the tree; catch it to catch everything that streamlod refuses."""
+
+
+class InputError(StreamlodError):
+    """Input from outside cannot be used.
+
+    Args:
+        subject: the file, folder, camera or option at fault, as the user named it.
+        fault: what is wrong with it and, where possible, what to do.
+    """
+
+    def __init__(self, subject: object, fault: str) -> None:
+        super().__init__(subject, fault)
+        self.subject = str(subject)
+        self.fault = fault
+
+    def __str__(self) -> str:
+        return f"{self.subject}: {self.fault}"
+
+
+class BitstreamError(StreamlodError):
+    """Bytes are refused.
+
+    Args:
+        code: the refusal code of FORMAT.md, for example ``truncated`` or ``bad_checksum``.
+        detail: one sentence for people.
+    """
+
+    def __init__(self, code: str, detail: str) -> None:
+        super().__init__(code, detail)
+        self.code = code
+        self.detail = detail
+
+    def __str__(self) -> str:
+        return f"{self.detail} [{self.code}]"
+
+
+class SessionError(StreamlodError):
+    """The other side of a viewer session did something that the protocol forbids.
+
+    Args:
+        close_code: websocket close code of docs/protocol.md.
+        detail: one sentence, at most 120 bytes, sent as the close reason.
+    """
+
+    def __init__(self, close_code: int, detail: str) -> None:
+        super().__init__(close_code, detail)
+        self.close_code = close_code
+        self.detail = detail
+
+    def __str__(self) -> str:
+        return f"{self.detail} [{self.close_code}]"
+
+
+class ModelError(StreamlodError):
+    """Training cannot go on, for example because no point is visible."""
+
+
+class BackendUnavailable(StreamlodError):
+    """A backend or optional package is missing.
+
+    Args:
+        name: the backend or package.
+        remedy: what to install or choose instead.
+    """
+
+    def __init__(self, name: str, remedy: str) -> None:
+        super().__init__(name, remedy)
+        self.name = name
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        return f"{self.name} is not available here; {self.remedy}"

@@ -1,0 +1,1 @@
+"""The ingest and streaming server, and the `streamlod` command line."""

@@ -1,0 +1,25 @@
+"""Shared fixtures. Real data lies in STREAMLOD_DATA; tests that need it skip, saying so, where it is absent."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+def data_folder() -> Path | None:
+    """The folder of real pictures and video, if this machine has it."""
+    for candidate in (os.environ.get("STREAMLOD_DATA"), Path(__file__).parents[2] / "shared" / "data"):
+        if candidate and Path(candidate).is_dir():
+            return Path(candidate)
+    return None
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real data, or a skip."""
+    folder = data_folder()
+    if folder is None:
+        pytest.skip("no real data here: set STREAMLOD_DATA to the folder that holds it")
+    return folder
