@@ -1,0 +1,144 @@
+"""Every choice of the method, typed, with the paper's value as the preset ``paper`` and ours as the default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from core.errors import InputError
+
+LevelSelection = Literal["all", "distance"]
+MotionCue = Literal["difference", "previous", "canonical"]
+
+
+@dataclass(frozen=True, slots=True)
+class ModelConfig:
+    """What a scene is made of.
+
+    Attributes:
+        gaussians_per_anchor: K (paper: 10).
+        features: size F of an anchor's feature (paper: 32).
+        view_dependent: feed direction and distance to the network (paper: yes).
+        cell_pixels: width of a level-0 cell as seen from the reference distance, in pixels.
+        levels: number of octree levels, or None to derive it from the distances (paper section III-A).
+        max_anchors: growing stops there.
+        selection: draw all levels, or per camera only those that its distance calls for (paper).
+        exposure: fit a gain and an offset a channel for each training camera.
+    """
+
+    gaussians_per_anchor: int = 4
+    features: int = 32
+    view_dependent: bool = False
+    cell_pixels: float = 6.0
+    levels: int | None = None
+    max_anchors: int = 60_000
+    selection: LevelSelection = "all"
+    exposure: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeConfig:
+    """Training of the first frame.
+
+    Rates are Adam's, per step; they decay to `final_rate` of themselves over the run (features and scalings to its
+    square root). Fractions are of the run.
+    """
+
+    steps: int = 1000
+    feature_rate: float = 0.02
+    offset_rate: float = 0.1
+    scaling_rate: float = 0.1
+    network_rate: float = 0.01
+    final_rate: float = 0.05
+    dssim_weight: float = 0.2
+    scale_weight: float = 0.01
+    dropout_base: float = 0.1  # gamma = base + slope * level, ramped over the run (paper section III-A)
+    dropout_slope: float = 0.05
+    dropout_cap: float = 0.5
+    progressive_until: float = 0.0  # levels unlock until this fraction of the run; 0: all from the start
+    level_cap_share: float = 0.15  # share of steps that draw only levels up to a random one
+    growth_interval: int = 100
+    growth_from: float = 0.05
+    growth_until: float = 0.65
+    growth_threshold: float = 2e-4
+    prune_opacity: float = 0.005
+    extra_level_gain: float = 0.01
+    rounding_from: float = 0.75  # from here on the parameters are rounded as they will be sent
+
+
+@dataclass(frozen=True, slots=True)
+class PredictConfig:
+    """Training of every later frame.
+
+    Attributes:
+        epochs: passes over the training cameras (paper: 10).
+        minimum_steps: at least so many steps, however few the cameras.
+        latent_rate, position_rate: Adam rates in quanta.
+        final_rate: both decay to this share over the frame.
+        feature_step, offset_step: size of a latent quantum in feature and offset units.
+        rate_weight: weight of the bits of latents and positions in the loss.
+        cue: whose gradient shows motion (paper: canonical).
+        posterior: threshold of the mixture's dynamic component (paper: 0.8).
+        noise_floor: smallest change of grey value, in units of [0, 1], that counts as motion.
+        partition_interval: frames between partitions (paper's star variant: 4).
+        everything: treat all anchors as dynamic, for studies.
+        quantised: round the residuals (False only for studies: such a state can't be sent).
+    """
+
+    epochs: int = 10
+    minimum_steps: int = 40
+    latent_rate: float = 0.1
+    position_rate: float = 2.0
+    final_rate: float = 0.1
+    feature_step: float = 0.2
+    offset_step: float = 0.2
+    position_steps_per_cell: int = 64
+    rate_weight: float = 0.03
+    dssim_weight: float = 0.2
+    cue: MotionCue = "difference"
+    posterior: float = 0.8
+    noise_floor: float = 0.02
+    partition_interval: int = 1
+    everything: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TrainConfig:
+    """The whole method."""
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
+    predict: PredictConfig = field(default_factory=PredictConfig)
+    seed: int = 0
+
+
+def preset(name: str) -> TrainConfig:
+    """A named configuration.
+
+    Raises:
+        InputError: no such preset.
+    """
+    default = TrainConfig()
+    presets = {
+        "balanced": default,
+        "live": replace(
+            default,
+            keyframe=replace(default.keyframe, steps=500, growth_interval=50),
+            predict=replace(default.predict, epochs=5, minimum_steps=25),
+        ),
+        "quality": replace(
+            default,
+            keyframe=replace(default.keyframe, steps=2000),
+            predict=replace(default.predict, epochs=15, rate_weight=0.01),
+        ),
+        "paper": TrainConfig(
+            model=replace(
+                default.model, gaussians_per_anchor=10, view_dependent=True, selection="distance", exposure=False
+            ),
+            keyframe=replace(default.keyframe, steps=1500, progressive_until=0.5, level_cap_share=0.0),
+            predict=replace(default.predict, cue="canonical", rate_weight=0.0, minimum_steps=0),
+        ),
+    }
+    if name not in presets:
+        raise InputError(f"preset {name!r}", f"unknown; choose one of {', '.join(presets)}")
+    return presets[name]

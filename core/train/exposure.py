@@ -1,0 +1,39 @@
+"""Gain and offset a camera and channel: cameras of a real rig do not agree on brightness and white.
+
+The picture of camera c is modelled as gain_c * render + offset_c. A common factor would be invisible, so the mean over
+the cameras is held at gain 1 and offset 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    """gain [C,3] and offset [C,3] of C cameras."""
+
+    gain: Tensor
+    offset: Tensor
+
+    def apply(self, image: Tensor, camera: int) -> Tensor:
+        """`image` [H,W,3] as camera number `camera` would show it."""
+        return image * self.gain[camera] + self.offset[camera]
+
+    def centre(self) -> None:
+        """Bring the mean over the cameras back to gain 1 and offset 0."""
+        with torch.no_grad():
+            self.gain.sub_(self.gain.mean(dim=0) - 1)
+            self.offset.sub_(self.offset.mean(dim=0))
+
+    def frozen(self) -> Exposure:
+        """The same values, no longer trained."""
+        return Exposure(self.gain.detach().clone(), self.offset.detach().clone())
+
+
+def neutral(cameras: int) -> Exposure:
+    """No correction for any of `cameras`."""
+    return Exposure(torch.ones(cameras, 3), torch.zeros(cameras, 3))

@@ -1,0 +1,72 @@
+"""The anchors of a scene as torch tensors, while they are trained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from core.octree import Octree
+from core.train.decode import Network, Splats, View, decode
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """N anchors of all levels in one list.
+
+    Attributes:
+        octree: geometry of the grid.
+        reference_distance: d_max in world units.
+        view_dependent: whether the network sees the view.
+        level: [N] int64; voxel: [N,3] int32 grid nodes; extra_level: [N] float32, in levels.
+        position: [N,3] float32 world positions.
+        feature: [N,F]; offset: [N,K,3]; scaling: [N,6] log-scales.
+        network: shared by all anchors.
+    """
+
+    octree: Octree
+    reference_distance: float
+    view_dependent: bool
+    level: Tensor
+    voxel: Tensor
+    extra_level: Tensor
+    position: Tensor
+    feature: Tensor
+    offset: Tensor
+    scaling: Tensor
+    network: Network
+
+    def __len__(self) -> int:
+        return len(self.level)
+
+    @property
+    def slots(self) -> int:
+        """K, Gaussians an anchor."""
+        return self.offset.shape[1]
+
+    def view(self, centre: Tensor) -> View | None:
+        """What the network sees from a camera at `centre` [3]."""
+        return View(centre, self.reference_distance) if self.view_dependent else None
+
+    def decode(self, centre: Tensor, rows: Tensor | None = None) -> Splats:
+        """Gaussians of `rows` (all by default) for a camera at `centre` [3]."""
+        parts = (self.feature, self.offset, self.scaling, self.position)
+        if rows is not None:
+            parts = (self.feature[rows], self.offset[rows], self.scaling[rows], self.position[rows])
+        return decode(*parts, self.network, self.view(centre))
+
+    def with_rows(self, rows: Tensor) -> Field:
+        """Only the anchors of `rows`."""
+        names = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+def visible_levels(field: Field, centre: Tensor, highest: int) -> Tensor:
+    """[N] bool: anchors that the distance to a camera at `centre` [3] calls for (paper section III-A).
+
+    The torch twin of `core.octree.level_for_distance`.
+    """
+    distance = (field.position - centre).norm(dim=1).clamp_min(1e-12)
+    wanted = torch.log2(field.reference_distance / distance) + field.extra_level
+    return field.level <= wanted.round().clamp(0, highest)

@@ -1,0 +1,119 @@
+"""Growing and pruning anchors (Octree-GS rules, method notes 1.8, with the paper's readings 8.A rows 3, 12 and 14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from core.arrays import Bool, Float64, Int32, Int64
+from core.train.config import KeyframeConfig
+from core.train.field import Field
+
+_LEVEL_FACTOR = 2**0.2  # thresholds grow with the level
+_EXTRA_SHARE = 0.25  # of the threshold, from which an anchor earns extra level
+_REACH = (1 << 20) - 1  # nodes farther than this from the origin do not fit the packed keys
+_TRUSTED_SHARE = 0.3  # of the largest visit count, below which a gradient average is not believed
+
+
+class GrowthStatistics:
+    """Sums over the steps since the last adjustment, for N anchors of K Gaussians."""
+
+    def __init__(self, anchors: int, slots: int) -> None:
+        self.gradient = np.zeros(anchors * slots)
+        self.gradient_count = np.zeros(anchors * slots)
+        self.opacity = np.zeros(anchors)
+        self.visits = np.zeros(anchors)
+
+    def add(self, gaussians: Int64, norms: Float64, anchors: Int64, opacity: Float64) -> None:
+        """One step: gradient `norms` of the visible `gaussians`, summed positive `opacity` of the drawn `anchors`."""
+        self.gradient[gaussians] += norms
+        self.gradient_count[gaussians] += 1
+        self.opacity[anchors] += opacity
+        self.visits[anchors] += 1
+
+    def mean_gradient(self) -> Float64:
+        """[N*K] mean gradient norm where it was seen often enough, else 0."""
+        trusted = self.gradient_count >= max(_TRUSTED_SHARE * self.gradient_count.max(initial=0), 1)
+        return np.where(trusted, self.gradient / np.maximum(self.gradient_count, 1), 0.0)
+
+    def faint(self, opacity: float) -> Bool:
+        """[N] anchors seen often enough whose opacity, summed over slots and averaged over visits, is below a limit."""
+        often = self.visits >= max(0.5 * self.visits.max(initial=0), 1)
+        return np.asarray(often & (self.opacity < opacity * self.visits))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NewAnchors:
+    """n anchors to add: voxel [n,3] int32, level [n] int64, parent [n] int64 row of the anchor they grew from."""
+
+    voxel: Int32
+    level: Int64
+    parent: Int64
+
+    def __len__(self) -> int:
+        return len(self.level)
+
+
+def grow(field: Field, gradient: Float64, config: KeyframeConfig, highest: int) -> NewAnchors:
+    """Where Gaussians pull hardest, an anchor at their own level; where harder still, one at the next finer level.
+
+    Args:
+        gradient: [N*K] mean view-space gradient norms.
+        highest: finest level that may receive anchors.
+    """
+    with torch.no_grad():
+        means = field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]
+    centres = means.reshape(-1, 3).numpy().astype(np.float64)
+    slot_level = np.repeat(field.level.numpy(), field.slots)
+    found: list[NewAnchors] = []
+    for level in range(field.octree.levels):
+        threshold = config.growth_threshold * _LEVEL_FACTOR**level
+        own = (slot_level == level) & (gradient >= threshold) & (gradient < threshold * _LEVEL_FACTOR)
+        next_level = (slot_level == level) & (gradient >= threshold * _LEVEL_FACTOR)
+        for target, candidates in ((level, own), (level + 1, next_level)):
+            if target <= highest and candidates.any():
+                found.append(_free_nodes(field, centres, np.flatnonzero(candidates), target))
+    if not found:
+        return NewAnchors(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), np.zeros(0, np.int64))
+    return _unique(
+        NewAnchors(
+            np.concatenate([part.voxel for part in found]),
+            np.concatenate([part.level for part in found]),
+            np.concatenate([part.parent for part in found]),
+        )
+    )
+
+
+def earned_extra_level(field: Field, gradient: Float64, config: KeyframeConfig) -> Bool:
+    """[N] anchors whose mean gradient earns them extra level (paper section III-A)."""
+    per_slot = gradient.reshape(len(field), field.slots)
+    mean = per_slot.sum(axis=1) / np.maximum((per_slot > 0).sum(axis=1), 1)
+    threshold = config.growth_threshold * _LEVEL_FACTOR ** field.level.numpy()
+    return np.asarray(mean >= _EXTRA_SHARE * threshold)
+
+
+def _free_nodes(field: Field, centres: Float64, candidates: Int64, level: int) -> NewAnchors:
+    """The nodes of `level` nearest to the candidate Gaussians that hold no anchor yet, one each."""
+    voxels = field.octree.voxel_of(centres[candidates], level)
+    inside = np.abs(voxels).max(axis=1) < _REACH
+    voxels, candidates = voxels[inside], candidates[inside]
+    taken = field.voxel.numpy()[field.level.numpy() == level]
+    unique, first = np.unique(voxels, axis=0, return_index=True)
+    free = ~np.isin(_key(unique), _key(taken))
+    parent = candidates[first[free]] // field.slots
+    return NewAnchors(unique[free].astype(np.int32), np.full(len(parent), level, np.int64), parent)
+
+
+def _unique(new: NewAnchors) -> NewAnchors:
+    """One anchor a node: two parents of different levels may ask for the same."""
+    _, first = np.unique(np.stack([new.level, _key(new.voxel)]), axis=1, return_index=True)
+    first.sort()
+    return NewAnchors(new.voxel[first], new.level[first], new.parent[first])
+
+
+def _key(voxels: Int32) -> Int64:
+    """[n] int64 that is different for different nodes within +-2^20."""
+    shifted = voxels.astype(np.int64) + (1 << 20)
+    return np.asarray((shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2])

@@ -1,0 +1,196 @@
+"""Training the first frame: an anchor model from nothing but points and pictures (paper section III-A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from core.train.losses import photometric_loss
+from torch import Tensor
+
+from core.camera import Camera
+from core.render import Raster, rasterise
+from core.train.config import TrainConfig
+from core.train.decode import Network, Splats, decode
+from core.train.exposure import Exposure, neutral
+from core.train.field import Field, visible_levels
+from core.train.growth import GrowthStatistics, earned_extra_level, grow
+from core.train.optimiser import RowAdam
+from core.train.rounding import Steps
+from core.train.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
+
+_ROW_PARAMETERS = ("feature", "offset", "scaling")
+_NETWORK_PARAMETERS = ("hidden_weight", "hidden_bias", "output_weight", "output_bias")
+_OFFSET_SPREAD = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """Training pictures: cameras, targets [C,H,W,3] float32 in [0, 1], and which of them are there."""
+
+    cameras: tuple[Camera, ...]
+    targets: Tensor
+    usable: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """One training step: its loss and how many gradients were not finite."""
+
+    loss: float
+    broken: int
+
+
+class KeyframeTrainer:
+    """Optimises a field against one instant.
+
+    Args:
+        field: first anchors, from `core.train.seeding`.
+        views: the pictures.
+        config: the whole configuration.
+        backend: of the rasteriser.
+    """
+
+    def __init__(self, field: Field, views: Views, config: TrainConfig, backend: str) -> None:
+        self._config = config.keyframe
+        self._model = config.model
+        self._views = views
+        self._backend = backend
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._centres = [torch.from_numpy(camera.centre).float() for camera in views.cameras]
+        self._background = torch.zeros(3)
+        self._order = ViewOrder(views.usable, self._generator)
+        self._exposure = neutral(len(views.cameras))
+        leaves = {name: getattr(field, name).clone().requires_grad_() for name in _ROW_PARAMETERS}
+        network = {name: getattr(field.network, name).clone().requires_grad_() for name in _NETWORK_PARAMETERS}
+        exposure = {"gain": self._exposure.gain, "exposure_offset": self._exposure.offset}
+        if config.model.exposure:
+            for value in exposure.values():
+                value.requires_grad_()
+        self._optimiser = RowAdam({**leaves, **network, **(exposure if config.model.exposure else {})})
+        self._fixed = field
+        self._statistics = GrowthStatistics(len(field), field.slots)
+        self._highest = field.octree.levels - 1
+        self._done = 0
+
+    @property
+    def field(self) -> Field:
+        """The anchors as they are now, detached and unrounded."""
+        parameters = {name: value.detach() for name, value in self._optimiser.parameters.items()}
+        return replace(
+            self._fixed,
+            feature=parameters["feature"],
+            offset=parameters["offset"],
+            scaling=parameters["scaling"],
+            network=_network_of(parameters),
+        )
+
+    @property
+    def exposure(self) -> Exposure:
+        """Gains and offsets fitted so far."""
+        return self._exposure.frozen()
+
+    def step(self) -> StepResult:
+        """One view, one update."""
+        config, progress = self._config, self._done / self._config.steps
+        self._highest = unlocked_level(self._fixed.octree.levels, config, progress)
+        number = self._order.next()
+        rows = self._drawn_rows(number)
+        splats = self._decode(number, rows, rounded=progress >= config.rounding_from)
+        level = (self._fixed.level if rows is None else self._fixed.level[rows]).repeat_interleave(self._fixed.slots)
+        opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
+        raster = rasterise(
+            splats.means,
+            splats.quaternions,
+            splats.scales,
+            opacities,
+            splats.colours,
+            self._views.cameras[number],
+            self._background,
+            backend=self._backend,
+        )
+        loss = self._loss(raster, splats, number)
+        loss.backward()  # type: ignore[no-untyped-call]
+        rates = keyframe_rates(config, progress)
+        rates |= dict.fromkeys(_NETWORK_PARAMETERS, rates["network"])
+        rates |= dict.fromkeys(("gain", "exposure_offset"), rates["exposure"])
+        broken = self._optimiser.step(rates)
+        if self._model.exposure:
+            self._exposure.centre()
+        self._count(raster, splats, rows)
+        self._done += 1
+        if self._done % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
+            self._adjust()
+        return StepResult(float(loss.detach()), broken)
+
+    def _drawn_rows(self, number: int) -> Tensor | None:
+        """Anchors of this step: all, those of a random coarse cap, or those that the camera's distances call for."""
+        field, highest = self._fixed, self._highest
+        capped = torch.rand((), generator=self._generator).item() < self._config.level_cap_share
+        if capped and highest > 0:
+            highest = int(torch.randint(0, highest, (), generator=self._generator))
+        if self._model.selection == "distance":
+            return torch.nonzero(visible_levels(field, self._centres[number], highest))[:, 0]
+        return None if highest == field.octree.levels - 1 else torch.nonzero(field.level <= highest)[:, 0]
+
+    def _decode(self, number: int, rows: Tensor | None, *, rounded: bool) -> Splats:
+        parameters = self._optimiser.parameters
+        feature, offset, scaling = parameters["feature"], parameters["offset"], parameters["scaling"]
+        position = self._fixed.position
+        if rows is not None:
+            feature, offset, scaling, position = feature[rows], offset[rows], scaling[rows], position[rows]
+        if rounded:
+            feature, offset, scaling = Steps().rounded(feature, offset, scaling)
+        view = self._fixed.view(self._centres[number])
+        return decode(feature, offset, scaling, position, _network_of(parameters), view)
+
+    def _loss(self, raster: Raster, splats: Splats, number: int) -> Tensor:
+        """Equation 5 of the paper, with Scaffold-GS's regulariser of the volume (method notes 8.A row 39)."""
+        image = self._exposure.apply(raster.image, number) if self._model.exposure else raster.image
+        loss = photometric_loss(image, self._views.targets[number], self._config.dssim_weight)
+        if self._config.scale_weight:
+            drawn = splats.opacities.detach() > 0
+            loss = loss + self._config.scale_weight * splats.scales.prod(dim=1)[drawn].sum() / drawn.sum().clamp_min(1)
+        return loss
+
+    def _count(self, raster: Raster, splats: Splats, rows: Tensor | None) -> None:
+        slots = self._fixed.slots
+        visible = raster.probe.visible
+        norms = raster.probe.gradients.norm(dim=1)
+        opacity = splats.opacities.detach().clamp_min(0).reshape(-1, slots).sum(dim=1)
+        anchors = torch.arange(len(self._fixed)) if rows is None else rows
+        gaussians = anchors[visible // slots] * slots + visible % slots
+        self._statistics.add(gaussians.numpy(), norms.double().numpy(), anchors.numpy(), opacity.double().numpy())
+
+    def _adjust(self) -> None:
+        """Grow, prune, and start counting anew."""
+        field, config = self.field, self._config
+        gradient = self._statistics.mean_gradient()
+        extra = torch.from_numpy(earned_extra_level(field, gradient, config)).float() * config.extra_level_gain
+        new = grow(field, gradient, config, self._highest)
+        if len(field) + len(new) > self._model.max_anchors:
+            new = type(new)(new.voxel[:0], new.level[:0], new.parent[:0])
+        kept = torch.from_numpy(~self._statistics.faint(config.prune_opacity)).nonzero()[:, 0]
+        level, voxel = torch.from_numpy(new.level), torch.from_numpy(new.voxel)
+        cells = field.octree.root_cell / 2.0 ** level.double()
+        position = (torch.from_numpy(field.octree.origin) + voxel * cells[:, None]).float()
+        self._optimiser.replace_rows(
+            kept,
+            {
+                "feature": field.feature[torch.from_numpy(new.parent)],
+                "offset": _OFFSET_SPREAD * torch.randn(len(new), field.slots, 3, generator=self._generator),
+                "scaling": cells.log().float()[:, None].repeat(1, 6),
+            },
+        )
+        self._fixed = replace(
+            self._fixed,
+            level=torch.cat([field.level[kept], level]),
+            voxel=torch.cat([field.voxel[kept], voxel]),
+            extra_level=torch.cat([(field.extra_level + extra)[kept], torch.zeros(len(new))]),
+            position=torch.cat([field.position[kept], position]),
+        )
+        self._statistics = GrowthStatistics(len(self._fixed), field.slots)
+
+
+def _network_of(parameters: dict[str, Tensor]) -> Network:
+    return Network(*(parameters[name] for name in _NETWORK_PARAMETERS))

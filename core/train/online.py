@@ -1,0 +1,145 @@
+"""Training one later frame: quantised residuals of the dynamic anchors only (paper section III-C).
+
+The state is the decoder's: every frame starts from dequantised integers and ends by rounding, so encoder and decoder
+cannot drift apart. Between the rounds the latents are real numbers whose forward pass is rounded (straight-through).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from core.train.losses import photometric_loss
+from torch import Tensor
+
+from core.anchors import FEATURE_LATENTS, LATENTS, Scene, empty_level
+from core.arrays import Int32, Int64
+from core.render import rasterise
+from core.residual import LevelResidual, Residual
+from core.train.config import PredictConfig
+from core.train.convert import level_starts
+from core.train.decode import Splats, decode, join
+from core.train.exposure import Exposure
+from core.train.field import Field
+from core.train.keyframe import Views
+from core.train.optimiser import RowAdam
+from core.train.rounding import round_through
+from core.train.schedule import ViewOrder
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quanta:
+    """Integer differences of n anchors: latent [n,24] and position [n,3], both int32, with the training's figures."""
+
+    latent: Int32
+    position: Int32
+    steps: int
+    loss: float
+    repaired: int
+
+
+class ResidualTrainer:
+    """Fits the residuals of `rows` of `field` to one instant.
+
+    Args:
+        field: the dequantised state of `scene`.
+        rows: [n] rows of the dynamic anchors.
+        static: [m] rows of the other anchors alive.
+        views: pictures of the instant.
+    """
+
+    def __init__(
+        self, scene: Scene, field: Field, rows: Tensor, static: Tensor, views: Views, exposure: Exposure | None
+    ) -> None:
+        self._field, self._rows, self._views, self._exposure = field, rows, views, exposure
+        self._centres = [torch.from_numpy(camera.centre).float() for camera in views.cameras]
+        self._feature_decoder = torch.from_numpy(scene.weights.feature_decoder)
+        self._offset_decoder = torch.from_numpy(scene.weights.offset_decoder)
+        steps = torch.from_numpy(scene.header.position_steps)
+        self._position_step = steps[field.level[rows]][:, None]
+        self._static = _static_splats(field, static, self._centres)
+        self._latent = torch.zeros(len(rows), LATENTS, requires_grad=True)
+        self._position = torch.zeros(len(rows), 3, requires_grad=True)
+
+    def run(self, config: PredictConfig, backend: str, generator: torch.Generator) -> Quanta:
+        """Train as configured and round."""
+        views = self._views.usable
+        total = max(config.epochs * len(views), config.minimum_steps)
+        order, optimiser = ViewOrder(views, generator), RowAdam({"latent": self._latent, "position": self._position})
+        broken, losses = 0, []
+        for step in range(total):
+            loss = self._loss(order.next(), config, backend)
+            loss.backward()  # type: ignore[no-untyped-call]
+            decay = config.final_rate ** (step / total)
+            broken += optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
+            losses.append(float(loss.detach()))
+        latent, position = _finite_quanta(self._latent), _finite_quanta(self._position)
+        return Quanta(latent, position, total, float(np.mean(losses[-len(views) :])), broken)
+
+    def _loss(self, number: int, config: PredictConfig, backend: str) -> Tensor:
+        dynamic = self._dynamic_splats(number)
+        splats = join(dynamic, self._static[number])
+        camera = self._views.cameras[number]
+        raster = rasterise(*splats.astuple(), camera, torch.zeros(3), gradient_rows=len(dynamic), backend=backend)
+        image = raster.image if self._exposure is None else self._exposure.apply(raster.image, number)
+        loss = photometric_loss(image, self._views.targets[number], config.dssim_weight)
+        if config.rate_weight:
+            bits = torch.log2(1 + self._latent.abs()).sum() + torch.log2(1 + self._position.abs()).sum()
+            loss = loss + config.rate_weight * bits / image.numel()
+        return loss
+
+    def _dynamic_splats(self, number: int) -> Splats:
+        field, rows = self._field, self._rows
+        latent, position = round_through(self._latent), round_through(self._position)
+        offset = latent[:, FEATURE_LATENTS:] @ self._offset_decoder
+        return decode(
+            field.feature[rows] + latent[:, :FEATURE_LATENTS] @ self._feature_decoder,
+            field.offset[rows] + offset.reshape(len(rows), -1, 3),
+            field.scaling[rows],
+            field.position[rows] + position * self._position_step,
+            field.network,
+            field.view(self._centres[number]),
+        )
+
+
+def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:
+    """Gaussians that are only drawn, for each camera; decoded once for all where they look the same to all."""
+    decoded: list[Splats] = []
+    for centre in centres:
+        if decoded and not field.view_dependent:
+            decoded.append(decoded[0])
+            continue
+        with torch.no_grad():
+            splats = field.decode(centre, static)
+        decoded.append(splats.rows(torch.nonzero(splats.opacities > 0)[:, 0]))
+    return decoded
+
+
+def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Residual:
+    """The residual of `scene` to `version` that `quanta` of `rows` (numbered over all levels) stand for."""
+    starts = level_starts(scene)
+    changed = quanta.latent.any(axis=1) | quanta.position.any(axis=1)
+    rows, latent, position = rows[changed], quanta.latent[changed], quanta.position[changed]
+    levels = []
+    for number, level in enumerate(scene.levels):
+        here = (rows >= starts[number]) & (rows < starts[number + 1])
+        own = rows[here] - starts[number]
+        total = np.clip(level.latent[own].astype(np.int64) + latent[here], -32768, 32767)
+        levels.append(
+            LevelResidual(
+                rows=own,
+                position=position[here],
+                latent=(total - level.latent[own]).astype(np.int32),
+                removed=np.zeros(0, np.int64),
+                added=empty_level(level.feature.shape[1], scene.header.gaussians_per_anchor),
+            )
+        )
+    return Residual(scene.keyframe, scene.version, version, tuple(levels))
+
+
+def _finite_quanta(values: Tensor) -> Int32:
+    """Nearest integers; what is not finite stays at its last good state, zero."""
+    limit = 2.0**24
+    rounded = torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0).round().clamp(-limit, limit)
+    return rounded.to(torch.int32).numpy()

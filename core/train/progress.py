@@ -1,0 +1,86 @@
+"""What training tells while it runs, and what it returns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from core.anchors import Scene
+from core.residual import Residual
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a long run stands.
+
+    Attributes:
+        stage: for people, for example ``first frame``.
+        fraction: done, in [0, 1].
+        loss: of the latest step.
+        anchors: anchors at present.
+        preview: makes the scene as it is now; costs time, so call it only when someone looks.
+    """
+
+    stage: str
+    fraction: float
+    loss: float
+    anchors: int
+    preview: Callable[[], Scene] | None = None
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameReport:
+    """Figures of one trained frame.
+
+    Attributes:
+        seconds: wall time by stage.
+        steps: training steps taken.
+        anchors: anchors alive; dynamic: anchors that were trained.
+        loss: mean loss of the last epoch.
+        repaired: parameters that became non-finite and were reset.
+    """
+
+    seconds: dict[str, float]
+    steps: int
+    anchors: int
+    dynamic: int
+    loss: float
+    repaired: int = 0
+
+    @property
+    def total_seconds(self) -> float:
+        """All stages together."""
+        return sum(self.seconds.values())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainedFrame:
+    """One frame, ready to encode: the state after it, and what changed (None: the state is a keyframe)."""
+
+    scene: Scene
+    residual: Residual | None
+    report: FrameReport
+
+
+@dataclass(slots=True)
+class Stopwatch:
+    """Adds up wall time by stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    spans: list[tuple[str, float, float]] = field(default_factory=list)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count the time inside the block to `name`."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            end = time.perf_counter()
+            self.seconds[name] = self.seconds.get(name, 0.0) + end - begin
+            self.spans.append((name, begin, end))

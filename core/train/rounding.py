@@ -1,0 +1,38 @@
+"""Rounding as it will be sent: training in the presence of quantisation, with straight-through gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+FEATURE_STEP, OFFSET_STEP, SCALING_STEP = 0.1, 0.05, 0.05
+
+
+def round_through(values: Tensor) -> Tensor:
+    """Nearest integers, with the gradient of the identity (straight-through; QUEEN, the paper's equation 9)."""
+    return values + (values.round() - values).detach()
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Widths of one quantum: of features, offsets (in multiples of the anchor's size) and log-scales."""
+
+    feature: float = FEATURE_STEP
+    offset: float = OFFSET_STEP
+    scaling: float = SCALING_STEP
+
+    def rounded(self, feature: Tensor, offset: Tensor, scaling: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The three arrays on their grids, with straight-through gradients."""
+        return (
+            round_through(feature / self.feature) * self.feature,
+            round_through(offset / self.offset) * self.offset,
+            round_through(scaling / self.scaling) * self.scaling,
+        )
+
+
+def to_int16(values: Tensor, step: float) -> Tensor:
+    """Quanta of `values`, saturated to int16."""
+    limits = torch.iinfo(torch.int16)
+    return (values / step).round().clamp(limits.min, limits.max).to(torch.int16)

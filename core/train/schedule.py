@@ -1,0 +1,62 @@
+"""What changes over a run: learning rates, dropout, unlocked levels, the order of views."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.train.config import KeyframeConfig
+
+_UNLOCK_RATIO = 1 / 1.5  # each level unlocks after 1/1.5 of the interval before it (Octree-GS; method notes 1.5)
+
+
+def keyframe_rates(config: KeyframeConfig, progress: float) -> dict[str, float]:
+    """Rates at `progress` in [0, 1] of the first frame's run."""
+    decay = config.final_rate**progress
+    return {
+        "feature": config.feature_rate * decay**0.5,
+        "offset": config.offset_rate * decay,
+        "scaling": config.scaling_rate * decay**0.5,
+        "network": config.network_rate * decay,
+        "exposure": 0.002 * decay,
+    }
+
+
+def dropout_keep(level: Tensor, config: KeyframeConfig, progress: float, generator: torch.Generator) -> Tensor:
+    """[G] factors of the opacities: 0 for dropped Gaussians, 1 / (1 - r) for the others.
+
+    r = (base + slope * level) * progress, capped (paper section III-A; compensation as in DropGaussian).
+
+    Args:
+        level: [G] level of each Gaussian's anchor.
+    """
+    rate = ((config.dropout_base + config.dropout_slope * level.float()) * progress).clamp(max=config.dropout_cap)
+    return (torch.rand(len(level), generator=generator) >= rate) / (1 - rate)
+
+
+def unlocked_level(levels: int, config: KeyframeConfig, progress: float) -> int:
+    """Finest level in use at `progress`: from the middle one upwards, in shrinking intervals (method notes 1.5)."""
+    first = levels // 2
+    steps = levels - 1 - first
+    if steps <= 0 or config.progressive_until <= 0:
+        return levels - 1
+    first_interval = config.progressive_until * (1 - _UNLOCK_RATIO) / (1 - _UNLOCK_RATIO**steps)
+    times = np.cumsum(first_interval * _UNLOCK_RATIO ** np.arange(steps))
+    return first + int(np.searchsorted(times, progress, side="right"))
+
+
+class ViewOrder:
+    """Endless random epochs over the cameras `views`."""
+
+    def __init__(self, views: list[int], generator: torch.Generator) -> None:
+        self._views = views
+        self._generator = generator
+        self._left: list[int] = []
+
+    def next(self) -> int:
+        """The next camera; every camera once before any comes again."""
+        if not self._left:
+            order = torch.randperm(len(self._views), generator=self._generator).tolist()
+            self._left = [self._views[i] for i in order]
+        return self._left.pop()

@@ -1,0 +1,117 @@
+"""First anchors from first points: levels, cells, weed-out, initial values (paper section III-A)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from core.anchors import HIDDEN, OUTPUTS, VIEW_INPUTS
+from core.arrays import Float32, Float64, Int32
+from core.camera import Camera
+from core.errors import ModelError
+from core.frames import PointCloud
+from core.octree import MAX_LEVELS, Octree, level_for_distance, morton_key
+from core.train.config import ModelConfig
+from core.train.decode import Network
+from core.train.field import Field
+
+_FAR_QUANTILE, _NEAR_QUANTILE = 0.99, 0.01
+_SAMPLE = 20_000  # points that the distance statistics look at
+_FEATURE_SPREAD, _OFFSET_SPREAD = 0.1, 0.3  # offsets of zero would leave the K Gaussians identical
+_OPACITY_BIAS = 0.3  # without it a run can start with every opacity below zero, which has no gradient
+
+
+def seed_field(
+    points: PointCloud, cameras: tuple[Camera, ...], config: ModelConfig, generator: torch.Generator
+) -> Field:
+    """Anchors at every level for a cloud of first points.
+
+    Raises:
+        ModelError: too few points to start from.
+    """
+    if len(points) < 4:
+        raise ModelError(f"only {len(points)} first points: give a points file, more views, or --points random")
+    nearest, farthest = distance_bounds(points.positions, cameras)
+    levels = config.levels or min(max(round(math.log2(farthest / nearest)) + 1, 1), MAX_LEVELS)
+    focal = float(np.mean([camera.intrinsics[0, 0] for camera in cameras]))
+    octree = Octree(
+        origin=points.positions.min(axis=0).astype(np.float64),
+        root_cell=config.cell_pixels * farthest / focal,
+        levels=levels,
+    )
+    centres = np.stack([camera.centre for camera in cameras])
+    voxels = [_occupied(octree, points.positions, level, centres, farthest) for level in range(levels)]
+    voxel = np.concatenate(voxels)
+    level = np.repeat(np.arange(levels), [len(part) for part in voxels])
+    position = np.concatenate([octree.node_of(part, number) for number, part in enumerate(voxels)])
+    return Field(
+        octree=octree,
+        reference_distance=farthest,
+        view_dependent=config.view_dependent,
+        level=torch.from_numpy(level.astype(np.int64)),
+        voxel=torch.from_numpy(voxel),
+        extra_level=torch.zeros(len(voxel)),
+        position=torch.from_numpy(position.astype(np.float32)),
+        feature=_first_features(position, points, config.features, generator),
+        offset=_OFFSET_SPREAD * torch.randn(len(voxel), config.gaussians_per_anchor, 3, generator=generator),
+        scaling=torch.from_numpy(_neighbour_log_distance(position))[:, None].repeat(1, 6),
+        network=_first_network(config, generator),
+    )
+
+
+def distance_bounds(positions: Float32, cameras: tuple[Camera, ...]) -> tuple[float, float]:
+    """(d_min, d_max): quantiles of the distances from the cameras to the points, pooled as in the notes 8.A row 5."""
+    sample = positions[:: max(1, len(positions) // _SAMPLE)].astype(np.float64)
+    distances = [np.linalg.norm(sample - camera.centre, axis=1) for camera in cameras]
+    farthest = max(float(np.quantile(d, _FAR_QUANTILE)) for d in distances)
+    nearest = min(float(np.quantile(d, _NEAR_QUANTILE)) for d in distances)
+    return max(nearest, 1e-3 * farthest), farthest
+
+
+def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, farthest: float) -> Int32:
+    """[n,3] occupied nodes of `level` in Morton order, without those too fine for every camera (weed-out)."""
+    voxels = np.unique(octree.voxel_of(positions.astype(np.float64), level), axis=0)
+    if level:
+        nodes = octree.node_of(voxels, level)
+        wanted = [
+            level_for_distance(np.linalg.norm(nodes - centre, axis=1), farthest, np.zeros(len(nodes)), octree.levels)
+            for centre in centres
+        ]
+        voxels = voxels[(np.stack(wanted) >= level).any(axis=0)]
+    return voxels[np.argsort(morton_key(voxels), kind="stable")]
+
+
+def _neighbour_log_distance(position: Float64) -> Float32:
+    """[N] log of the root mean square distance to the three nearest anchors."""
+    count = min(4, len(position))
+    distance, _ = cKDTree(position).query(position, k=count)
+    rms = np.sqrt(np.maximum((np.reshape(distance, (len(position), count))[:, 1:] ** 2).mean(axis=1), 1e-7))
+    return np.asarray(np.log(rms), np.float32)
+
+
+def _first_features(position: Float64, points: PointCloud, size: int, generator: torch.Generator) -> torch.Tensor:
+    """[N,F] small noise, with the colour of the nearest point in the first three channels: a fast, safe start."""
+    feature = _FEATURE_SPREAD * torch.randn(len(position), size, generator=generator)
+    _, nearest = cKDTree(points.positions).query(position)
+    feature[:, :3] = torch.from_numpy(2 * (points.colours[nearest] - 0.5))
+    return feature
+
+
+def _first_network(config: ModelConfig, generator: torch.Generator) -> Network:
+    inputs = config.features + (VIEW_INPUTS if config.view_dependent else 0)
+    outputs = OUTPUTS * config.gaussians_per_anchor
+
+    def uniform(*shape: int, fan_in: int) -> torch.Tensor:
+        return (torch.rand(*shape, generator=generator) * 2 - 1) / math.sqrt(fan_in)
+
+    output_bias = uniform(outputs, fan_in=HIDDEN)
+    output_bias[: config.gaussians_per_anchor] = _OPACITY_BIAS
+    return Network(
+        hidden_weight=uniform(inputs, HIDDEN, fan_in=inputs),
+        hidden_bias=uniform(HIDDEN, fan_in=inputs),
+        output_weight=uniform(HIDDEN, outputs, fan_in=HIDDEN),
+        output_bias=output_bias,
+    )

@@ -1,0 +1,201 @@
+"""The trainer: the first frame from nothing, then every later frame from the one before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.anchors import Scene
+from core.arrays import Bool
+from core.camera import Camera
+from core.errors import ModelError
+from core.expand import anchor_positions, dequantise
+from core.frames import FrameSet, PointCloud
+from core.render import select
+from core.residual import Residual, apply
+from core.train.config import TrainConfig
+from core.train.convert import field_of, level_starts, scene_of
+from core.train.exposure import neutral
+from core.train.field import Field
+from core.train.keyframe import KeyframeTrainer, Views
+from core.train.online import Quanta, ResidualTrainer, residual_of
+from core.train.partition import change_masks, partition
+from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
+from core.train.seeding import seed_field
+
+_REPORT_EVERY = 25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """What the next frame starts from.
+
+    Attributes:
+        scene: the decoder's integer state; field: the same, dequantised.
+        canonical: the keyframe's field, for the paper's motion cue.
+        references: [C,H,W,3] what the state was trained to show, None after a resume.
+        dynamic: [N] trained in the latest frame.
+    """
+
+    scene: Scene
+    field: Field
+    canonical: Field
+    references: Tensor | None
+    dynamic: Bool
+
+
+class Trainer:
+    """Trains one stream, a frame at a time.
+
+    Args:
+        cameras: of the training pictures, in the order of `FrameSet.images`.
+        config: the method.
+        fps: frames a second, told to viewers.
+        device: ``auto``, ``cpu`` or ``cuda``.
+        rig: cameras offered to viewers as places to stand; the training cameras by default.
+    """
+
+    def __init__(
+        self,
+        cameras: tuple[Camera, ...],
+        config: TrainConfig,
+        fps: float,
+        device: str = "auto",
+        rig: tuple[Camera, ...] | None = None,
+    ) -> None:
+        self._cameras, self._config, self._fps = cameras, config, fps
+        self._backend = select(device)
+        self._rig = rig or cameras
+        self._exposure = neutral(len(cameras))
+        self._state: _State | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """The state after the latest frame.
+
+        Raises:
+            ModelError: no frame has been trained yet.
+        """
+        return self._require().scene
+
+    def keyframe(
+        self, frames: FrameSet, points: PointCloud, on_progress: ProgressCallback | None = None
+    ) -> TrainedFrame:
+        """Train the first frame from `points`, or a later one anew; the result is a keyframe.
+
+        Raises:
+            ModelError: no camera is present, or too few points.
+        """
+        watch, views = Stopwatch(), self._views(frames)
+        with watch.stage("seed"):
+            generator = torch.Generator().manual_seed(self._config.seed)
+            field = seed_field(points, self._cameras, self._config.model, generator)
+            trainer = KeyframeTrainer(field, views, self._config, self._backend)
+
+        def preview() -> Scene:
+            return self._scene_of(trainer.field, frames.index)
+
+        steps, broken, losses = self._config.keyframe.steps, 0, []
+        with watch.stage("train"):
+            for step in range(steps):
+                result = trainer.step()
+                broken += result.broken
+                losses.append(result.loss)
+                if on_progress is not None and (step + 1) % _REPORT_EVERY == 0:
+                    mean = float(np.mean(losses[-_REPORT_EVERY:]))
+                    on_progress(Progress("first frame", (step + 1) / steps, mean, len(trainer.field), preview))
+        with watch.stage("round"):
+            scene = preview()
+            self._exposure = trainer.exposure
+            self._adopt(scene, views)
+        report = FrameReport(
+            watch.seconds, steps, scene.anchor_count, scene.anchor_count, float(np.mean(losses[-50:])), broken
+        )
+        return TrainedFrame(scene, None, report)
+
+    def resume(self, scene: Scene) -> None:
+        """Go on from a state that another trainer left, for example before a crash."""
+        self._state = _State(scene, field_of(scene), field_of(scene), None, np.zeros(_rows(scene), np.bool_))
+
+    def predict(self, frames: FrameSet) -> TrainedFrame:
+        """Train a later frame; its residual leads from the state before.
+
+        Raises:
+            ModelError: no keyframe came before, or no camera is present.
+        """
+        state, watch, views = self._require(), Stopwatch(), self._views(frames)
+        config = self._config.predict
+        alive = _alive(state.scene)
+        with watch.stage("partition"):
+            references = views.targets if state.references is None else state.references
+            masks = change_masks(references, views, config.noise_floor)
+            due = frames.index % config.partition_interval == 0 or not state.dynamic.any()
+            dynamic = state.dynamic & alive.numpy()
+            if due:
+                source = state.canonical if config.cue == "canonical" else state.field
+                dynamic = partition(source, alive, references, views, masks, dynamic, config, self._backend)
+        rows = torch.from_numpy(np.flatnonzero(dynamic))
+        quanta = Quanta(np.zeros((0, 24), np.int32), np.zeros((0, 3), np.int32), 0, 0.0, 0)
+        if len(rows):
+            with watch.stage("train"):
+                static = torch.nonzero(alive & ~torch.from_numpy(dynamic))[:, 0]
+                exposure = self._exposure if self._config.model.exposure else None
+                trainer = ResidualTrainer(state.scene, state.field, rows, static, views, exposure)
+                generator = torch.Generator().manual_seed(self._config.seed + frames.index)
+                quanta = trainer.run(config, self._backend, generator)
+        with watch.stage("round"):
+            residual = residual_of(state.scene, rows.numpy(), quanta, frames.index)
+            scene = apply(state.scene, residual)
+            renewed = torch.where(masks[..., None], views.targets, references)
+            self._state = replace(
+                state, scene=scene, field=_updated(state.field, scene, residual), references=renewed, dynamic=dynamic
+            )
+        report = FrameReport(watch.seconds, quanta.steps, scene.anchor_count, len(rows), quanta.loss, quanta.repaired)
+        return TrainedFrame(scene, residual, report)
+
+    def _views(self, frames: FrameSet) -> Views:
+        usable = np.flatnonzero(frames.present).tolist()
+        if not usable:
+            raise ModelError(f"frame {frames.index} has no picture from any camera")
+        targets = torch.from_numpy(frames.images).float().div_(255)
+        return Views(self._cameras, targets, usable)
+
+    def _scene_of(self, field: Field, version: int) -> Scene:
+        return scene_of(field, self._config.predict, self._rig, self._fps, version)
+
+    def _adopt(self, scene: Scene, views: Views) -> None:
+        field = field_of(scene)
+        self._state = _State(scene, field, field, views.targets, np.zeros(_rows(scene), np.bool_))
+
+    def _require(self) -> _State:
+        if self._state is None:
+            raise ModelError("there is no state to go on from: train a keyframe or resume a scene first")
+        return self._state
+
+
+def _alive(scene: Scene) -> Tensor:
+    return torch.from_numpy(np.concatenate([level.alive for level in scene.levels]))
+
+
+def _rows(scene: Scene) -> int:
+    return int(level_starts(scene)[-1])
+
+
+def _updated(field: Field, scene: Scene, residual: Residual) -> Field:
+    """`field` after `residual` led to `scene`: changed rows are dequantised again, as the decoder does it."""
+    if any(len(part.added) for part in residual.levels):
+        return field_of(scene)
+    starts = level_starts(scene)
+    feature, offset = field.feature.clone(), field.offset.clone()
+    position = field.position.clone()
+    for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
+        if len(part.rows) == 0:
+            continue
+        rows = torch.from_numpy(part.rows + starts[number])
+        new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
+        feature[rows], offset[rows] = torch.from_numpy(new_feature), torch.from_numpy(new_offset)
+        position[rows] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows])
+    return replace(field, feature=feature, offset=offset, position=position)
