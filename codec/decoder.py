@@ -1,0 +1,136 @@
+"""Packets to scenes: any bytes become a decoded packet or a `BitstreamError`, never anything between."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+
+from codec import chunks
+from codec.header import decode_header, decode_weights
+from codec.limits import DEFAULT_LIMITS, Limits
+from codec.packet import ChunkKind, Packet, PacketInfo, PacketKind, describe, parse
+from core.anchors import LATENTS, AnchorLevel, Scene, empty_level
+from core.arrays import Int32, Int64
+from core.errors import BitstreamError
+from core.residual import LevelResidual, apply_level
+
+ABSENT = -1
+
+
+class SceneDecoder:
+    """The state of one stream, fed with packets. FORMAT.md section 3 says what each does."""
+
+    def __init__(self, limits: Limits = DEFAULT_LIMITS) -> None:
+        self._limits = limits
+        self._scene: Scene | None = None
+        self._versions: tuple[int, ...] = ()
+
+    @property
+    def scene(self) -> Scene | None:
+        """The state; its version is the greatest level version. None before the first keyframe."""
+        return self._scene
+
+    @property
+    def versions(self) -> tuple[int, ...]:
+        """Version of each level, coarse to fine; -1 for a level that has not arrived."""
+        return self._versions
+
+    def push(self, packet: bytes) -> PacketInfo:
+        """Decode one packet.
+
+        Raises:
+            BitstreamError: the packet is refused, for a reason of FORMAT.md section 13; the state is what it was.
+        """
+        parsed = parse(packet, self._limits)
+        if parsed.kind is PacketKind.KEY:
+            self._scene, self._versions = self._decode_key(parsed)
+        else:
+            self._scene, self._versions = self._decode_residual(parsed)
+        return describe(parsed)
+
+    def _decode_key(self, packet: Packet) -> tuple[Scene, tuple[int, ...]]:
+        scene, versions = self._key_scene(packet)
+        levels, changed = list(scene.levels), list(versions)
+        for number in packet.levels:
+            levels[number] = empty_level(len(scene.header.feature_steps), scene.header.gaussians_per_anchor)
+            room = self._limits.anchors - sum(map(len, levels))
+            levels[number] = _decode_key_level(packet, number, scene, room)
+            changed[number] = packet.keyframe
+        return replace(scene, levels=tuple(levels), version=max(changed)), tuple(changed)
+
+    def _key_scene(self, packet: Packet) -> tuple[Scene, tuple[int, ...]]:
+        """The scene that the key packet's levels go into."""
+        header_data, weights_data = packet.chunk(0, ChunkKind.HEADER), packet.chunk(0, ChunkKind.WEIGHTS)
+        if header_data is None or weights_data is None:
+            scene = self._held(packet)
+            return scene, self._versions
+        header = decode_header(header_data, self._limits)
+        weights = decode_weights(weights_data, header)
+        count = header.octree.levels
+        _check_levels(packet, count)
+        level = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
+        return Scene(header, weights, (level,) * count, packet.keyframe, packet.keyframe), (ABSENT,) * count
+
+    def _held(self, packet: Packet) -> Scene:
+        if self._scene is None:
+            raise BitstreamError("no_keyframe", "a packet came before any keyframe; wait for one")
+        if packet.keyframe != self._scene.keyframe:
+            held = self._scene.keyframe
+            raise BitstreamError("unknown_keyframe", f"the packet needs keyframe {packet.keyframe}, held is {held}")
+        _check_levels(packet, len(self._scene.levels))
+        return self._scene
+
+    def _decode_residual(self, packet: Packet) -> tuple[Scene, tuple[int, ...]]:
+        scene = self._held(packet)
+        matching = [number for number in packet.levels if self._versions[number] == packet.from_version]
+        if not matching:
+            raise BitstreamError(
+                "version_mismatch",
+                f"the packet starts at version {packet.from_version}, the levels are at {list(self._versions)}",
+            )
+        levels, versions = list(scene.levels), list(self._versions)
+        for number in matching:
+            room = self._limits.anchors - sum(map(len, levels))
+            levels[number] = _decode_residual_level(packet, number, scene, room)
+            versions[number] = packet.to_version
+        return replace(scene, levels=tuple(levels), version=max(versions)), tuple(versions)
+
+
+def _check_levels(packet: Packet, count: int) -> None:
+    if packet.level_mask >> count:
+        raise BitstreamError("bad_scene_header", f"level mask {packet.level_mask:#x} goes beyond {count} levels")
+
+
+def _decode_key_level(packet: Packet, number: int, scene: Scene, room: int) -> AnchorLevel:
+    geometry, base = packet.chunk(number, ChunkKind.GEOMETRY), packet.chunk(number, ChunkKind.BASE)
+    if geometry is None or base is None:
+        return empty_level(len(scene.header.feature_steps), scene.header.gaussians_per_anchor)
+    voxel = chunks.decode_geometry(geometry, packet.profile, room)
+    return chunks.decode_base(base, packet.profile, scene.header, voxel)
+
+
+def _decode_residual_level(packet: Packet, number: int, scene: Scene, room: int) -> AnchorLevel:
+    before, header = scene.levels[number], scene.header
+    rows: Int64 = np.zeros(0, np.int64)
+    removed = rows
+    position: Int32 = np.zeros((0, 3), np.int32)
+    latent: Int32 = np.zeros((0, LATENTS), np.int32)
+    added = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
+    if (data := packet.chunk(number, ChunkKind.CHANGE)) is not None:
+        rows, position, latent = chunks.decode_change(data, packet.profile, before.voxel)
+    if (data := packet.chunk(number, ChunkKind.REMOVED)) is not None:
+        removed = chunks.decode_removed(data, packet.profile, len(before))
+    if (data := packet.chunk(number, ChunkKind.ADDED)) is not None:
+        added = chunks.decode_added(data, packet.profile, header, room)
+    try:
+        after = apply_level(before, LevelResidual(rows, position, latent, removed, added))
+    except ValueError as error:
+        raise BitstreamError("overflow", str(error)) from error
+    digest = packet.chunk(number, ChunkKind.HASH)
+    if digest is not None and len(digest) != 4:
+        raise BitstreamError("corrupt_chunk", f"a state hash has 4 bytes, not {len(digest)}")
+    if digest is not None and struct.unpack("<I", digest)[0] != after.digest():
+        raise BitstreamError("state_mismatch", f"level {number} differs from the sender's; ask for a keyframe")
+    return after

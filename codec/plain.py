@@ -1,0 +1,46 @@
+"""Coding 0: columns of 32-bit integers under deflate, for clients without an entropy decoder. FORMAT.md section 6.1."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Int32
+from core.errors import BitstreamError
+
+CODING = 0
+_HEAD = struct.Struct("<BI")
+_RAW_DEFLATE = -15
+
+
+def encode_plain(matrix: NDArray[Any]) -> bytes:
+    """Matrix [n,C] of integers in int32 range as a chunk of coding 0."""
+    columns = np.ascontiguousarray(matrix.T).astype("<i4")
+    packer = zlib.compressobj(6, zlib.DEFLATED, _RAW_DEFLATE)
+    return _HEAD.pack(CODING, len(matrix)) + packer.compress(columns.tobytes()) + packer.flush()
+
+
+def decode_plain(data: bytes, columns: int, most_rows: int) -> Int32:
+    """Matrix [n,`columns`] of a chunk of coding 0.
+
+    Raises:
+        BitstreamError: `limit_exceeded` for more than `most_rows` rows, `corrupt_chunk` for anything else amiss.
+    """
+    if len(data) < _HEAD.size:
+        raise BitstreamError("corrupt_chunk", "a chunk ends before its row count")
+    _, count = _HEAD.unpack_from(data)
+    if count > most_rows:
+        raise BitstreamError("limit_exceeded", f"{count} rows exceed the limit of {most_rows}")
+    wanted = 4 * columns * count
+    inflater = zlib.decompressobj(_RAW_DEFLATE)
+    try:
+        content = inflater.decompress(data[_HEAD.size :], wanted + 1)  # one more, to see an excess
+    except zlib.error as error:
+        raise BitstreamError("corrupt_chunk", f"deflate data are damaged: {error}") from error
+    if len(content) != wanted or not inflater.eof or inflater.unused_data:
+        raise BitstreamError("corrupt_chunk", f"deflate data do not hold exactly {wanted} bytes")
+    return np.ascontiguousarray(np.frombuffer(content, "<i4").astype(np.int32).reshape(columns, count).T)

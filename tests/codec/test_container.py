@@ -1,0 +1,131 @@
+"""`.slod` files: order, index, torn ends, live appending, seeking."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from codec.container import SlodReader, SlodWriter
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind, split_levels
+from core.anchors import Scene
+from core.errors import BitstreamError, InputError
+from core.residual import difference
+from tests.codec.scenes import assert_same_state, make_scene, steps
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def clip() -> tuple[list[Scene], list[bytes]]:
+    """States 0 to FRAMES and the packets that lead there, the keyframe first."""
+    states, residuals = steps(make_scene((5, 30)), FRAMES)
+    packets = [encode_keyframe(states[0], time_ns=0, profile=0)]
+    for number, (state, residual) in enumerate(zip(states, residuals, strict=False)):
+        time_ns = (number + 1) * 1000
+        packets.append(encode_residual(state, residual, kind=PacketKind.PREDICTED, time_ns=time_ns, profile=0))
+    return states, packets
+
+
+def _write(path: Path, packets: list[bytes]) -> None:
+    with SlodWriter(path) as writer:
+        for number, packet in enumerate(packets):
+            assert writer.append(packet) == number
+
+
+def test_what_is_written_is_read(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
+    _, packets = clip
+    path = tmp_path / "a.slod"
+    _write(path, packets)
+    assert list(tmp_path.iterdir()) == [path]
+    with SlodReader(path) as reader:
+        assert list(reader.packets()) == packets
+        assert not reader.torn
+        assert [e.to_version for e in reader.entries] == list(range(FRAMES + 1))
+        assert [reader.version_at(t) for t in (-5, 0, 999, 1000, 10**9)] == [0, 0, 0, 1, FRAMES]
+
+
+def test_an_exception_leaves_nothing_behind(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
+    with pytest.raises(RuntimeError), SlodWriter(tmp_path / "a.slod") as writer:  # noqa: PT012
+        writer.append(clip[1][0])
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_torn_end_gives_the_packets_before_it(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
+    _, packets = clip
+    path = tmp_path / "a.slod"
+    _write(path, packets)
+    whole = path.read_bytes()
+    ends = [8]
+    for packet in packets:
+        ends.append(ends[-1] + 4 + len(packet))
+    for length in [*range(len(whole) - 1, ends[-2], -7), *range(8, ends[1], 211)]:
+        path.write_bytes(whole[:length])
+        with SlodReader(path) as reader:
+            complete = sum(end <= length for end in ends[1:])
+            assert list(reader.packets()) == packets[:complete]
+            assert reader.torn == (length not in ends)
+
+
+def test_a_live_file_is_readable_and_goes_on_after_a_crash(
+    tmp_path: Path, clip: tuple[list[Scene], list[bytes]]
+) -> None:
+    _, packets = clip
+    path = tmp_path / "live.slod"
+    writer = SlodWriter(path, live=True)
+    for packet in packets[:3]:
+        writer.append(packet)
+    with SlodReader(path) as reader:
+        assert list(reader.packets()) == packets[:3]
+    crashed = path.read_bytes() + b"\x40\x00\x00\x00half a packet"
+    writer.close()
+    path.write_bytes(crashed)
+    for more in (packets[3:5], packets[5:]):  # the second time after an orderly close
+        with SlodWriter(path, live=True) as writer:
+            for packet in more:
+                writer.append(packet)
+    with SlodReader(path) as reader:
+        assert list(reader.packets()) == packets
+
+
+def test_seeking_takes_the_cheapest_way(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
+    states, packets = clip
+    total = difference(states[0], states[5])
+    catch_up = encode_residual(states[0], total, kind=PacketKind.CATCH_UP, time_ns=5000, profile=0)
+    path = tmp_path / "a.slod"
+    _write(path, [*split_levels(packets[0]), *packets[1:], catch_up])
+    with SlodReader(path) as reader:
+        assert reader.plan(2) == (0, 1, 2, 3)
+        assert reader.plan(6) == (0, 1, len(packets) + 1, 7)
+        for version in range(FRAMES + 1):
+            decoder = SceneDecoder()
+            for number in reader.plan(version):
+                decoder.push(reader.read(number))
+            assert_same_state(states[version], decoder.scene)
+        with pytest.raises(InputError):
+            reader.plan(99)
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.slod"
+    for content in (b"", b"SLO", b"PK\x03\x04 a zip archive", b"SLOD\x02\0\0\0"):
+        path.write_bytes(content)
+        with pytest.raises(BitstreamError) as refused:
+            SlodReader(path)
+        assert refused.value.code == "bad_file"
+    with pytest.raises(InputError):
+        SlodReader(tmp_path / "absent.slod")
+
+
+def test_a_wrong_index_is_not_believed(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
+    _, packets = clip
+    path = tmp_path / "a.slod"
+    _write(path, packets)
+    whole = bytearray(path.read_bytes())
+    whole[-30] ^= 1  # inside the last entry of the index
+    path.write_bytes(whole)
+    with SlodReader(path) as reader:
+        assert list(reader.packets()) == packets
