@@ -1,0 +1,53 @@
+"""Gaussian splatting on the CPU: numpy and numba, no torch.
+
+Deterministic for a fixed number of threads (the picture for any), safe when several threads render at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import Float32, check_array
+from core.camera import Camera
+from core.gaussians import GaussianCloud
+from core.render.cpu.frame import forward
+from core.render.cpu.warming import warm
+from core.render.cpu.workspace import Pool
+
+__all__ = ["POOL", "Rendered", "render", "warm"]
+
+POOL = Pool()  # work memory shared by all renderings of this process
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """A picture: image [H,W,3] float32 RGB, over the background; transmittance [H,W] float32 in [0, 1]."""
+
+    image: Float32
+    transmittance: Float32
+
+
+def render(cloud: GaussianCloud, camera: Camera, background: Float32) -> Rendered:
+    """Splat `cloud` as `camera` sees it.
+
+    Gaussians with numbers that are not finite, or that overflow when projected, are left out.
+
+    Args:
+        background: [3] float32 RGB behind everything.
+
+    Raises:
+        InputError: the camera has lens distortion.
+    """
+    check_array("background", background, (3,), np.float32)
+    workspace = POOL.acquire()
+    frame = forward(workspace, contiguous(cloud), camera, background)
+    POOL.release(workspace)
+    return Rendered(frame.image, frame.transmittance)
+
+
+def contiguous(cloud: GaussianCloud) -> GaussianCloud:
+    """The same cloud in C-contiguous arrays, as kernels need it; without a copy where it is so already."""
+    names = ("means", "quaternions", "scales", "opacities", "colours")
+    return GaussianCloud(*(np.ascontiguousarray(getattr(cloud, name)) for name in names))

@@ -1,0 +1,107 @@
+"""The CPU kernels as a torch function."""
+
+from __future__ import annotations
+
+import weakref
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.camera import Camera
+from core.gaussians import GaussianCloud
+from core.render.cpu import POOL
+from core.render.cpu.frame import Frame, backward, forward
+from core.render.cpu.workspace import Workspace
+from core.render.raster import Probe, Raster
+
+
+class _Call:
+    """What one rendering shares between forward and backward; its workspace goes back when either is done with it."""
+
+    def __init__(self, camera: Camera, gradient_rows: int | None) -> None:
+        self.camera = camera
+        self.gradient_rows = gradient_rows
+        self.workspace: Workspace = POOL.acquire()
+        self.frame: Frame | None = None
+        self.probe: Probe | None = None
+        # Also when backward never runs: the graph dies, and this with it.
+        self.release = weakref.finalize(self, POOL.release, self.workspace)
+        self.release.atexit = False
+
+
+class _Rasterise(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any,
+        means: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        colours: Tensor,
+        background: Tensor,
+        tile_mask: Tensor | None,
+        base: Tensor | None,
+        call: _Call,
+    ) -> tuple[Tensor, Tensor]:
+        cloud = _cloud(means, quaternions, scales, opacities, colours)
+        mask = None if tile_mask is None else tile_mask.detach().cpu().numpy().astype(np.bool_)
+        under = None if base is None else _array(base)
+        call.frame = forward(call.workspace, cloud, call.camera, _array(background), mask, under)
+        ctx.call = call
+        image, light = torch.from_numpy(call.frame.image), torch.from_numpy(call.frame.transmittance)
+        # The frame reads the same memory as the outputs; saving them makes autograd notice if they change in place.
+        ctx.save_for_backward(means, quaternions, scales, opacities, colours, image, light)
+        ctx.set_materialize_grads(False)
+        return image, light
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, image_gradient: Tensor | None, light_gradient: Tensor | None) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        call: _Call = ctx.call
+        frame = call.frame
+        cloud = _cloud(*ctx.saved_tensors[:5])
+        if frame is None or call.probe is None or not call.release.alive:
+            raise RuntimeError("a rasterised picture can be differentiated once only; render it again")
+        by_image = np.zeros_like(frame.image) if image_gradient is None else _array(image_gradient)
+        by_light = None if light_gradient is None else _array(light_gradient)
+        gradients = backward(call.workspace, frame, cloud, by_image, by_light, call.gradient_rows)
+        half = np.array([call.camera.width / 2, call.camera.height / 2], np.float32)
+        call.probe.record(torch.from_numpy(gradients.screen * half))
+        call.frame = None
+        call.release()
+        parts = (gradients.means, gradients.quaternions, gradients.scales, gradients.opacities, gradients.colours)
+        return (*(torch.from_numpy(part) for part in parts), None, None, None, None)
+
+
+def rasterise_cpu(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    camera: Camera,
+    background: Tensor,
+    gradient_rows: int | None,
+    tile_mask: Tensor | None,
+    base: Tensor | None,
+) -> Raster:
+    """`core.render.differentiable.rasterise` on numba kernels; arguments as there."""
+    call = _Call(camera, gradient_rows)
+    image, light = _Rasterise.apply(  # type: ignore[no-untyped-call]
+        means, quaternions, scales, opacities, colours, background, tile_mask, base, call
+    )
+    assert call.frame is not None
+    rows = call.frame.rows
+    visible = rows if gradient_rows is None else rows[: np.searchsorted(rows, gradient_rows)]
+    call.probe = Probe(torch.from_numpy(visible.astype(np.int64)))
+    return Raster(image, light, call.probe)
+
+
+def _array(tensor: Tensor) -> Any:
+    return tensor.detach().contiguous().numpy()
+
+
+def _cloud(*parameters: Tensor) -> GaussianCloud:
+    return GaussianCloud(*(_array(parameter) for parameter in parameters))

@@ -1,0 +1,123 @@
+"""Tile lists: for each tile, the depth ranks of the Gaussians that reach it, near to far.
+
+A counting sort: every worker takes a slice of the depth order, counts, and then writes behind the workers before it.
+Lists come out in depth order, whatever the number of workers, and pairs are never sorted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from core.arrays import Float32, Int32, Int64, UInt8
+from core.render.cpu.kernels.inline.constants import KERNEL, RECORD, SERIAL
+from core.render.cpu.kernels.inline.simd import prefetch
+from core.render.cpu.kernels.inline.tile import tile_span
+
+_AHEAD = 16
+
+
+@njit(**SERIAL)
+def _count_slice(
+    start: int,
+    stop: int,
+    records: Float32,
+    boxes: Int32,
+    rows: Int32,
+    sorted_records: Float32,
+    sorted_boxes: Int32,
+    tiles_x: int,
+    tile_mask: UInt8,
+    counts: Int64,
+) -> None:
+    counts[:] = 0
+    last = rows.shape[0] - 1
+    for rank in range(start, stop):
+        prefetch(records, np.int64(rows[min(rank + _AHEAD, last)]) * RECORD)
+        row = rows[rank]
+        record, box = sorted_records[rank], sorted_boxes[rank]
+        for k in range(RECORD):
+            record[k] = records[row, k]
+        for k in range(4):
+            box[k] = boxes[row, k]
+        single = box[1] - box[0] == 1 or box[3] - box[2] == 1
+        for tile_y in range(box[2], box[3]):
+            left, right = tile_span(record, box[0], box[1], tile_y, single)
+            for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right):
+                counts[tile] += tile_mask[tile]
+
+
+@njit(**SERIAL)
+def _fill_slice(
+    start: int,
+    stop: int,
+    sorted_records: Float32,
+    sorted_boxes: Int32,
+    tiles_x: int,
+    tile_mask: UInt8,
+    cursor: Int64,
+    lists: Int32,
+) -> None:
+    for rank in range(start, stop):
+        record, box = sorted_records[rank], sorted_boxes[rank]
+        single = box[1] - box[0] == 1 or box[3] - box[2] == 1
+        for tile_y in range(box[2], box[3]):
+            left, right = tile_span(record, box[0], box[1], tile_y, single)
+            for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right):
+                if tile_mask[tile]:
+                    lists[cursor[tile]] = rank
+                    cursor[tile] += 1
+
+
+@njit(**KERNEL)
+def count_pairs(
+    workers: int,
+    records: Float32,
+    boxes: Int32,
+    rows: Int32,
+    sorted_records: Float32,
+    sorted_boxes: Int32,
+    tiles_x: int,
+    tile_mask: UInt8,
+    cursors: Int64,
+    offsets: Int64,
+) -> None:
+    """Put records into depth order and find where each tile's list begins.
+
+    Args:
+        records [N,16], boxes [N,4]: from `project`. rows: [M] rows of the visible Gaussians, near to far.
+        sorted_records [M,16], sorted_boxes [M,4]: out, in depth order.
+        tile_mask: [T] 1 where a tile is wanted, 0 elsewhere.
+        cursors: out, [workers,T] where each worker writes first. offsets: out, [T+1] list t is [offsets[t], offsets[t+1]).
+    """
+    count = rows.shape[0]
+    for w in prange(workers):
+        start, stop = count * w // workers, count * (w + 1) // workers
+        _count_slice(
+            start, stop, records, boxes, rows, sorted_records, sorted_boxes, tiles_x, tile_mask, cursors[w]
+        )
+    total = np.int64(0)
+    for tile in range(tile_mask.shape[0]):
+        offsets[tile] = total
+        for w in range(workers):
+            pairs = cursors[w, tile]
+            cursors[w, tile] = total
+            total += pairs
+    offsets[tile_mask.shape[0]] = total
+
+
+@njit(**KERNEL)
+def fill_lists(
+    workers: int,
+    sorted_records: Float32,
+    sorted_boxes: Int32,
+    tiles_x: int,
+    tile_mask: UInt8,
+    cursors: Int64,
+    lists: Int32,
+) -> None:
+    """Write the lists, [pairs] depth ranks, where `count_pairs` said; consumes `cursors`."""
+    count = sorted_records.shape[0]
+    for w in prange(workers):
+        start, stop = count * w // workers, count * (w + 1) // workers
+        _fill_slice(start, stop, sorted_records, sorted_boxes, tiles_x, tile_mask, cursors[w], lists)

@@ -1,0 +1,1 @@
+"""Functions and constants that are compiled into the kernels beside this folder."""

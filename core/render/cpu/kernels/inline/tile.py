@@ -1,0 +1,112 @@
+"""What binning, forward and backward do alike: which part of a tile a Gaussian can reach, and its falloff."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from core.arrays import Float32
+from core.render.cpu.kernels.inline.constants import (
+    CONIC_B,
+    DETERMINANT,
+    EIGHT,
+    EXTENT_X,
+    EXTENT_Y,
+    HALF,
+    INLINE,
+    INVERSE_A,
+    LANES,
+    MEAN_X,
+    MEAN_Y,
+    ONE,
+    REACH,
+    SKEW,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    ZERO,
+)
+from core.render.cpu.kernels.inline.geometry import clamp
+from core.render.cpu.kernels.inline.simd import above, higher_of, keep_where, lane_sum, load, lower_of, splat
+
+# exp(8 x) = p(x)^8: a polynomial of degree 5 on [-0.7, 0], squared three times; relative error 2e-6. That is range
+# enough, since alpha >= 1/255 means sigma <= ln 255 = 5.55.
+_LOWEST = np.float32(-0.7)
+_P0, _P1, _P2 = np.float32(0.99999992), np.float32(0.99999254), np.float32(0.49988259)
+_P3, _P4, _P5 = np.float32(0.16597398), np.float32(0.03977256), np.float32(0.00584676)
+_SLACK = np.float32(1e-3)  # of a tile, against rounding where an ellipse touches a tile's edge
+
+
+@njit(**INLINE)
+def exp_of_8(x: Any) -> Any:
+    """exp(8 x), lane by lane; x below -0.7 counts as -0.7, above 0 as 0."""
+    x = lower_of(higher_of(x, _LOWEST), ZERO)
+    p = x * _P5 + _P4
+    p = p * x + _P3
+    p = p * x + _P2
+    p = p * x + _P1
+    p = p * x + _P0
+    p = p * p
+    p = p * p
+    return p * p
+
+
+@njit(**INLINE)
+def tile_span(record: Float32, first: Any, last: Any, tile_y: Any, single: Any) -> Any:
+    """Tiles [start, stop) of row `tile_y` that the ellipse alpha = 1/255 touches, within its box's [first, last).
+
+    The ellipse's left and right ends over the band of pixel centres lie at the band's edge or at the tangent points
+    dy = -+SKEW. `single`: the box is one tile wide or high, so that the box says it all.
+    """
+    start, stop = np.int64(first), np.int64(last)
+    if not single:
+        top = np.float32(tile_y * TILE_HEIGHT) + HALF - record[MEAN_Y]
+        bottom = top + np.float32(TILE_HEIGHT - 1)
+        slope = record[CONIC_B] * EIGHT * record[INVERSE_A]
+        dy = clamp(record[SKEW], top, bottom)
+        right = slope * dy + math.sqrt(max(ZERO, record[REACH] - record[DETERMINANT] * dy * dy)) * record[INVERSE_A]
+        dy = clamp(-record[SKEW], top, bottom)
+        left = slope * dy - math.sqrt(max(ZERO, record[REACH] - record[DETERMINANT] * dy * dy)) * record[INVERSE_A]
+        x = record[MEAN_X] - HALF
+        start = max(start, np.int64(math.floor((x + left) / np.float32(TILE_WIDTH) - _SLACK)))
+        stop = min(stop, np.int64(math.floor((x + right) / np.float32(TILE_WIDTH) + _SLACK)) + 1)
+    return start, stop
+
+
+@njit(**INLINE)
+def reached_part(record: Float32, x: Any, y: Any, rows: Any) -> Any:
+    """Rows [top, bottom] and chunks of eight pixels [left, right] of a tile inside the Gaussian's box.
+
+    x, y: the mean relative to the tile's first pixel centre.
+    """
+    top = max(0, int(math.ceil(max(y - record[EXTENT_Y], ZERO))))
+    bottom = int(math.floor(min(y + record[EXTENT_Y], np.float32(rows - 1))))
+    left = max(0, int(max(x - record[EXTENT_X], ZERO)) // LANES)
+    right = max(0, int(min(x + record[EXTENT_X], np.float32(TILE_WIDTH - 1)))) // LANES
+    return top, bottom, left, right
+
+
+@njit(**INLINE)
+def row_chunks(record: Float32, x: Any, dy: Any) -> Any:
+    """Chunks [left, right] of a pixel row that the ellipse reaches; right < left where it reaches none."""
+    square = record[REACH] - record[DETERMINANT] * dy * dy
+    left, right = 0, -1
+    if square >= ZERO:
+        half = math.sqrt(square) * record[INVERSE_A]
+        middle = x + record[CONIC_B] * EIGHT * record[INVERSE_A] * dy
+        end = min(middle + half, np.float32(TILE_WIDTH - 1))
+        if end >= ZERO:
+            left = max(0, int(max(middle - half, ZERO)) // LANES)
+            right = int(end) // LANES
+    return left, right
+
+
+@njit(**INLINE)
+def any_unfinished(pixels: Float32, row: Any) -> Any:
+    """Whether a pixel of the row still lets light through: finished pixels hold minus their transmittance."""
+    best = load(pixels, row * TILE_WIDTH)
+    for chunk in range(1, TILE_WIDTH // LANES):
+        best = higher_of(best, load(pixels, row * TILE_WIDTH + chunk * LANES))
+    return lane_sum(keep_where(above(best, ZERO), splat(ONE))) > ZERO

@@ -1,0 +1,71 @@
+"""The training interface: splatting as a differentiable function of torch tensors, over any backend."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from core.camera import Camera
+from core.errors import InputError
+from core.render.backends import Backend
+from core.render.raster import Raster
+from core.render.tiles import tile_grid
+
+
+def rasterise(
+    means: Tensor,  # [N,3]
+    quaternions: Tensor,  # [N,4]
+    scales: Tensor,  # [N,3]
+    opacities: Tensor,  # [N]
+    colours: Tensor,  # [N,3]
+    camera: Camera,
+    background: Tensor,  # [3]
+    *,
+    gradient_rows: int | None = None,
+    tile_mask: Tensor | None = None,  # [tiles_y,tiles_x]
+    base: Tensor | None = None,  # [H,W,3]
+    backend: Backend = "cpu",
+) -> Raster:
+    """Splat Gaussians (Kerbl et al. 2023, equation 3) as `camera` sees them.
+
+    Differentiable by the five parameters, once; not by the camera or the background.
+
+    Args:
+        means, quaternions (w x y z, any length), scales, opacities, colours: float32 on one device, all activated.
+        background: [3] float32 RGB.
+        gradient_rows: only the first rows get gradients, the others stand still; all by default.
+        tile_mask: bool, tiles of `core.render.tiles` to render; all by default.
+        base: pixels of the tiles outside the mask, no gradients; black by default. Their transmittance reads 1.
+        backend: as `core.render.select` says.
+
+    Raises:
+        InputError: the camera has lens distortion.
+        ValueError: shapes do not fit each other.
+    """
+    count = len(means)
+    wanted = ((count, 3), (count, 4), (count, 3), (count,), (count, 3), (3,))
+    given = (means, quaternions, scales, opacities, colours, background)
+    for name, tensor, shape in zip(_NAMES, given, wanted, strict=True):
+        if tuple(tensor.shape) != shape:
+            raise ValueError(f"{name} must have shape {shape}, not {tuple(tensor.shape)}")
+    if tile_mask is not None and tuple(tile_mask.shape) != tile_grid(camera.width, camera.height):
+        raise ValueError(f"tile_mask must have shape {tile_grid(camera.width, camera.height)}")
+    if camera.has_distortion:
+        raise InputError(f"camera {camera.name}", "has lens distortion; undistort its pictures and use undistorted()")
+    if gradient_rows is not None:
+        gradient_rows = min(max(gradient_rows, 0), count)
+    arguments = (means, quaternions, scales, opacities, colours, camera, background, gradient_rows, tile_mask, base)
+    # Imported when used: numba takes 0.3 s, gsplat may compile for minutes.
+    if backend == "cpu":
+        from core.render.cpu.autograd import rasterise_cpu
+
+        return rasterise_cpu(*arguments)
+    if backend == "cuda":
+        from core.render.cuda import rasterise_cuda
+
+        return rasterise_cuda(*arguments)
+    from core.render.reference import rasterise_reference
+
+    return rasterise_reference(*arguments)
+
+
+_NAMES = ("means", "quaternions", "scales", "opacities", "colours", "background")

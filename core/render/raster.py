@@ -1,0 +1,51 @@
+"""What rasterising for training gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+class Probe:
+    """Which Gaussians were visible, and how the loss pulls at them in the picture: what growth and motion tests ask.
+
+    Attributes:
+        visible: [M] int64 ascending rows of the Gaussians in view (of the first `gradient_rows`, where that was given).
+    """
+
+    def __init__(self, visible: Tensor) -> None:
+        self.visible = visible
+        self._gradients: Tensor | None = None
+
+    @property
+    def gradients(self) -> Tensor:
+        """[M,2] float32 dL/d(projected mean) of `visible`, times half the width and height (method notes 7).
+
+        The scaling makes thresholds independent of the picture's size: a unit is half a picture.
+
+        Raises:
+            RuntimeError: the loss has not been differentiated yet.
+        """
+        if self._gradients is None:
+            raise RuntimeError("a probe has gradients only after backward() of a loss on its picture")
+        return self._gradients
+
+    def record(self, gradients: Tensor) -> None:
+        """For backends: put down [M,2] scaled gradients; those of several backward passes add up."""
+        self._gradients = gradients if self._gradients is None else self._gradients + gradients
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Raster:
+    """A differentiable picture.
+
+    Attributes:
+        image: [H,W,3] float32 RGB over the background.
+        transmittance: [H,W] float32 in [0, 1], what of the background shows; differentiable too.
+        probe: visibility and view-space gradients.
+    """
+
+    image: Tensor
+    transmittance: Tensor
+    probe: Probe

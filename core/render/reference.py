@@ -1,0 +1,123 @@
+"""The oracle: every pixel meets every Gaussian, in float64, differentiated by torch. Small pictures only.
+
+Mirrors `core.render.cpu.kernels` rule by rule, as plainly as can be said.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from core.camera import Camera
+from core.render.raster import Probe, Raster
+from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
+
+ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.999
+TRANSMITTANCE_MIN = 1e-4
+NEAR, FAR = 0.01, 1e10
+LOW_PASS = 0.3
+FIELD_MARGIN = 0.3
+FINITE = 1e30
+
+
+def rasterise_reference(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    camera: Camera,
+    background: Tensor,
+    gradient_rows: int | None,
+    tile_mask: Tensor | None,
+    base: Tensor | None,
+) -> Raster:
+    """`core.render.differentiable.rasterise` by brute force; arguments as there, float64 allowed and kept."""
+    given = (means, quaternions, scales, opacities, colours)
+    if gradient_rows is not None:
+        given = tuple(torch.cat([p[:gradient_rows], p[gradient_rows:].detach()]) for p in given)
+    with torch.no_grad():
+        rows = _visible(*(p.double() for p in given), camera)
+    m, q, s, o, c = (p[rows].double() for p in given)
+    mean, covariance, depth = project(m, q, s, camera)
+    probe = Probe(rows if gradient_rows is None else rows[rows < gradient_rows])
+    if mean.requires_grad:
+        half = mean.new_tensor([camera.width / 2, camera.height / 2])
+        mean.register_hook(lambda g: probe.record((g[: len(probe.visible)] * half).float()))
+    order = torch.argsort(depth, stable=True)
+    image, light = blend(
+        mean[order], covariance[order], o[order], c[order], background.double(), camera.width, camera.height
+    )
+    if tile_mask is not None:
+        pixels = tile_mask.repeat_interleave(TILE_HEIGHT, 0).repeat_interleave(TILE_WIDTH, 1)
+        pixels = pixels[: camera.height, : camera.width]
+        under = torch.zeros_like(image) if base is None else base.double()
+        image, light = torch.where(pixels[..., None], image, under), torch.where(pixels, light, torch.ones_like(light))
+    return Raster(image.to(means.dtype), light.to(means.dtype), probe)
+
+
+def project(means: Tensor, quaternions: Tensor, scales: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Means [N,2] and low-passed covariances [N,2,2] in pixels, depths [N] (Zwicker et al. 2002, section 4)."""
+    pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)
+    k = camera.intrinsics
+    fx, fy, cx, cy = float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+    point = means @ pose[:3, :3].T + pose[:3, 3]
+    z = point[:, 2]
+    slope_x, slope_y = point[:, 0] / z, point[:, 1] / z
+    margin_x, margin_y = FIELD_MARGIN * 0.5 * camera.width / fx, FIELD_MARGIN * 0.5 * camera.height / fy
+    held_x = slope_x.clamp(-cx / fx - margin_x, (camera.width - cx) / fx + margin_x)
+    held_y = slope_y.clamp(-cy / fy - margin_y, (camera.height - cy) / fy + margin_y)
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack([fx / z, zero, -fx * held_x / z, zero, fy / z, -fy * held_y / z], -1).view(-1, 2, 3)
+    half = jacobian @ pose[:3, :3] @ (rotation(quaternions) * scales[:, None, :])
+    covariance = half @ half.transpose(1, 2) + LOW_PASS * torch.eye(2, dtype=means.dtype)
+    return torch.stack([fx * slope_x + cx, fy * slope_y + cy], -1), covariance, z
+
+
+def rotation(quaternions: Tensor) -> Tensor:
+    """[N,3,3] matrices of quaternions [N,4], w x y z, of any length."""
+    w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
+    entries = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+    return torch.stack(entries, -1).view(-1, 3, 3)
+
+
+def blend(
+    mean: Tensor, covariance: Tensor, opacity: Tensor, colour: Tensor, background: Tensor, width: int, height: int
+) -> tuple[Tensor, Tensor]:
+    """Picture [H,W,3] and transmittance [H,W] of projected Gaussians, near to far (Kerbl et al. 2023, equation 3)."""
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    determinant = xx * yy - xy * xy
+    rows, columns = (torch.arange(n, dtype=mean.dtype) + 0.5 for n in (height, width))
+    dx = columns.repeat(height)[:, None] - mean[None, :, 0]
+    dy = rows.repeat_interleave(width)[:, None] - mean[None, :, 1]
+    sigma = (0.5 * (yy * dx * dx + xx * dy * dy) - xy * dx * dy) / determinant
+    alpha = (opacity * torch.exp(-sigma)).clamp(max=ALPHA_MAX)
+    alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
+    after = torch.cumprod(1 - alpha, 1)
+    before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
+    reached = after > TRANSMITTANCE_MIN
+    weight = torch.where(reached, alpha * before, torch.zeros_like(alpha))
+    light = torch.where(reached, 1 - alpha, torch.ones_like(alpha)).prod(1)
+    image = weight @ colour + light[:, None] * background
+    return image.view(height, width, 3), light.view(height, width)
+
+
+def _visible(
+    means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, colours: Tensor, camera: Camera
+) -> Tensor:
+    """[M] int64 rows that a backend draws: finite, in front, strong enough, reaching a pixel centre."""
+    mean, covariance, z = project(means, quaternions, scales, camera)
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    determinant = xx * yy - xy * xy
+    total = mean.sum(-1) + determinant + colours.sum(-1) + opacities
+    good = (z > NEAR) & (z < FAR) & (opacities >= ALPHA_MIN) & (determinant > 1e-12) & (total.abs() < FINITE)
+    reach = (2 * torch.log(opacities.clamp(max=1e6) * 255)).clamp(min=0)
+    extent = torch.sqrt(reach[:, None] * torch.stack([xx, yy], -1))
+    size = mean.new_tensor([camera.width, camera.height])
+    first = torch.ceil((mean - extent - 0.5).clamp(min=0))
+    last = torch.floor(torch.minimum(mean + extent - 0.5, size - 1))
+    return torch.nonzero(good & (last >= first).all(-1)).squeeze(1)

@@ -1,0 +1,38 @@
+"""The settings of the process that must be in place before torch and numba load.
+
+Both libraries read them once, when they are first imported, and share one OpenMP runtime from then on, so this runs at
+the import of `core`, which every entry point makes first. A setting that is already in the environment is left alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+# What is compiled into kernels of other files: numba's cache does not notice when such a file changes.
+_RENDER = Path(__file__).parent / "render"
+_INLINED = (_RENDER / "tiles.py", *sorted((_RENDER / "cpu" / "kernels" / "inline").glob("*.py")))
+
+
+def prepare_environment() -> None:
+    """Set what numba and OpenMP read at import.
+
+    * ``OMP_WAIT_POLICY=PASSIVE``: by default idle OpenMP threads spin, which on a machine with other work costs more
+      than it saves (a training step took 3x the CPU time on two busy cores).
+    * ``NUMBA_THREADING_LAYER=omp``: the default layer, workqueue, aborts the process when two threads render at once,
+      as a viewer beside a trainer does.
+    * ``NUMBA_CACHE_DIR``: a folder that outlives checkouts and virtual environments, so that kernels compile once.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache_folder()))
+
+
+def kernel_cache_folder() -> Path:
+    """Where compiled kernels are kept: below ``XDG_CACHE_HOME`` (``~/.cache``), a folder a version of inlined code."""
+    digest = hashlib.blake2b(digest_size=6)
+    for path in _INLINED:
+        digest.update(path.read_bytes())
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "streamlod" / "numba" / digest.hexdigest()
