@@ -62,6 +62,20 @@ def expand_rows(
     header: SceneHeader, weights: AnchorWeights, number: int, level: AnchorLevel, rows: Int64, viewpoint: Float64
 ) -> GaussianCloud:
     """The Gaussians of `rows` of level `number`, those of positive opacity only, in order of row and slot."""
+    return visible(expand_slots(header, weights, number, level, rows, viewpoint))
+
+
+def visible(cloud: GaussianCloud) -> GaussianCloud:
+    """The Gaussians of positive opacity."""
+    shown = np.flatnonzero(cloud.opacities > 0)
+    parts = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.colours)
+    return GaussianCloud(*(part[shown] for part in parts))
+
+
+def expand_slots(
+    header: SceneHeader, weights: AnchorWeights, number: int, level: AnchorLevel, rows: Int64, viewpoint: Float64
+) -> GaussianCloud:
+    """All n * K Gaussians of `rows` of level `number`, K to a row; opacity 0 where the network says not to draw."""
     count, slots = len(rows), header.gaussians_per_anchor
     feature, offset, scaling = dequantise(header, weights, level, rows)
     anchors = anchor_positions(header, number, level)[rows]
@@ -72,16 +86,15 @@ def expand_rows(
         inputs += [away / distance, distance / np.float32(header.reference_distance)]
     hidden = np.maximum(np.concatenate(inputs, axis=1) @ weights.hidden_weight + weights.hidden_bias, 0)
     outputs = hidden @ weights.output_weight + weights.output_bias
-    opacity = np.tanh(outputs[:, :slots]).reshape(-1)
+    opacity = np.maximum(np.tanh(outputs[:, :slots]).reshape(-1), 0)
     colour = _sigmoid(outputs[:, slots : 4 * slots]).reshape(-1, 3)
     relative = _sigmoid(outputs[:, 4 * slots : 7 * slots]).reshape(count, slots, 3)
     rotation = outputs[:, 7 * slots :].reshape(-1, 4) + np.array([1, 0, 0, 0], np.float32)
     size = np.exp(scaling)
     means = anchors[:, None] + offset * size[:, None, :3]
     scales = size[:, None, 3:] * relative
-    shown = np.flatnonzero(opacity > 0)
     parts = (means.reshape(-1, 3), rotation, scales.reshape(-1, 3), opacity, colour)
-    return GaussianCloud(*(np.ascontiguousarray(part[shown], dtype=np.float32) for part in parts))
+    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
 
 
 def _sigmoid(values: Float32) -> Float32:
