@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
-from core.train.losses import photometric_loss
 from torch import Tensor
 
 from core.camera import Camera
-from core.render import Raster, rasterise
+from core.render.backends import Backend
+from core.render.differentiable import rasterise
+from core.render.raster import Raster
 from core.train.config import TrainConfig
 from core.train.decode import Network, Splats, decode
 from core.train.exposure import Exposure, neutral
 from core.train.field import Field, visible_levels
 from core.train.growth import GrowthStatistics, earned_extra_level, grow
+from core.train.losses import photometric_loss
 from core.train.optimiser import RowAdam
 from core.train.rounding import Steps
 from core.train.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
@@ -51,7 +53,7 @@ class KeyframeTrainer:
         backend: of the rasteriser.
     """
 
-    def __init__(self, field: Field, views: Views, config: TrainConfig, backend: str) -> None:
+    def __init__(self, field: Field, views: Views, config: TrainConfig, backend: Backend) -> None:
         self._config = config.keyframe
         self._model = config.model
         self._views = views
@@ -71,12 +73,15 @@ class KeyframeTrainer:
         self._fixed = field
         self._statistics = GrowthStatistics(len(field), field.slots)
         self._highest = field.octree.levels - 1
+        self._average: dict[str, Tensor] = {}
+        self._averaged = 0
         self._done = 0
 
     @property
     def field(self) -> Field:
-        """The anchors as they are now, detached and unrounded."""
+        """The anchors as they are now: detached, unrounded, and averaged over the last steps once these have come."""
         parameters = {name: value.detach() for name, value in self._optimiser.parameters.items()}
+        parameters |= self._average
         return replace(
             self._fixed,
             feature=parameters["feature"],
@@ -119,6 +124,8 @@ class KeyframeTrainer:
             self._exposure.centre()
         self._count(raster, splats, rows)
         self._done += 1
+        if progress >= config.average_from:
+            self._add_to_average()
         if self._done % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             self._adjust()
         return StepResult(float(loss.detach()), broken)
@@ -161,6 +168,13 @@ class KeyframeTrainer:
         anchors = torch.arange(len(self._fixed)) if rows is None else rows
         gaussians = anchors[visible // slots] * slots + visible % slots
         self._statistics.add(gaussians.numpy(), norms.double().numpy(), anchors.numpy(), opacity.double().numpy())
+
+    def _add_to_average(self) -> None:
+        """Mean of the parameters over the last steps: steadier than any one of them (Polyak averaging)."""
+        self._averaged += 1
+        for name, value in self._optimiser.parameters.items():
+            mean = self._average.setdefault(name, value.detach().clone())
+            mean.lerp_(value.detach(), 1 / self._averaged)
 
     def _adjust(self) -> None:
         """Grow, prune, and start counting anew."""

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from core.train.losses import photometric_loss
 from torch import Tensor
 
 from core.anchors import FEATURE_LATENTS, LATENTS, Scene, empty_level
 from core.arrays import Int32, Int64
-from core.render import rasterise
+from core.render.backends import Backend
+from core.render.differentiable import rasterise
 from core.residual import LevelResidual, Residual
 from core.train.config import PredictConfig
 from core.train.convert import level_starts
@@ -23,6 +23,7 @@ from core.train.decode import Splats, decode, join
 from core.train.exposure import Exposure
 from core.train.field import Field
 from core.train.keyframe import Views
+from core.train.losses import photometric_loss
 from core.train.optimiser import RowAdam
 from core.train.rounding import round_through
 from core.train.schedule import ViewOrder
@@ -62,7 +63,7 @@ class ResidualTrainer:
         self._latent = torch.zeros(len(rows), LATENTS, requires_grad=True)
         self._position = torch.zeros(len(rows), 3, requires_grad=True)
 
-    def run(self, config: PredictConfig, backend: str, generator: torch.Generator) -> Quanta:
+    def run(self, config: PredictConfig, backend: Backend, generator: torch.Generator) -> Quanta:
         """Train as configured and round."""
         views = self._views.usable
         total = max(config.epochs * len(views), config.minimum_steps)
@@ -77,7 +78,7 @@ class ResidualTrainer:
         latent, position = _finite_quanta(self._latent), _finite_quanta(self._position)
         return Quanta(latent, position, total, float(np.mean(losses[-len(views) :])), broken)
 
-    def _loss(self, number: int, config: PredictConfig, backend: str) -> Tensor:
+    def _loss(self, number: int, config: PredictConfig, backend: Backend) -> Tensor:
         dynamic = self._dynamic_splats(number)
         splats = join(dynamic, self._static[number])
         camera = self._views.cameras[number]

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from core.arrays import Bool, Float64
-from core.render import rasterise
+from core.render.backends import Backend
+from core.render.differentiable import rasterise
 from core.train.config import PredictConfig
 from core.train.field import Field
 from core.train.keyframe import Views
@@ -33,7 +34,7 @@ def partition(
     masks: Tensor,
     previous: Bool,
     config: PredictConfig,
-    backend: str,
+    backend: Backend,
 ) -> Bool:
     """[N] anchors to train for this frame.
 
@@ -57,7 +58,7 @@ def motion_scores(
     views: Views,
     masks: Tensor,
     config: PredictConfig,
-    backend: str,
+    backend: Backend,
 ) -> Float64:
     """[N] mean norm of the view-space gradient over an anchor's visible Gaussians and over the views that see it.
 
@@ -74,11 +75,20 @@ def motion_scores(
         rows = torch.nonzero(alive)[:, 0]
         with torch.no_grad():
             splats = field.decode(torch.from_numpy(camera.centre).float(), rows)
-        leaves = [part.detach().requires_grad_() for part in splats.astuple()]
-        raster = rasterise(*leaves, camera, torch.zeros(3), backend=backend)
+        means = splats.means.requires_grad_()
+        raster = rasterise(
+            means,
+            splats.quaternions,
+            splats.scales,
+            splats.opacities,
+            splats.colours,
+            camera,
+            torch.zeros(3),
+            backend=backend,
+        )
         base = references[number] if masked else raster.image.detach()
         gradient = 2 * (base - views.targets[number]) / base.numel()
-        raster.image.backward(gradient * mask[..., None] if masked else gradient)
+        raster.image.backward(gradient * mask[..., None] if masked else gradient)  # type: ignore[no-untyped-call]
         visible = raster.probe.visible
         anchors = rows[visible // field.slots].numpy()
         norms = raster.probe.gradients.norm(dim=1).double().numpy()

@@ -116,9 +116,20 @@ class Trainer:
         )
         return TrainedFrame(scene, None, report)
 
-    def resume(self, scene: Scene) -> None:
-        """Go on from a state that another trainer left, for example before a crash."""
-        self._state = _State(scene, field_of(scene), field_of(scene), None, np.zeros(_rows(scene), np.bool_))
+    @property
+    def has_state(self) -> bool:
+        """Whether there is a state to predict from."""
+        return self._state is not None
+
+    def resume(self, scene: Scene, *, keep_references: bool = False) -> None:
+        """Go on from `scene`, which another trainer left before a crash, or which is this one's state as a keyframe.
+
+        Args:
+            keep_references: the scene shows what this trainer's state showed.
+        """
+        references = self._state.references if keep_references and self._state is not None else None
+        field = field_of(scene)
+        self._state = _State(scene, field, field, references, np.zeros(_rows(scene), np.bool_))
 
     def predict(self, frames: FrameSet) -> TrainedFrame:
         """Train a later frame; its residual leads from the state before.
