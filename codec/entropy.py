@@ -1,0 +1,88 @@
+"""Chunks around the compiled coder: lists of items to words, words out of chunks, scales as side fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec import kernels
+from core.arrays import Int64
+from core.entropy_model import HIGHEST_SCALE, SCALES
+from core.errors import BitstreamError
+
+Array = NDArray[Any]
+
+FEW_ITEMS = 3000  # below, one lane saves 12 bytes that matter more than speed
+_STEPS = 4  # of a scale, between neighbouring nibbles: half an octave
+_NIBBLES = 15
+
+
+def corrupt(detail: str) -> BitstreamError:
+    """The refusal of a chunk whose content is not what its coding says."""
+    return BitstreamError("corrupt_chunk", detail)
+
+
+def encode_items(model_pass: Callable[[Array], int], expected: int) -> tuple[int, bytes]:
+    """Lanes and words of the items that `model_pass` lists; `expected` is a guess at their number."""
+    size = expected + 64
+    while True:
+        items = np.empty(size, np.uint32)
+        count = model_pass(items)
+        if count <= size:
+            break
+        size *= 2
+    lanes = 1 if count < FEW_ITEMS else 4
+    words = np.empty(count + 2 * lanes, np.uint16)
+    first = kernels.rans_encode(items, count, lanes, words)
+    return lanes, words[first:].astype("<u2").tobytes()
+
+
+def words_of(data: bytes, at: int) -> Array:
+    """The words of a chunk from byte `at` to its end."""
+    if len(data) < at or (len(data) - at) % 2:
+        raise corrupt("a chunk's entropy-coded words are cut")
+    return np.frombuffer(data, "<u2", offset=at).astype(np.uint16)
+
+
+def scale_of(mean: float) -> int:
+    """Index into SCALES of a mean magnitude."""
+    return int(np.clip(round(8 * np.log2(max(mean, 1e-9) * 256)), 0, HIGHEST_SCALE))
+
+
+def encode_scales(values: Array) -> tuple[bytes, Int64]:
+    """Side fields of FORMAT.md section 6.3 for `values` [rows, C], and each channel's scale in 1/256."""
+    means = np.abs(values).mean(axis=0) if len(values) else np.zeros(values.shape[1])
+    used = means > 0
+    wanted = np.array([scale_of(mean) for mean in means])
+    lowest = int(wanted[used].min(initial=HIGHEST_SCALE))
+    base = int(np.clip(lowest, wanted.max(initial=0) - _STEPS * (_NIBBLES - 1), HIGHEST_SCALE))
+    base = max(min(base, HIGHEST_SCALE), 0)
+    nibbles = np.clip((wanted - base + _STEPS // 2) // _STEPS, 0, _NIBBLES - 1) + 1
+    nibbles = np.minimum(nibbles, (HIGHEST_SCALE - base) // _STEPS + 1)
+    nibbles[~used] = 0
+    padded = np.append(nibbles, [0] * (len(nibbles) % 2)).astype(np.uint8)
+    packed = (padded[0::2] | padded[1::2] << 4).tobytes()
+    return bytes([base]) + packed, _scales(base, nibbles)
+
+
+def decode_scales(data: bytes, at: int, channels: int) -> tuple[Int64, int]:
+    """Each channel's scale in 1/256, and where the side fields end."""
+    end = at + 1 + (channels + 1) // 2
+    if len(data) < end:
+        raise corrupt("a chunk ends inside its scales")
+    packed = np.frombuffer(data, np.uint8, (channels + 1) // 2, at + 1)
+    nibbles = np.stack([packed & 15, packed >> 4], axis=1).reshape(-1).astype(np.int64)
+    if nibbles[channels:].any():
+        raise corrupt("an unused half byte of the scales is not zero")
+    nibbles = nibbles[:channels]
+    if nibbles.any() and data[at] + _STEPS * (int(nibbles.max()) - 1) > HIGHEST_SCALE:
+        raise corrupt("a scale lies beyond the table")
+    return _scales(data[at], nibbles), end
+
+
+def _scales(base: int, nibbles: Int64) -> Int64:
+    index = np.minimum(base + _STEPS * np.maximum(nibbles - 1, 0), HIGHEST_SCALE)
+    return np.where(nibbles > 0, SCALES[index], 0).astype(np.int64)
