@@ -4,11 +4,28 @@
 * `core.render.cuda`: gsplat.
 * `core.render.reference`: dense float64 torch, slow and obvious: the oracle of the other two.
 
-`core.render.differentiable.rasterise` is the training interface over all three. The rules (`docs/numerics.md`) are
-gsplat's: low-pass 0.3 pixels^2, alpha in [1/255, 0.999], a pixel ends when its transmittance would fall to 1e-4.
-Nothing heavy is imported here.
+`rasterise` is the training interface over all three. The rules (`docs/numerics.md`) are gsplat's: low-pass 0.3 pixels^2,
+alpha in [1/255, 0.999], a pixel ends when its transmittance would fall to 1e-4. Importing this package loads nothing
+heavy: what needs torch is looked up when it is first used.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 from core.render.backends import Backend, select
 
-__all__ = ["Backend", "select"]
+if TYPE_CHECKING:
+    from core.render.differentiable import rasterise
+    from core.render.raster import Probe, Raster
+
+__all__ = ["Backend", "Probe", "Raster", "rasterise", "select"]
+
+_LAZY = {"Probe": "core.render.raster", "Raster": "core.render.raster", "rasterise": "core.render.differentiable"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_LAZY[name]), name)

@@ -123,9 +123,7 @@ def forward(
         image = np.zeros((height, width, 3), np.float32) if base is None else base.copy()
         transmittance = np.ones((height, width), np.float32)
     blend_tiles(tiles, bounds, tiles_x, sorted_records, offsets, lists, background, image, transmittance)
-    return Frame(
-        image, transmittance, packed, rows, slots, records, sorted_records, tiles, bounds, offsets, lists
-    )
+    return Frame(image, transmittance, packed, rows, slots, records, sorted_records, tiles, bounds, offsets, lists)
 
 
 def backward(

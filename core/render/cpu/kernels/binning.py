@@ -93,9 +93,7 @@ def count_pairs(
     count = rows.shape[0]
     for w in prange(workers):
         start, stop = count * w // workers, count * (w + 1) // workers
-        _count_slice(
-            start, stop, records, boxes, rows, sorted_records, sorted_boxes, tiles_x, tile_mask, cursors[w]
-        )
+        _count_slice(start, stop, records, boxes, rows, sorted_records, sorted_boxes, tiles_x, tile_mask, cursors[w])
     total = np.int64(0)
     for tile in range(tile_mask.shape[0]):
         offsets[tile] = total

@@ -175,6 +175,4 @@ def blend_tiles(
     for w in prange(bounds.shape[0] - 1):
         pixels, row_alive = np.empty(4 * TILE_PIXELS, np.float32), np.empty(TILE_HEIGHT, np.int32)
         for k in range(bounds[w], bounds[w + 1]):
-            _blend_tile(
-                tiles[k], tiles_x, records, offsets, lists, background, image, transmittance, pixels, row_alive
-            )
+            _blend_tile(tiles[k], tiles_x, records, offsets, lists, background, image, transmittance, pixels, row_alive)

@@ -74,7 +74,9 @@ def project_rows(
         mean_y = camera[FOCAL_Y] * y * inverse_z + camera[CENTRE_Y]
 
         # Covariance = P P^T + low pass, P = J W R(q) diag(scales), two rows of three.
-        t = world_to_picture(camera, inverse_z, clamp(x * inverse_z, low_x, high_x), clamp(y * inverse_z, low_y, high_y))
+        t = world_to_picture(
+            camera, inverse_z, clamp(x * inverse_z, low_x, high_x), clamp(y * inverse_z, low_y, high_y)
+        )
         qw, qx, qy, qz = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
         unit = ONE / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
         r = rotation(qw * unit, qx * unit, qy * unit, qz * unit)
@@ -158,5 +160,3 @@ def project(
             boxes,
             depths,
         )
-
-

@@ -143,10 +143,24 @@ def _differentiate_rows(
         _quaternion_gradient(q, unit, to_rotation, to_quaternions[i])
 
         # dL/d(J W) = dL/d(J W R) R^T, then dL/dJ = that W^T; J = (ax 0 bx; 0 ay by).
-        e0, e1, e2 = r[0] * u0 + r[1] * u1 + r[2] * u2, r[3] * u0 + r[4] * u1 + r[5] * u2, r[6] * u0 + r[7] * u1 + r[8] * u2
-        f0, f1, f2 = r[0] * v0 + r[1] * v1 + r[2] * v2, r[3] * v0 + r[4] * v1 + r[5] * v2, r[6] * v0 + r[7] * v1 + r[8] * v2
-        to_ax, to_bx = camera[0] * e0 + camera[1] * e1 + camera[2] * e2, camera[6] * e0 + camera[7] * e1 + camera[8] * e2
-        to_ay, to_by = camera[3] * f0 + camera[4] * f1 + camera[5] * f2, camera[6] * f0 + camera[7] * f1 + camera[8] * f2
+        e0, e1, e2 = (
+            r[0] * u0 + r[1] * u1 + r[2] * u2,
+            r[3] * u0 + r[4] * u1 + r[5] * u2,
+            r[6] * u0 + r[7] * u1 + r[8] * u2,
+        )
+        f0, f1, f2 = (
+            r[0] * v0 + r[1] * v1 + r[2] * v2,
+            r[3] * v0 + r[4] * v1 + r[5] * v2,
+            r[6] * v0 + r[7] * v1 + r[8] * v2,
+        )
+        to_ax, to_bx = (
+            camera[0] * e0 + camera[1] * e1 + camera[2] * e2,
+            camera[6] * e0 + camera[7] * e1 + camera[8] * e2,
+        )
+        to_ay, to_by = (
+            camera[3] * f0 + camera[4] * f1 + camera[5] * f2,
+            camera[6] * f0 + camera[7] * f1 + camera[8] * f2,
+        )
         inverse_z2 = inverse_z * inverse_z
         gx, gy = fx * inverse_z * screen_x, fy * inverse_z * screen_y
         gz = -(fx * slope_x * screen_x + fy * slope_y * screen_y) * inverse_z - inverse_z2 * (fx * to_ax + fy * to_ay)
@@ -212,5 +226,3 @@ def differentiate_projection(
             to_colours,
             to_screen,
         )
-
-

@@ -90,6 +90,7 @@ def _register(symbol: Callable[..., Any], instruction: str) -> None:
 
 for _symbol, _instruction in (
     (operator.add, "fadd"),
+    (operator.iadd, "fadd"),
     (operator.sub, "fsub"),
     (operator.mul, "fmul"),
     (operator.truediv, "fdiv"),
@@ -173,9 +174,7 @@ def lane_numbers(typing_context: Any) -> Any:
 
 
 @intrinsic
-def lane_sums(
-    typing_context: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any
-) -> Any:
+def lane_sums(typing_context: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> Any:
     """The lane sums of eight vectors as one vector, by a transposing tree (a third of the work of eight sums)."""
 
     def halve(builder: Any, x: Any, y: Any, even: list[int], odd: list[int]) -> Any:

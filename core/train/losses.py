@@ -1,0 +1,101 @@
+"""How far a rendered picture is from the filmed one.
+
+Loss of Kerbl et al. 2023, equation 7: (1 - w) L1 + w (1 - SSIM), SSIM with an 11x11 Gaussian window of sigma 1.5 and
+zero padding, means over all pixels and channels.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+WINDOW, SIGMA = 11, 1.5
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+class Box(NamedTuple):
+    """A part of a picture in pixels; right and bottom are exclusive."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Box | None = None) -> Tensor:
+    """Scalar loss of `image` [H,W,3] float32 against `target` [H,W,3], both in [0, 1]; differentiable by `image`.
+
+    On the CPU forward and backward are one numba pass; elsewhere they are `photometric_reference`.
+
+    Args:
+        dssim_weight: w above.
+        region: evaluate only what the pixels of this box change. The gradient inside is that of the whole loss and zero
+            outside; the value differs from the whole loss by what does not depend on the box's pixels.
+
+    Raises:
+        ValueError: the shapes differ or are not [H,W,3], or the region is empty or leaves the picture.
+    """
+    if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
+        raise ValueError(f"pictures must both be [H,W,3], not {tuple(image.shape)} and {tuple(target.shape)}")
+    height, width = image.shape[:2]
+    box = region or Box(0, 0, width, height)
+    if not (0 <= box.left < box.right <= width and 0 <= box.top < box.bottom <= height):
+        raise ValueError(f"region {tuple(box)} does not lie inside a picture of {width}x{height}")
+    if image.device.type == "cpu" and image.dtype == torch.float32:
+        loss: Tensor = _Fused.apply(image, target, dssim_weight, box)  # type: ignore[no-untyped-call]
+        return loss
+    return photometric_reference(image, target, dssim_weight, region)
+
+
+def photometric_reference(
+    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Box | None = None
+) -> Tensor:
+    """`photometric_loss` as torch convolutions, on any device and for any float type."""
+    difference, dissimilarity = (image - target).abs(), 1 - ssim_map(image, target)
+    if region is not None:
+        pixels = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
+        pixels[region.top : region.bottom, region.left : region.right] = True
+        outside = ~pixels[..., None]
+        mixed = torch.where(outside, image.detach(), image)
+        reach = slice(max(0, region.top - 5), region.bottom + 5), slice(max(0, region.left - 5), region.right + 5)
+        inside = slice(region.top, region.bottom), slice(region.left, region.right)
+        difference, dissimilarity = difference[inside], (1 - ssim_map(mixed, target))[reach]
+    return ((1 - dssim_weight) * difference.sum() + dssim_weight * dissimilarity.sum()) / image.numel()
+
+
+def ssim_map(image: Tensor, target: Tensor) -> Tensor:
+    """[H,W,3] structural similarity of [H,W,3] pictures (Wang et al. 2004, equation 13)."""
+    offsets = torch.arange(WINDOW, dtype=image.dtype, device=image.device) - WINDOW // 2
+    line = torch.exp(-(offsets**2) / (2 * SIGMA**2))
+    kernel = torch.outer(line, line) / line.sum() ** 2
+
+    def blur(picture: Tensor) -> Tensor:
+        planes = picture.permute(2, 0, 1)[:, None]
+        return functional.conv2d(planes, kernel[None, None], padding=WINDOW // 2)[:, 0].permute(1, 2, 0)
+
+    a, b = blur(image), blur(target)
+    variances = blur(image * image) - a * a + blur(target * target) - b * b
+    covariance = blur(image * target) - a * b
+    return ((2 * a * b + _C1) * (2 * covariance + _C2)) / ((a * a + b * b + _C1) * (variances + _C2))
+
+
+class _Fused(torch.autograd.Function):
+    """The gradient is made together with the value, since it needs the same blurs."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float, box: Box) -> Tensor:  # type: ignore[override]
+        from core.render.cpu.photometric import photometric_sums
+
+        value, gradient = photometric_sums(
+            image.detach().contiguous().numpy(), target.detach().contiguous().numpy(), dssim_weight, tuple(box)
+        )
+        ctx.gradient = torch.from_numpy(gradient)
+        return image.new_tensor(value)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        return ctx.gradient * upstream, None, None, None
