@@ -1,0 +1,184 @@
+/**
+ * Where the viewer stands: poses and the ways to move them. No page needed, every function returns a new pose.
+ *
+ * Axes as everywhere in streamlod: x right, y down, z forward; `rotation` holds the world-to-camera rows.
+ */
+
+/** @typedef {[number, number, number]} Vec3 */
+
+/**
+ * @typedef {object} Pose
+ * @property {number[]} rotation - 9 numbers, row by row, world to camera
+ * @property {Vec3} position - camera centre, world units
+ * @property {number} distance - to the point that orbiting goes around, world units
+ * @property {number} focal - focal length as a fraction of the picture's height
+ * @property {[number, number]} shift - principal point minus picture centre, as fractions of the picture's height
+ */
+
+/**
+ * @typedef {object} RigCamera
+ * @property {string} name
+ * @property {number[]} intrinsics - 9 numbers, row by row, pixels
+ * @property {number[]} worldToCamera - 16 numbers, row by row
+ * @property {number} width
+ * @property {number} height
+ */
+
+/** @type {(a: ArrayLike<number>, b: ArrayLike<number>) => number} */
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+/** @type {(a: Vec3, b: Vec3) => Vec3} */
+export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+/** @type {(a: Vec3, b: Vec3, s?: number) => Vec3} a + s b */
+export const add = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
+/** @type {(a: Vec3) => Vec3} */
+export const unit = (a) => {
+  const length = Math.hypot(...a) || 1;
+  return [a[0] / length, a[1] / length, a[2] / length];
+};
+/** @type {(r: number[], row: number) => Vec3} */
+export const row = (r, i) => [r[3 * i], r[3 * i + 1], r[3 * i + 2]];
+
+/** @type {(v: Vec3, axis: Vec3, angle: number) => Vec3} Rodrigues' rotation */
+function turn(v, axis, angle) {
+  const c = Math.cos(angle), s = Math.sin(angle);
+  const across = cross(axis, v), along = dot(axis, v) * (1 - c);
+  return [
+    v[0] * c + across[0] * s + axis[0] * along,
+    v[1] * c + across[1] * s + axis[1] * along,
+    v[2] * c + across[2] * s + axis[2] * along,
+  ];
+}
+
+/** The point that orbiting goes around. @type {(pose: Pose) => Vec3} */
+export const target = (pose) => add(pose.position, row(pose.rotation, 2), pose.distance);
+
+/** @type {(rotation: number[], axis: Vec3, angle: number) => number[]} */
+const turnRows = (rotation, axis, angle) => [0, 1, 2].flatMap((i) => turn(row(rotation, i), axis, angle));
+
+const STEEPEST = 0.999; // cosine between the view and `up` at which pitching stops
+
+/**
+ * Turn the view by yaw about `up` and pitch about the picture's horizontal, standing still.
+ * @param {Pose} pose
+ * @param {Vec3} up
+ * @param {number} yaw - radians, positive turns right
+ * @param {number} pitch - radians, positive looks up
+ * @returns {Pose}
+ */
+export function look(pose, up, yaw, pitch) {
+  let rotation = turnRows(pose.rotation, up, -yaw);
+  const pitched = turnRows(rotation, row(rotation, 0), pitch);
+  const steep = dot(row(pitched, 2), up), before = dot(row(rotation, 2), up);
+  if (Math.abs(steep) < STEEPEST || Math.abs(steep) < Math.abs(before)) rotation = pitched;
+  return { ...pose, rotation: orthonormal(rotation) };
+}
+
+/** Go around the target; arguments as in `look`. @type {(pose: Pose, up: Vec3, yaw: number, pitch: number) => Pose} */
+export function orbit(pose, up, yaw, pitch) {
+  const turned = look(pose, up, yaw, pitch);
+  return { ...turned, position: add(target(pose), row(turned.rotation, 2), -pose.distance) };
+}
+
+/**
+ * Shift camera and target along the picture.
+ * @param {Pose} pose
+ * @param {number} dx - fraction of the picture's height at the target, to the right
+ * @param {number} dy - downwards
+ * @returns {Pose}
+ */
+export function pan(pose, dx, dy) {
+  const scale = pose.distance / pose.focal;
+  const moved = add(add(pose.position, row(pose.rotation, 0), dx * scale), row(pose.rotation, 1), dy * scale);
+  return { ...pose, position: moved };
+}
+
+/** Move towards (factor < 1) or away from the target. @type {(pose: Pose, factor: number) => Pose} */
+export function zoom(pose, factor) {
+  const distance = Math.min(Math.max(pose.distance * factor, 1e-3), 1e6);
+  return { ...pose, distance, position: add(target(pose), row(pose.rotation, 2), -distance) };
+}
+
+/** Fly by (right, down, forward) world units, the target with it. @type {(pose: Pose, by: Vec3) => Pose} */
+export function fly(pose, by) {
+  let position = pose.position;
+  for (let i = 0; i < 3; i++) position = add(position, row(pose.rotation, i), by[i]);
+  return { ...pose, position };
+}
+
+/** Turn towards `point` and orbit around it from now on. @type {(pose: Pose, point: Vec3, up: Vec3) => Pose} */
+export function focusOn(pose, point, up) {
+  const away = add(point, pose.position, -1);
+  const distance = Math.hypot(...away);
+  if (distance < 1e-6) return pose;
+  const forward = unit(away);
+  let right = cross(forward, up);
+  if (Math.hypot(...right) < 1e-3) right = row(pose.rotation, 0);
+  right = unit(right);
+  return { ...pose, distance, rotation: [...right, ...cross(forward, right), ...forward], shift: [0, 0] };
+}
+
+/** @type {(camera: RigCamera, distance: number) => Pose} */
+export function fromCamera(camera, distance) {
+  const m = camera.worldToCamera, k = camera.intrinsics, h = camera.height;
+  const rotation = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
+  const t = [m[3], m[7], m[11]];
+  /** @type {Vec3} */
+  const position = [0, 0, 0];
+  for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) position[i] -= rotation[3 * j + i] * t[j];
+  return { rotation, position, distance, focal: k[4] / h, shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h] };
+}
+
+/** What points up for most of the rig. @type {(cameras: RigCamera[]) => Vec3} */
+export function rigUp(cameras) {
+  /** @type {Vec3} */
+  let sum = [0, 0, 0];
+  for (const { worldToCamera: m } of cameras) sum = add(sum, [m[4], m[5], m[6]], -1);
+  return Math.hypot(...sum) > 1e-6 ? unit(sum) : [0, -1, 0];
+}
+
+/** The camera nearest to the middle of the rig, where a visit begins. @type {(cameras: RigCamera[]) => number} */
+export function homeCamera(cameras) {
+  const poses = cameras.map((camera) => fromCamera(camera, 1));
+  /** @type {Vec3} */
+  let middle = [0, 0, 0];
+  for (const pose of poses) middle = add(middle, pose.position, 1 / poses.length);
+  const reach = poses.map((pose) => Math.hypot(...add(pose.position, middle, -1)));
+  return Math.max(0, reach.indexOf(Math.min(...reach)));
+}
+
+/** The pose `t` of the way from a to b, 0 to 1. @type {(a: Pose, b: Pose, t: number) => Pose} */
+export function between(a, b, t) {
+  /** @type {(x: number, y: number) => number} */
+  const mix = (x, y) => x + (y - x) * t;
+  return {
+    rotation: orthonormal(a.rotation.map((x, i) => mix(x, b.rotation[i]))),
+    position: add(a.position, add(b.position, a.position, -1), t),
+    distance: mix(a.distance, b.distance),
+    focal: mix(a.focal, b.focal),
+    shift: [mix(a.shift[0], b.shift[0]), mix(a.shift[1], b.shift[1])],
+  };
+}
+
+/** The nearest rotation that keeps the view direction. @type {(r: number[]) => number[]} */
+function orthonormal(r) {
+  const forward = unit(row(r, 2));
+  const down = row(r, 1);
+  const right = unit(cross(down, forward));
+  return [...right, ...cross(forward, right), ...forward];
+}
+
+/** A pose as text for a link, and back. @type {(pose: Pose) => string} */
+export function toText(pose) {
+  const numbers = [...pose.position, ...row(pose.rotation, 2), ...row(pose.rotation, 1), pose.distance, pose.focal];
+  return [...numbers, ...pose.shift].map((x) => Number(x.toFixed(4))).join(",");
+}
+
+/** @type {(text: string | null) => Pose | null} null when the text is not a pose */
+export function fromText(text) {
+  const n = (text ?? "").split(",").map(Number);
+  if (n.length !== 13 || !n.every(Number.isFinite) || n[9] <= 0 || n[10] <= 0) return null;
+  const [px, py, pz, fx, fy, fz, dx, dy, dz, distance, focal, sx, sy] = n;
+  if (Math.hypot(...cross([dx, dy, dz], [fx, fy, fz])) < 1e-3) return null;
+  const rotation = orthonormal([0, 0, 0, dx, dy, dz, fx, fy, fz]);
+  return { rotation, position: [px, py, pz], distance, focal, shift: [sx, sy] };
+}

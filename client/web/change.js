@@ -1,0 +1,139 @@
+/** CHANGE and REMOVED chunks: which rows of a level differ, and by how much; codec/FORMAT.md sections 9 and 10. */
+
+import { inflateColumns } from "./deflate.js";
+import { must, Reader } from "./packet.js";
+import { BitModels, decodeColumns, RansDecoder, readScales, scale } from "./rans.js";
+import { LATENTS } from "./scene.js";
+import { bin } from "./tables.js";
+
+/** @typedef {import("./scene.js").Level} Level */
+/** @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array }} Change */
+
+const BLOCK = 64;
+
+/** @type {() => Change} */
+export const noChange = () => ({ rows: new Uint32Array(0), position: new Int32Array(0), latent: new Int32Array(0) });
+
+/** @type {(chunk: Uint8Array, level: Level) => Promise<Change>} */
+export async function decodeChange(chunk, level) {
+  const reader = new Reader(chunk, "corrupt_chunk");
+  const coding = reader.u8();
+  if (coding === 0) {
+    const { rows: count, columns } = await inflateColumns(chunk, 4 + LATENTS, level.count);
+    const position = new Int32Array(3 * count), latent = new Int32Array(LATENTS * count);
+    for (let i = 0; i < count; i++) {
+      for (let j = 0; j < 3; j++) position[3 * i + j] = columns[(1 + j) * count + i];
+      for (let j = 0; j < LATENTS; j++) latent[LATENTS * i + j] = columns[(4 + j) * count + i];
+    }
+    return { rows: ascending(columns, count, level.count), position, latent };
+  }
+  const start = scale(reader.u8());
+  const scales = readScales(reader, LATENTS);
+  const coder = new RansDecoder(reader.rest(), coding);
+  const rows = decodeRowSet(coder, level.count);
+  const position = decodePositions(coder, rows, level.voxel, start);
+  const latent = decodeColumns(coder, rows.length, scales);
+  coder.end();
+  return { rows, position, latent };
+}
+
+/** @type {(chunk: Uint8Array, level: Level) => Promise<Uint32Array>} */
+export async function decodeRemoved(chunk, level) {
+  const { rows, columns } = await inflateColumns(chunk, 1, level.count);
+  return ascending(columns, rows, level.count);
+}
+
+/** Row numbers from their gaps. @type {(gaps: Int32Array, count: number, limit: number) => Uint32Array} */
+function ascending(gaps, count, limit) {
+  const rows = new Uint32Array(count);
+  for (let i = 0, row = 0; i < count; i++) {
+    row += gaps[i];
+    must((gaps[i] > 0 || (i === 0 && row === 0)) && row < limit, "corrupt_chunk", "rows must ascend and lie inside the level");
+    rows[i] = row;
+  }
+  return rows;
+}
+
+/** @type {(coder: RansDecoder, count: number) => Uint32Array} */
+function decodeRowSet(coder, count) {
+  const blockModels = new BitModels(4), rowModels = new BitModels(8);
+  const rows = new Uint32Array(count);
+  let found = 0, blocks = 0, history = 0;
+  for (let first = 0; first < count; first += BLOCK) {
+    const block = coder.flag(blockModels, blocks);
+    blocks = (block << 1) | (blocks >> 1);
+    const last = Math.min(first + BLOCK, count);
+    if (!block) {
+      history = 0;
+      continue;
+    }
+    for (let row = first; row < last; row++) {
+      const bit = coder.flag(rowModels, history);
+      history = (bit << 2) | (history >> 1);
+      if (bit) rows[found++] = row;
+    }
+  }
+  return rows.slice(0, found);
+}
+
+/** Changed rows by their voxel: an open-addressed table of row indices. */
+class VoxelTable {
+  /** @param {Uint32Array} rows @param {Int32Array} voxel */
+  constructor(rows, voxel) {
+    this.mask = 2 ** Math.ceil(Math.log2(2 * rows.length + 2)) - 1;
+    this.entry = new Int32Array(this.mask + 1); // index + 1, 0 where free
+    this.rows = rows;
+    this.voxel = voxel;
+  }
+
+  /** The place of a voxel: where it is, or would be. @type {(x: number, y: number, z: number) => number} */
+  place(x, y, z) {
+    let at = (Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca6b) ^ Math.imul(z, 0xc2b2ae35));
+    at = (at ^ (at >>> 15)) & this.mask;
+    for (; this.entry[at]; at = (at + 1) & this.mask) {
+      const v = 3 * this.rows[this.entry[at] - 1];
+      if (this.voxel[v] === x && this.voxel[v + 1] === y && this.voxel[v + 2] === z) break;
+    }
+    return at;
+  }
+}
+
+/** @type {(coder: RansDecoder, rows: Uint32Array, voxel: Int32Array, start: number) => Int32Array} */
+function decodePositions(coder, rows, voxel, start) {
+  const delta = new Int32Array(3 * rows.length);
+  const table = new VoxelTable(rows, voxel);
+  const mean = [start, start, start], sum = [0, 0, 0];
+  let before = 3 * start, earlier = 3 * start;
+  for (let i = 0; i < rows.length; i++) {
+    const x = voxel[3 * rows[i]], y = voxel[3 * rows[i] + 1], z = voxel[3 * rows[i] + 2];
+    let near = 0;
+    sum.fill(0);
+    for (let dx = -1; dx <= 1; dx++) {
+      for (let dy = -1; dy <= 1; dy++) {
+        for (let dz = -1; dz <= 1; dz++) {
+          const j = table.entry[table.place(x + dx, y + dy, z + dz)] - 1;
+          if (j < 0) continue;
+          near++;
+          for (let a = 0; a < 3; a++) sum[a] += delta[3 * j + a];
+        }
+      }
+    }
+    let size = 0;
+    for (let a = 0; a < 3; a++) {
+      let predicted = i ? delta[3 * (i - 1) + a] : 0;
+      if (near) predicted = Math.floor((2 * sum[a] + near) / (2 * near));
+      const context = Math.floor((6 * mean[a] + 6 * before + 4 * earlier + 9 * 256 * size) / (36 + 9 * a));
+      const error = coder.value(bin(context));
+      const value = predicted + error;
+      must(value === (value | 0) && value !== -2147483648, "corrupt_chunk", "a position difference is too large");
+      delta[3 * i + a] = value;
+      const magnitude = Math.abs(error);
+      mean[a] += Math.floor((256 * magnitude - mean[a]) / 64);
+      size += magnitude;
+    }
+    earlier = before;
+    before = 256 * size;
+    table.entry[table.place(x, y, z)] = i + 1;
+  }
+  return delta;
+}

@@ -1,0 +1,100 @@
+/** The index of a `.slod` file, codec/FORMAT.md section 15, and the way through it to a version. */
+
+import { crc32 } from "./checksum.js";
+import { KEY, must } from "./packet.js";
+
+/** @typedef {{ offset: number, size: number, keyframe: number, fromVersion: number, toVersion: number, timeMs: number, kind: number }} Entry */
+
+export const FOOTER = 16;
+const ENTRY = 40, MOST_ENTRIES = 1 << 22;
+
+/** Where the index lies. @type {(tail: Uint8Array, size: number) => { start: number, checksum: number } | null} null without a footer */
+export function readFooter(tail, size) {
+  const view = new DataView(tail.buffer, tail.byteOffset, tail.byteLength);
+  if (tail.length !== FOOTER || view.getUint32(12, true) !== 0x58494c53) return null;
+  const start = Number(view.getBigUint64(0, true));
+  return start >= 8 && start + 8 + FOOTER <= size ? { start, checksum: view.getUint32(8, true) } : null;
+}
+
+/** @type {(bytes: Uint8Array, checksum: number, end: number) => Entry[]} `end`: where the records end */
+export function readIndex(bytes, checksum, end) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  must(bytes.length >= 8 && crc32(bytes) === checksum && view.getUint32(0, true) === 0xffffffff, "bad_file", "the file's index is damaged");
+  const count = view.getUint32(4, true);
+  must(count <= MOST_ENTRIES && bytes.length === 8 + count * ENTRY, "bad_file", "the file's index has another length than it says");
+  return Array.from({ length: count }, (_, i) => {
+    const at = 8 + i * ENTRY;
+    const entry = {
+      offset: Number(view.getBigUint64(at, true)), size: view.getUint32(at + 8, true), keyframe: view.getUint32(at + 12, true),
+      fromVersion: view.getUint32(at + 16, true), toVersion: view.getUint32(at + 20, true),
+      timeMs: Number(view.getBigUint64(at + 24, true) / 1000n) / 1000, kind: bytes[at + 32],
+    };
+    must(entry.offset >= 12 && entry.offset + entry.size <= end, "bad_file", "an index entry lies outside the file");
+    return entry;
+  });
+}
+
+/** The entries of a file without footer: its records up to the first that is incomplete. @type {(bytes: Uint8Array) => Entry[]} */
+export function walkRecords(bytes) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  /** @type {Entry[]} */
+  const entries = [];
+  for (let at = 8; at + 4 + 36 <= bytes.length; ) {
+    const size = view.getUint32(at, true), offset = at + 4;
+    if (size < 36 || offset + size > bytes.length || view.getUint32(offset, true) !== 0x4b504c53) break;
+    entries.push({
+      offset, size, kind: bytes[offset + 6], keyframe: view.getUint32(offset + 8, true), fromVersion: view.getUint32(offset + 12, true),
+      toVersion: view.getUint32(offset + 16, true), timeMs: Number(view.getBigUint64(offset + 20, true) / 1000n) / 1000,
+    });
+    at = offset + size;
+  }
+  return entries;
+}
+
+/**
+ * Entries to decode, in order, to show `version`: on from `from` where that is possible, or from the last keyframe.
+ * @param {Entry[]} entries
+ * @param {number} version - one that the file holds
+ * @param {{ keyframe: number, version: number } | null} from - what the decoder holds
+ * @returns {number[]} entry numbers
+ */
+export function plan(entries, version, from) {
+  let keyframe = -1;
+  for (const { kind, keyframe: own } of entries) if (kind === KEY && own <= version && own > keyframe) keyframe = own;
+  must(keyframe >= 0, "bad_file", `the file holds no keyframe before version ${version}`);
+  const parts = entries.flatMap((entry, i) => (entry.kind === KEY && entry.keyframe === keyframe ? [i] : []));
+  /** @type {Map<number, { bytes: number, via: number[] , before: number }>} the cheapest way to each version */
+  const best = new Map();
+  best.set(keyframe, { bytes: parts.reduce((sum, i) => sum + entries[i].size, 0), via: parts, before: -1 });
+  if (from && from.keyframe === keyframe && from.version <= version) best.set(from.version, { bytes: 0, via: [], before: -1 });
+  /** @type {Map<string, { via: number[], bytes: number, fromVersion: number, toVersion: number }>} */
+  const edges = new Map();
+  entries.forEach((entry, i) => {
+    if (entry.kind === KEY || entry.keyframe !== keyframe || entry.toVersion > version) return;
+    const name = `${entry.kind} ${entry.fromVersion} ${entry.toVersion}`;
+    const edge = edges.get(name) ?? { via: [], bytes: 0, fromVersion: entry.fromVersion, toVersion: entry.toVersion };
+    edge.via.push(i);
+    edge.bytes += entry.size;
+    edges.set(name, edge);
+  });
+  for (const edge of [...edges.values()].sort((a, b) => a.fromVersion - b.fromVersion || a.toVersion - b.toVersion)) {
+    const start = best.get(edge.fromVersion), known = best.get(edge.toVersion);
+    if (!start || (known && known.bytes <= start.bytes + edge.bytes)) continue;
+    best.set(edge.toVersion, { bytes: start.bytes + edge.bytes, via: edge.via, before: edge.fromVersion });
+  }
+  /** @type {number[]} */
+  const path = [];
+  for (let at = version; at >= 0; ) {
+    const step = best.get(at);
+    must(step, "bad_file", `the file holds no way to version ${version}`);
+    path.unshift(...step.via);
+    at = step.before;
+  }
+  return path;
+}
+
+/** The versions of a file with the time each is shown at, ascending. @type {(entries: Entry[]) => { version: number, timeMs: number }[]} */
+export function moments(entries) {
+  const times = new Map(entries.map(({ toVersion, timeMs }) => [toVersion, timeMs]));
+  return [...times].map(([version, timeMs]) => ({ version, timeMs })).sort((a, b) => a.version - b.version);
+}

@@ -1,0 +1,193 @@
+/** Packets into a scene, codec/FORMAT.md section 3. A packet that is refused changes nothing. */
+
+import { decodeChange, decodeRemoved, noChange } from "./change.js";
+import { digest } from "./checksum.js";
+import { decodeGeometry } from "./geometry.js";
+import { Chunk, KEY, LIMITS, must, parsePacket, Reader } from "./packet.js";
+import { decodeAdded, decodeBase } from "./rows.js";
+import { changed, emptyLevel, HIDDEN } from "./scene.js";
+
+/** @typedef {import("./scene.js").Scene} Scene */
+/** @typedef {import("./scene.js").Header} Header */
+/** @typedef {import("./scene.js").Level} Level */
+/** @typedef {import("./packet.js").Packet} Packet */
+
+/**
+ * What a packet did: a new scene, levels set whole (`rows` null), or rows of levels changed.
+ * @typedef {object} Effect
+ * @property {Packet} packet
+ * @property {boolean} scene - whether everything is new
+ * @property {{ level: number, rows: Uint32Array | null, from: number }[]} levels - rows changed, and the first row added
+ */
+
+export class SceneDecoder {
+  constructor() {
+    /** @type {Scene | null} */
+    this.scene = null;
+  }
+
+  /**
+   * @param {Uint8Array} bytes - one packet
+   * @returns {Promise<Effect>}
+   * @throws {import("./scene.js").BitstreamError}
+   */
+  async push(bytes) {
+    const packet = parsePacket(bytes);
+    return packet.kind === KEY ? this.#key(packet) : this.#change(packet);
+  }
+
+  /** @param {Packet} packet @returns {Promise<Effect>} */
+  async #key(packet) {
+    const headerChunk = packet.chunks.get(Chunk.HEADER), weightsChunk = packet.chunks.get(Chunk.WEIGHTS);
+    const fresh = headerChunk !== undefined && weightsChunk !== undefined;
+    let scene = this.scene;
+    if (fresh) {
+      scene = readScene(headerChunk, weightsChunk, packet.keyframe);
+    } else {
+      must(scene, "no_keyframe", "no keyframe has come yet");
+      must(scene.keyframe === packet.keyframe, "unknown_keyframe", "the packet belongs to another keyframe");
+    }
+    const { header } = scene;
+    const code = fresh ? "bad_scene_header" : "bad_directory";
+    must(packet.mask >> header.levels === 0, code, "the packet speaks of more levels than the scene has");
+    /** @type {[number, Level][]} */
+    const built = [];
+    let anchors = 0;
+    for (const number of bitsOf(packet.mask)) {
+      const geometry = packet.chunks.get((number << 4) | Chunk.GEOMETRY), base = packet.chunks.get((number << 4) | Chunk.BASE);
+      const features = header.featureSteps.length;
+      let level = emptyLevel(features, header.slots);
+      if (geometry && base) level = await decodeBase(checked(base), await decodeGeometry(checked(geometry)), features, header.slots);
+      anchors += level.count;
+      must(anchors <= LIMITS.anchors, "limit_exceeded", `more than ${LIMITS.anchors} anchors`);
+      built.push([number, level]);
+    }
+    const next = { ...scene, levels: [...scene.levels], versions: [...scene.versions] };
+    for (const [number, level] of built) {
+      next.levels[number] = level;
+      next.versions[number] = packet.keyframe;
+    }
+    this.#limit(next);
+    this.scene = next;
+    return { packet, scene: fresh, levels: built.map(([level]) => ({ level, rows: null, from: 0 })) };
+  }
+
+  /** @param {Packet} packet @returns {Promise<Effect>} */
+  async #change(packet) {
+    const { scene } = this;
+    must(scene, "no_keyframe", "no keyframe has come yet");
+    must(scene.keyframe === packet.keyframe, "unknown_keyframe", "the packet belongs to another keyframe");
+    const levels = bitsOf(packet.mask).filter((level) => scene.versions[level] === packet.fromVersion);
+    must(levels.length, "version_mismatch", `no level is at version ${packet.fromVersion}`);
+    must(packet.mask >> scene.header.levels === 0, "bad_directory", "the packet speaks of more levels than the scene has");
+    const next = { ...scene, levels: [...scene.levels], versions: [...scene.versions] };
+    /** @type {Effect["levels"]} */
+    const effects = [];
+    for (const number of levels) {
+      const { rows, level } = await changedLevel(packet, number, scene);
+      effects.push({ level: number, rows, from: scene.levels[number].count });
+      next.levels[number] = level;
+      next.versions[number] = packet.toVersion;
+    }
+    this.#limit(next);
+    this.scene = next;
+    return { packet, scene: false, levels: effects };
+  }
+
+  /** @param {Scene} scene */
+  #limit(scene) {
+    const anchors = scene.levels.reduce((sum, level) => sum + level.count, 0);
+    must(anchors <= LIMITS.anchors, "limit_exceeded", `more than ${LIMITS.anchors} anchors`);
+  }
+}
+
+/** @type {(packet: Packet, number: number, scene: Scene) => Promise<{ rows: Uint32Array, level: Level }>} */
+async function changedLevel(packet, number, scene) {
+  const { header } = scene, level = scene.levels[number];
+  /** @type {(kind: number) => Uint8Array | undefined} */
+  const chunk = (kind) => packet.chunks.get((number << 4) | kind);
+  const [changeChunk, removedChunk, addedChunk, hashChunk] =
+    [Chunk.CHANGE, Chunk.REMOVED, Chunk.ADDED, Chunk.HASH].map(chunk);
+  const change = changeChunk ? await decodeChange(checked(changeChunk), level) : noChange();
+  const removed = removedChunk ? await decodeRemoved(checked(removedChunk, false), level) : new Uint32Array(0);
+  const added = addedChunk ? await decodeAdded(checked(addedChunk), header.featureSteps.length, header.slots) : null;
+  const next = changeChunk || removedChunk || addedChunk ? changed(level, { ...change, removed, added }) : level;
+  if (hashChunk) {
+    const reader = new Reader(hashChunk, "corrupt_chunk");
+    const wanted = reader.u32();
+    reader.end();
+    must(digest(next) === wanted, "state_mismatch", "the state differs from the sender's");
+  }
+  const rows = new Uint32Array(change.rows.length + removed.length);
+  rows.set(change.rows);
+  rows.set(removed, change.rows.length);
+  return { rows, level: next };
+}
+
+/** A chunk whose coding this decoder knows. @type {(chunk: Uint8Array, coded?: boolean) => Uint8Array} */
+function checked(chunk, coded = true) {
+  must(chunk.length > 0, "corrupt_chunk", "a chunk is empty");
+  const known = chunk[0] === 0 || (coded && (chunk[0] === 1 || chunk[0] === 4));
+  must(known, "unsupported_profile", `coding ${chunk[0]} is not known here`);
+  return chunk;
+}
+
+/** @type {(mask: number) => number[]} */
+const bitsOf = (mask) => Array.from({ length: 16 }, (_, i) => i).filter((i) => (mask >> i) & 1);
+
+/** Sections 4 and 5. @type {(header: Uint8Array, weights: Uint8Array, keyframe: number) => Scene} */
+function readScene(headerChunk, weightsChunk, keyframe) {
+  const header = readHeader(headerChunk);
+  const { slots, levels } = header, features = header.featureSteps.length;
+  const reader = new Reader(weightsChunk, "bad_weights");
+  const inputs = features + (header.viewDependent ? 4 : 0);
+  const weights = {
+    hiddenWeight: reader.f16(inputs * HIDDEN),
+    hiddenBias: reader.f16(HIDDEN),
+    outputWeight: reader.f16(HIDDEN * 11 * slots),
+    outputBias: reader.f16(11 * slots),
+    featureDecoder: reader.f16(12 * features),
+    offsetDecoder: reader.f16(12 * 3 * slots),
+  };
+  reader.end();
+  const empty = Array.from({ length: levels }, () => emptyLevel(features, slots));
+  return { header, weights, levels: empty, versions: new Array(levels).fill(-1), keyframe };
+}
+
+/** @type {(chunk: Uint8Array) => Header} */
+function readHeader(chunk) {
+  const reader = new Reader(chunk, "bad_scene_header");
+  const [levels, slots, features, viewDependent, cameraCount, ...reserved] = reader.take(8);
+  const fits = levels >= 1 && levels <= LIMITS.levels && slots >= 1 && slots <= LIMITS.slots && features >= 1 && features <= LIMITS.features;
+  must(fits && viewDependent <= 1 && reserved.every((x) => x === 0), "bad_scene_header", "the scene header holds impossible sizes");
+  const origin = reader.f64(3);
+  const [rootCell, referenceDistance, fps] = reader.f64(3);
+  const background = reader.f32(3);
+  const positionSteps = reader.f32(levels), featureSteps = reader.f32(features);
+  const offsetSteps = reader.f32(3 * slots), scalingSteps = reader.f32(6);
+  const positive = [rootCell, referenceDistance, fps, ...positionSteps, ...featureSteps, ...offsetSteps, ...scalingSteps];
+  must(positive.every((x) => x > 0), "bad_scene_header", "a step, distance or rate is not positive");
+  const cameras = Array.from({ length: cameraCount }, () => readCamera(reader));
+  reader.end();
+  return {
+    origin, rootCell, levels, slots, viewDependent: viewDependent === 1, referenceDistance, positionSteps, featureSteps,
+    offsetSteps, scalingSteps, background, fps, cameras,
+  };
+}
+
+/** @type {(reader: Reader) => import("./camera.js").RigCamera} */
+function readCamera(reader) {
+  const length = reader.u8();
+  must(length <= 64, "bad_scene_header", "a camera's name is too long");
+  let name = "";
+  try {
+    name = new TextDecoder("utf-8", { fatal: true }).decode(reader.take(length));
+  } catch {
+    must(false, "bad_scene_header", "a camera's name is not text");
+  }
+  const width = reader.u32(), height = reader.u32();
+  must(width >= 1 && width <= 65535 && height >= 1 && height <= 65535, "bad_scene_header", "a camera has no size");
+  const intrinsics = reader.f64(9), worldToCamera = [...reader.f64(12), 0, 0, 0, 1];
+  reader.f64(5);
+  return { name, intrinsics, worldToCamera, width, height };
+}

@@ -1,0 +1,69 @@
+/** Voxels of a level as a breadth-first octree, codec/FORMAT.md section 7. */
+
+import { LIMITS, must, Reader } from "./packet.js";
+import { inflateColumns } from "./deflate.js";
+import { BitModels, RansDecoder } from "./rans.js";
+
+const CLASS_OF = [0, 0, 1, 2, 2, 3, 3, 3, 3]; // by number of children
+
+/** @type {(chunk: Uint8Array) => Promise<Int32Array>} [N, 3] */
+export async function decodeGeometry(chunk) {
+  const reader = new Reader(chunk, "corrupt_chunk");
+  const coding = reader.u8();
+  if (coding === 0) return differences(await inflateColumns(chunk, 3, LIMITS.anchors));
+  const count = reader.u32();
+  must(count <= LIMITS.anchors, "limit_exceeded", `a level announces ${count} anchors`);
+  const minimum = [reader.i32(), reader.i32(), reader.i32()];
+  const depth = reader.u8();
+  must(depth <= 21 && count > 0, "corrupt_chunk", "an octree announces impossible sizes");
+  const coder = new RansDecoder(reader.rest(), coding);
+  const models = new BitModels(4 * 4 * 256);
+  let nodes = new Int32Array(3), classes = new Uint8Array(1), length = 1;
+  for (let d = 0; d < depth; d++) {
+    const context = Math.min(depth - 1 - d, 3) * 4;
+    const room = Math.min(8 * length, count);
+    const children = new Int32Array(3 * room), childClasses = new Uint8Array(room);
+    let born = 0;
+    for (let i = 0; i < length; i++) {
+      let occupancy = 0, prefix = 1;
+      for (let j = 0; j < 8; j++) {
+        const bit = j === 7 && occupancy === 0 ? 1 : coder.flag(models, ((context + classes[i]) << 8) | prefix);
+        occupancy |= bit << j;
+        prefix = prefix * 2 + bit;
+      }
+      const first = born;
+      for (let j = 0; j < 8; j++) {
+        if (!((occupancy >> j) & 1)) continue;
+        must(born < room, "corrupt_chunk", "an octree grows beyond what it announces");
+        children[3 * born] = 2 * nodes[3 * i] + (j >> 2);
+        children[3 * born + 1] = 2 * nodes[3 * i + 1] + ((j >> 1) & 1);
+        children[3 * born + 2] = 2 * nodes[3 * i + 2] + (j & 1);
+        born++;
+      }
+      childClasses.fill(CLASS_OF[born - first], first, born);
+    }
+    [nodes, classes, length] = [children, childClasses, born];
+  }
+  coder.end();
+  must(length === count, "corrupt_chunk", "an octree ends with another number of anchors than it announces");
+  const voxel = new Int32Array(3 * count);
+  for (let i = 0; i < voxel.length; i++) {
+    const sum = nodes[i] + minimum[i % 3];
+    must(sum === (sum | 0), "overflow", "a voxel leaves the range of int32");
+    voxel[i] = sum;
+  }
+  return voxel;
+}
+
+/** @type {(inflated: { rows: number, columns: Int32Array }) => Int32Array} */
+function differences({ rows, columns }) {
+  const voxel = new Int32Array(3 * rows);
+  for (let c = 0; c < 3; c++) {
+    for (let i = 0, sum = 0; i < rows; i++) {
+      sum += columns[c * rows + i];
+      must(sum === (sum | 0), "overflow", "a voxel leaves the range of int32");
+      voxel[3 * i + c] = sum;
+    }
+  }
+  return voxel;
+}

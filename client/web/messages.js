@@ -1,0 +1,34 @@
+/**
+ * What page and worker say to each other; types only.
+ *
+ * @typedef {import("./session.js").Status} Status
+ * @typedef {import("./session.js").Position} Position
+ * @typedef {import("./camera.js").RigCamera} RigCamera
+ * @typedef {import("./camera.js").Vec3} Vec3
+ * @typedef {{ levels?: number | null, kilobytes_per_second?: number | null }} Wishes
+ *
+ * @typedef {{ type: "connect", url: string, recording: boolean, token: string | null, wishes: Wishes, start: Position | null }
+ *   | { type: "view", view: import("./engine.js").EngineView }
+ *   | { type: "send", messages: object[] }
+ *   | { type: "wishes", wishes: Wishes }
+ *   | { type: "hurry" } | { type: "texture" } | { type: "close" }
+ *   | { type: "pick" | "depth", id: number, origin: Vec3, direction: Vec3 }
+ *   | { type: "inspect", id: number }} ToWorker
+ *
+ * @typedef {{ version: number, versions: number[], digests: number[], splats: Float32Array }} Inspection
+ *
+ * @typedef {{ anchors: number, levels: number, splats: number }} Summary
+ *
+ * @typedef {{ type: "picture", decodeMs: number, position: Position | null, summary: Summary | null }
+ *   & import("./engine.js").Picture} PictureMessage
+ *
+ * @typedef {{ cameras: RigCamera[], background: [number, number, number], fps: number, levels: number, viewDependent: boolean }} SceneFacts
+ *
+ * @typedef {PictureMessage
+ *   | ({ type: "scene" } & SceneFacts)
+ *   | { type: "status", status: Status, refusals: number, now: number }
+ *   | { type: "refused", code: string, detail: string }
+ *   | { type: "picked", id: number, point: Vec3 | null }
+ *   | { type: "inspected", id: number, state: Inspection | null }} FromWorker
+ */
+export {};

@@ -1,0 +1,151 @@
+/** The outside of a packet: header, directory, checksums (codec/FORMAT.md sections 2 and 13). */
+
+import { crc32 } from "./checksum.js";
+import { BitstreamError } from "./scene.js";
+
+export const KEY = 0;
+export const Chunk = Object.freeze({ HEADER: 0, WEIGHTS: 1, GEOMETRY: 2, BASE: 3, CHANGE: 4, REMOVED: 5, ADDED: 6, HASH: 7 });
+
+/** What a decoder takes at most. */
+export const LIMITS = Object.freeze({ packetBytes: 16 << 20, levels: 16, anchors: 1 << 20, slots: 16, features: 64 });
+
+const FIXED = 36;
+
+/**
+ * @typedef {object} Packet
+ * @property {number} profile
+ * @property {number} kind
+ * @property {number} keyframe
+ * @property {number} fromVersion
+ * @property {number} toVersion
+ * @property {number} timeMs - presentation time
+ * @property {number} mask
+ * @property {Map<number, Uint8Array>} chunks - by level << 4 | chunk kind
+ */
+
+/** @type {(condition: unknown, code: string, detail: string) => asserts condition} */
+export function must(condition, code, detail) {
+  if (!condition) throw new BitstreamError(code, detail);
+}
+
+/**
+ * @param {Uint8Array} bytes
+ * @returns {Packet} its chunks are views into `bytes`
+ * @throws {BitstreamError}
+ */
+export function parsePacket(bytes) {
+  must(bytes.length <= LIMITS.packetBytes, "too_large", `the packet has ${bytes.length} bytes`);
+  must(bytes.length >= FIXED, "truncated", "the packet ends inside its header");
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  must(view.getUint32(0, true) === 0x4b504c53, "bad_magic", "this is not a packet");
+  must(bytes[4] === 1, "unsupported_version", `format version ${bytes[4]}, this page knows 1`);
+  must(bytes[5] <= 1, "unsupported_profile", `profile ${bytes[5]}`);
+  const count = view.getUint16(30, true);
+  const start = FIXED + 8 * count;
+  must(bytes.length >= start, "truncated", "the packet ends inside its directory");
+  const checksum = crc32(bytes.subarray(FIXED, start), crc32(bytes.subarray(0, 32)));
+  must(view.getUint32(32, true) === checksum, "bad_checksum", "the packet's header is damaged");
+
+  const kind = bytes[6], keyframe = view.getUint32(8, true), mask = view.getUint16(28, true);
+  const fromVersion = view.getUint32(12, true), toVersion = view.getUint32(16, true);
+  const ordered = kind === KEY ? keyframe === fromVersion && fromVersion === toVersion
+    : keyframe <= fromVersion && fromVersion < toVersion && (kind !== 3 || fromVersion === keyframe);
+  const timed = view.getUint32(24, true) < 0x80000000;
+  must(kind <= 3 && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header", "the packet's header contradicts itself");
+
+  /** @type {{ key: number, length: number, crc: number }[]} */
+  const directory = [];
+  let before = -1;
+  for (let at = FIXED; at < start; at += 8) {
+    const entry = view.getUint32(at, true);
+    const level = entry >>> 28, chunk = (entry >>> 24) & 15, key = entry >>> 24;
+    const allowed = chunk >= 12 || (chunk < 8 && (kind === KEY ? chunk < 4 : chunk >= 4));
+    must(key > before && allowed, "bad_directory", "the packet's directory is out of order or holds an unknown chunk");
+    must(chunk < 2 ? level === 0 : (mask >>> level) & 1, "bad_directory", "a chunk belongs to a level outside the mask");
+    before = key;
+    directory.push({ key, length: entry & 0xffffff, crc: view.getUint32(at + 4, true) });
+  }
+  const end = directory.reduce((sum, entry) => sum + entry.length, start);
+  must(end <= bytes.length, "truncated", "the packet ends inside its chunks");
+  must(end === bytes.length, "trailing_bytes", "bytes follow the last chunk");
+  const chunks = new Map();
+  let at = start;
+  for (const { key, length, crc } of directory) {
+    const chunk = bytes.subarray(at, (at += length));
+    must(crc32(chunk) === crc, "bad_checksum", "a chunk is damaged");
+    chunks.set(key, chunk);
+  }
+  must(chunks.has(Chunk.HEADER) === chunks.has(Chunk.WEIGHTS), "missing_chunk", "a key packet needs header and weights together");
+  for (let level = 0; level < 16; level++) {
+    const [geometry, base] = [Chunk.GEOMETRY, Chunk.BASE].map((k) => chunks.has((level << 4) | k));
+    must(geometry === base, "missing_chunk", "a level needs geometry and base together");
+  }
+  const timeMs = Number(view.getBigUint64(20, true) / 1000n) / 1000;
+  return { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeMs, mask, chunks };
+}
+
+/** Reads numbers one after the other; running out of bytes is a refusal. */
+export class Reader {
+  /** @param {Uint8Array} bytes @param {string} code - of the refusal */
+  constructor(bytes, code) {
+    this.bytes = bytes;
+    this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+    this.at = 0;
+    this.code = code;
+  }
+
+  /** @param {number} size */
+  #skip(size) {
+    must(size <= this.bytes.length - this.at, this.code, "a chunk ends too early");
+    this.at += size;
+    return this.at - size;
+  }
+
+  /** @returns {number} */
+  u8() { return this.view.getUint8(this.#skip(1)); }
+
+  /** @returns {number} */
+  u32() { return this.view.getUint32(this.#skip(4), true); }
+
+  /** @returns {number} */
+  i32() { return this.view.getInt32(this.#skip(4), true); }
+
+  /** @param {number} n */
+  take(n) { return this.bytes.subarray(this.#skip(n), this.at); }
+
+  /** What is left. */
+  rest() { return this.take(this.bytes.length - this.at); }
+
+  /** @param {number} n @returns {number[]} */
+  f64(n) {
+    const first = this.#skip(8 * n);
+    return this.#finite(Array.from({ length: n }, (_, i) => this.view.getFloat64(first + 8 * i, true)));
+  }
+
+  /** @param {number} n @returns {Float32Array} */
+  f32(n) {
+    const first = this.#skip(4 * n);
+    return this.#finite(Float32Array.from({ length: n }, (_, i) => this.view.getFloat32(first + 4 * i, true)));
+  }
+
+  /** @param {number} n @returns {Float32Array} from half precision */
+  f16(n) {
+    const first = this.#skip(2 * n), result = new Float32Array(n);
+    for (let i = 0; i < n; i++) {
+      const h = this.view.getUint16(first + 2 * i, true);
+      const e = (h >>> 10) & 31, m = h & 1023, sign = h & 0x8000 ? -1 : 1;
+      result[i] = sign * (e === 31 ? Infinity : e ? 2 ** (e - 25) * (1024 + m) : 2 ** -24 * m);
+    }
+    return this.#finite(result);
+  }
+
+  /** @template {ArrayLike<number> & { every: (test: (x: number) => boolean) => boolean }} A @param {A} numbers @returns {A} */
+  #finite(numbers) {
+    must(numbers.every((x) => Number.isFinite(x)), this.code, "a number is not finite");
+    return numbers;
+  }
+
+  end() {
+    must(this.at === this.bytes.length, this.code, "bytes follow the end of a chunk");
+  }
+}

@@ -1,0 +1,205 @@
+/** Plays a `.slod` file over HTTP Range requests; takes the same commands as a connection. */
+
+import { FOOTER, moments, plan, readFooter, readIndex, walkRecords } from "./container.js";
+import { must } from "./packet.js";
+import { Session } from "./session.js";
+
+/** @typedef {import("./connection.js").Handlers} Handlers */
+/** @typedef {import("./container.js").Entry} Entry */
+
+const READ_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
+
+/** Bytes of one address, by range where the server can, whole where it cannot. */
+class RangeReader {
+  /** @param {string} url */
+  constructor(url) {
+    this.url = url;
+    /** @type {Uint8Array | null} */
+    this.whole = null;
+    this.size = 0;
+  }
+
+  /** The last `n` bytes; learns the size. @param {number} n */
+  async tail(n) {
+    const answer = await fetch(this.url, { headers: { Range: `bytes=-${n}` } });
+    if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
+    const bytes = new Uint8Array(await answer.arrayBuffer());
+    const total = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
+    if (answer.status === 206 && total) this.size = Number(total[1]);
+    else this.#keep(bytes);
+    return bytes.subarray(Math.max(0, bytes.length - n));
+  }
+
+  /** @param {Uint8Array} bytes */
+  #keep(bytes) {
+    this.whole = bytes;
+    this.size = bytes.length;
+  }
+
+  /** @param {number} start @param {number} end @returns {Promise<Uint8Array>} */
+  async read(start, end) {
+    if (!this.whole) {
+      const answer = await fetch(this.url, { headers: { Range: `bytes=${start}-${end - 1}` } });
+      if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
+      const bytes = new Uint8Array(await answer.arrayBuffer());
+      if (answer.status === 206) return bytes;
+      this.#keep(bytes);
+    }
+    return /** @type {Uint8Array} */ (this.whole).subarray(start, end);
+  }
+}
+
+export class Recording {
+  /** @param {string} url @param {Handlers} handlers */
+  constructor(url, handlers) {
+    this.handlers = handlers;
+    this.session = new Session(performance.now());
+    Object.assign(this.session.status, { phase: "connecting", mode: "replay" });
+    this.reader = new RangeReader(url);
+    /** @type {Entry[]} */
+    this.entries = [];
+    /** @type {{ version: number, timeMs: number }[]} */
+    this.moments = [];
+    /** @type {Map<number, Uint8Array>} */
+    this.cache = new Map();
+    this.cached = 0;
+    /** @type {{ keyframe: number, version: number } | null} */
+    this.held = null;
+    this.playing = true;
+    this.loop = false;
+    this.speed = 1;
+    this.at = 0; // index of the moment to show
+    this.shown = -1;
+    this.clock = { wall: 0, media: 0 };
+    this.busy = false;
+    this.ended = false;
+    this.ticker = setInterval(() => this.#tick(), TICK_MS);
+    this.#load().catch((error) => this.#fail(error));
+  }
+
+  async #load() {
+    const tail = await this.reader.tail(FOOTER);
+    const { size } = this.reader;
+    const footer = readFooter(tail, size);
+    if (footer) this.entries = readIndex(await this.reader.read(footer.start, size - FOOTER), footer.checksum, footer.start);
+    else this.entries = walkRecords(await this.reader.read(0, size));
+    this.moments = moments(this.entries);
+    must(this.moments.length, "bad_file", "the recording is empty or not a .slod file");
+    const oldest = { epoch: 1, version: this.moments[0].version };
+    const newest = { epoch: 1, version: this.moments[this.moments.length - 1].version };
+    Object.assign(this.session.status, { phase: "waiting", window: { oldest, newest } });
+    const { start } = this.session;
+    this.#moveTo(start === "live" ? 0 : this.#indexOf(start.version));
+  }
+
+  /** @param {unknown} error */
+  #fail(error) {
+    if (this.ended) return;
+    Object.assign(this.session.status, { phase: "failed", detail: error instanceof Error ? error.message : String(error) });
+    clearInterval(this.ticker);
+    this.handlers.status();
+  }
+
+  /** @param {number} version */
+  #indexOf(version) {
+    const after = this.moments.findIndex((moment) => moment.version > version);
+    return after < 0 ? this.moments.length - 1 : Math.max(0, after - 1);
+  }
+
+  /** @param {number} index */
+  #moveTo(index) {
+    this.at = Math.min(Math.max(index, 0), this.moments.length - 1);
+    this.clock = { wall: performance.now(), media: this.moments[this.at]?.timeMs ?? 0 };
+  }
+
+  #tick() {
+    if (!this.moments.length || this.busy) return;
+    if (this.playing && this.shown >= 0) {
+      const media = this.clock.media + (performance.now() - this.clock.wall) * this.speed;
+      while (this.at + 1 < this.moments.length && this.moments[this.at + 1].timeMs <= media) this.at++;
+      const last = this.moments.length - 1;
+      const frame = last > 0 ? (this.moments[last].timeMs - this.moments[0].timeMs) / last : 0;
+      if (this.at === last && media > this.moments[last].timeMs + frame) {
+        if (this.loop) this.#moveTo(0);
+        else this.playing = false;
+      }
+    }
+    if (this.at !== this.shown) {
+      this.busy = true;
+      this.#show(this.at).catch((error) => this.#fail(error)).finally(() => (this.busy = false));
+    }
+    this.#settle();
+  }
+
+  /** @param {number} index */
+  async #show(index) {
+    const { version } = this.moments[index];
+    for (const number of plan(this.entries, version, this.held)) {
+      const bytes = await this.#packet(number);
+      const applied = await this.handlers.packet(bytes);
+      if (!applied) throw new Error("the recording is damaged");
+      this.held = { keyframe: this.entries[number].keyframe, version: applied.version };
+      this.session.status.bytes += bytes.length;
+    }
+    if (this.shown < 0) this.#moveTo(index);
+    this.shown = index;
+    this.session.status.position = { epoch: 1, version };
+    this.handlers.status();
+  }
+
+  /** One packet, reading on a little where it is not there yet. @param {number} number @returns {Promise<Uint8Array>} */
+  async #packet(number) {
+    const known = this.cache.get(number);
+    if (known) return known;
+    const first = this.entries[number];
+    let last = number, end = first.offset + first.size;
+    while (last + 1 < this.entries.length && this.entries[last + 1].offset === end + 4 && end - first.offset < READ_AHEAD) {
+      last++;
+      end = this.entries[last].offset + this.entries[last].size;
+    }
+    const bytes = await this.reader.read(first.offset, end);
+    for (let i = number; i <= last; i++) {
+      const { offset, size } = this.entries[i];
+      if (!this.cache.has(i)) this.cached += size;
+      this.cache.set(i, bytes.slice(offset - first.offset, offset - first.offset + size));
+    }
+    for (const [i, old] of this.cache) {
+      if (this.cached <= CACHE_BYTES || i === number) break;
+      this.cache.delete(i);
+      this.cached -= old.length;
+    }
+    return /** @type {Uint8Array} */ (this.cache.get(number));
+  }
+
+  #settle() {
+    const { status } = this.session;
+    const over = !this.playing && this.shown === this.moments.length - 1;
+    const phase = this.shown < 0 ? "waiting" : this.playing ? "behind" : over ? "ended" : "paused";
+    const mode = this.playing ? "replay" : "paused";
+    if (status.phase === phase && status.mode === mode) return;
+    Object.assign(status, { phase, mode });
+    this.handlers.status();
+  }
+
+  /** Commands as on a connection, and speed and loop. @param {any[]} messages */
+  send(messages) {
+    for (const message of messages) {
+      if (message.type === "seek") this.#moveTo(message.to === "live" ? this.moments.length - 1 : this.#indexOf(message.to.version));
+      else if (message.type === "pause") this.playing = false;
+      else if (message.type === "play") {
+        this.#moveTo(this.at >= this.moments.length - 1 ? 0 : this.at);
+        this.playing = true;
+      } else if (message.type === "speed") {
+        this.#moveTo(this.at);
+        this.speed = message.value;
+      } else if (message.type === "loop") this.loop = message.value;
+    }
+  }
+
+  hurry() {}
+
+  close() {
+    this.ended = true;
+    clearInterval(this.ticker);
+  }
+}

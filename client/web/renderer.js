@@ -1,0 +1,225 @@
+/**
+ * Sorted splats on a canvas with WebGL2: one drawElements of quads, vertex number = 4 x splat + corner.
+ *
+ * The rules are those of the other renderers: perspective linearised at the mean with the same clamp, 0.3 px^2 low-pass,
+ * contributions below 1/255 cut, opacity capped at 0.999.
+ */
+
+import { RECORD, ROW_SPLATS } from "./expand.js";
+
+const TEXELS = RECORD / 4; // RGBA texels a splat
+const WIDTH = ROW_SPLATS * TEXELS;
+
+const VERTEX = `#version 300 es
+precision highp float; precision highp int; precision highp usampler2D;
+uniform usampler2D splats;
+uniform mat3 rotation;      // world to camera
+uniform vec3 translation;
+uniform vec2 viewport;      // pixels
+uniform vec2 focal;         // pixels
+uniform vec2 principal;     // pixels
+out vec2 offset;            // in standard deviations
+flat out vec4 colour;
+void main() {
+  int splat = gl_VertexID >> 2;
+  vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2. - 1.;
+  ivec2 at = ivec2((splat % ${ROW_SPLATS}) * ${TEXELS}, splat / ${ROW_SPLATS});
+  vec4 mean = uintBitsToFloat(texelFetch(splats, at, 0));
+  vec4 upper = uintBitsToFloat(texelFetch(splats, at + ivec2(1, 0), 0));
+  uvec4 last = texelFetch(splats, at + ivec2(2, 0), 0);
+  vec2 lower = uintBitsToFloat(last.xy);
+  gl_Position = vec4(0, 0, 2, 1);                      // outside: dropped
+  vec3 c = rotation * mean.xyz + translation;
+  if (c.z < .01 || mean.w < 1. / 255.) return;
+  mat3 world = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
+  mat3 camera = rotation * world * transpose(rotation);
+  vec2 slack = .15 * viewport / focal;
+  vec2 slope = clamp(c.xy / c.z, -principal / focal - slack, (viewport - principal) / focal + slack);
+  vec3 jx = vec3(focal.x, 0, -focal.x * slope.x) / c.z, jy = vec3(0, focal.y, -focal.y * slope.y) / c.z;
+  vec3 kx = camera * jx;
+  float xx = dot(jx, kx) + .3, xy = dot(jy, kx), yy = dot(jy, camera * jy) + .3;
+  float middle = .5 * (xx + yy), radius = length(vec2(.5 * (xx - yy), xy));
+  float major = middle + radius, minor = max(middle - radius, 1e-6);
+  vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1, 0) : vec2(0, 1)) : normalize(vec2(xy, major - xx));
+  offset = corner * sqrt(2. * log(255. * mean.w));     // alpha falls below 1/255 there
+  vec2 pixel = focal * c.xy / c.z + principal + offset.x * sqrt(major) * axis + offset.y * sqrt(minor) * vec2(-axis.y, axis.x);
+  colour = vec4(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x, mean.w);
+  gl_Position = vec4(2. * pixel.x / viewport.x - 1., 1. - 2. * pixel.y / viewport.y, 0, 1);
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+in vec2 offset; flat in vec4 colour; out vec4 result;
+void main() {
+  float alpha = min(.999, colour.a * exp(-.5 * dot(offset, offset)));
+  if (alpha < 1. / 255.) discard;
+  result = vec4(colour.rgb * alpha, alpha);
+}`;
+
+const LINE_VERTEX = `#version 300 es
+precision highp float;
+uniform mat3 rotation; uniform vec3 translation; uniform vec2 viewport, focal, principal;
+in vec3 point;
+void main() {
+  vec3 c = rotation * point + translation;
+  vec2 plane = 2. * (focal * c.xy + principal * c.z) / viewport - c.z;
+  gl_Position = vec4(plane.x, -plane.y, c.z - .02, c.z);
+}`;
+
+const LINE_FRAGMENT = `#version 300 es
+precision mediump float;
+out vec4 result;
+void main() { result = vec4(.36, .66, .98, 1) * .8; }`;
+
+/**
+ * @typedef {object} View
+ * @property {ArrayLike<number>} rotation - 9 numbers, row by row, world to camera
+ * @property {ArrayLike<number>} translation - 3
+ * @property {[number, number]} focal - pixels
+ * @property {[number, number]} principal - pixels
+ */
+
+export class Renderer {
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @throws {Error} where WebGL2 is missing
+   */
+  constructor(canvas) {
+    const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, powerPreference: "high-performance" });
+    if (!gl) throw new Error("no WebGL2");
+    this.gl = gl;
+    this.splatProgram = this.#program(VERTEX, FRAGMENT);
+    this.lineProgram = this.#program(LINE_VERTEX, LINE_FRAGMENT);
+    this.quads = gl.createBuffer();
+    this.lines = gl.createBuffer();
+    this.plain = gl.createVertexArray();
+    this.lineArray = gl.createVertexArray();
+    this.texture = gl.createTexture();
+    this.rows = 0;
+    this.count = 0;
+    this.lineCount = 0;
+    /** @type {[number, number, number]} */
+    this.background = [0, 0, 0];
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+    gl.bindVertexArray(this.lineArray);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.lines);
+    const point = gl.getAttribLocation(this.lineProgram.program, "point");
+    gl.enableVertexAttribArray(point);
+    gl.vertexAttribPointer(point, 3, gl.FLOAT, false, 0, 0);
+    gl.bindVertexArray(this.plain);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  }
+
+  /** Name of the graphics hardware, "" where the browser hides it. */
+  get hardware() {
+    const info = this.gl.getExtension("WEBGL_debug_renderer_info");
+    return String(this.gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : this.gl.RENDERER) ?? "");
+  }
+
+  /** How many splats the texture can hold. */
+  get capacity() {
+    return this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE) * ROW_SPLATS;
+  }
+
+  /** @param {string} vertex @param {string} fragment */
+  #program(vertex, fragment) {
+    const { gl } = this;
+    const program = gl.createProgram();
+    for (const [kind, source] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
+      const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
+      gl.shaderSource(shader, source);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      gl.deleteShader(shader);
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+      throw new Error(`the shaders do not link: ${gl.getProgramInfoLog(program)}`);
+    }
+    /** @type {Record<string, WebGLUniformLocation | null>} */
+    const at = {};
+    for (const name of ["rotation", "translation", "viewport", "focal", "principal"]) at[name] = gl.getUniformLocation(program, name);
+    return { program, at };
+  }
+
+  /**
+   * Take new texture rows; a scene of another size starts afresh.
+   * @param {number} rows - of the whole scene
+   * @param {{ first: number, data: Uint32Array }[]} spans - `first` row and whole rows of splats
+   */
+  update(rows, spans) {
+    const { gl } = this;
+    if (rows > this.rows) {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, WIDTH, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, null);
+      this.rows = rows;
+    }
+    for (const { first, data } of spans) {
+      const height = data.length / (4 * WIDTH);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, first, WIDTH, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, data);
+    }
+  }
+
+  /** Give the texture back before a scene that may be smaller. */
+  clear() {
+    this.rows = 0;
+    this.count = 0;
+  }
+
+  /** The order to draw in. @param {Uint32Array} quads - 6 vertex numbers a splat */
+  setOrder(quads) {
+    this.gl.bufferData(this.gl.ELEMENT_ARRAY_BUFFER, quads, this.gl.STREAM_DRAW);
+    this.count = quads.length;
+  }
+
+  /** Line segments to show over the picture, 6 numbers each, world units. @param {Float32Array} segments */
+  setLines(segments) {
+    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.lines);
+    this.gl.bufferData(this.gl.ARRAY_BUFFER, segments, this.gl.STATIC_DRAW);
+    this.lineCount = segments.length / 3;
+  }
+
+  /** @param {View} view */
+  draw(view) {
+    const { gl } = this;
+    const { width, height } = gl.canvas;
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(...this.background, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    if (this.count) {
+      this.#aim(this.splatProgram, view, width, height);
+      gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
+    }
+    if (this.lineCount) {
+      this.#aim(this.lineProgram, view, width, height);
+      gl.bindVertexArray(this.lineArray);
+      gl.drawArrays(gl.LINES, 0, this.lineCount);
+      gl.bindVertexArray(this.plain);
+    }
+  }
+
+  /** @type {(p: { program: WebGLProgram, at: Record<string, WebGLUniformLocation | null> }, view: View, width: number, height: number) => void} */
+  #aim({ program, at }, view, width, height) {
+    const { gl } = this;
+    gl.useProgram(program);
+    gl.uniformMatrix3fv(at.rotation, true, Float32Array.from(view.rotation));
+    gl.uniform3fv(at.translation, Float32Array.from(view.translation));
+    gl.uniform2f(at.viewport, width, height);
+    gl.uniform2f(at.focal, ...view.focal);
+    gl.uniform2f(at.principal, ...view.principal);
+  }
+
+  /** Free everything on the graphics card. */
+  destroy() {
+    const { gl } = this;
+    gl.deleteTexture(this.texture);
+    gl.deleteBuffer(this.quads);
+    gl.deleteBuffer(this.lines);
+    gl.deleteVertexArray(this.plain);
+    gl.deleteVertexArray(this.lineArray);
+    gl.deleteProgram(this.splatProgram.program);
+    gl.deleteProgram(this.lineProgram.program);
+  }
+}

@@ -1,0 +1,95 @@
+/** Rows of a level: BASE and ADDED chunks, codec/FORMAT.md sections 8 and 10. */
+
+import { inflateColumns } from "./deflate.js";
+import { LIMITS, must, Reader } from "./packet.js";
+import { decodeColumns, RansDecoder, readScales } from "./rans.js";
+import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
+
+/** @typedef {import("./scene.js").Level} Level */
+
+/**
+ * @param {Uint8Array} chunk
+ * @param {Int32Array} voxel - of the level
+ * @param {number} features
+ * @param {number} slots
+ * @returns {Promise<Level>}
+ */
+export async function decodeBase(chunk, voxel, features, slots) {
+  const count = voxel.length / 3;
+  const columns = await decodeRows(chunk, features + 3 * slots + 10, count);
+  must(columns.rows === count, "corrupt_chunk", "a level has another number of voxels than of rows");
+  const level = emptyLevel(features, slots, count);
+  level.voxel.set(voxel);
+  level.alive.fill(1);
+  fillBase(level, columns, 0, features, slots);
+  return level;
+}
+
+/** @type {(chunk: Uint8Array, features: number, slots: number) => Promise<Level>} */
+export async function decodeAdded(chunk, features, slots) {
+  const channels = features + 3 * slots + 38;
+  const table = await decodeRows(chunk, channels, null);
+  const level = emptyLevel(features, slots, table.rows);
+  fill(level.voxel, 3, table, 0);
+  fillBase(level, table, 3, features, slots);
+  fill(level.latent, LATENTS, table, channels - 1 - LATENTS);
+  fill(level.alive, 1, table, channels - 1);
+  must(level.alive.every((x) => x <= 1), "corrupt_chunk", "a flag is neither 0 nor 1");
+  return level;
+}
+
+/** Values so that channel c of row i is at `i * rowStep + c * channelStep`. @typedef {{ rows: number, values: Int32Array, rowStep: number, channelStep: number }} Table */
+
+/** @type {(level: Level, table: Table, first: number, features: number, slots: number) => void} */
+function fillBase(level, table, first, features, slots) {
+  fill(level.feature, features, table, first);
+  fill(level.offset, 3 * slots, table, first + features);
+  fill(level.scaling, SCALINGS, table, first + features + 3 * slots);
+  fill(level.extraLevel, 1, table, first + features + 3 * slots + SCALINGS);
+  fill(level.position, 3, table, first + features + 3 * slots + SCALINGS + 1);
+}
+
+/** @type {(column: Int32Array | Int16Array | Uint8Array, width: number, table: Table, first: number) => void} */
+function fill(column, width, { rows, values, rowStep, channelStep }, first) {
+  for (let i = 0; i < rows; i++) {
+    for (let j = 0; j < width; j++) {
+      const value = values[i * rowStep + (first + j) * channelStep];
+      column[i * width + j] = value;
+      must(column[i * width + j] === value, "overflow", "a number leaves its column's type");
+    }
+  }
+}
+
+/**
+ * @param {Uint8Array} chunk
+ * @param {number} channels
+ * @param {number | null} count - null where the chunk says it
+ * @returns {Promise<Table>}
+ */
+async function decodeRows(chunk, channels, count) {
+  const reader = new Reader(chunk, "corrupt_chunk");
+  const coding = reader.u8();
+  if (coding === 0) {
+    const { rows, columns } = await inflateColumns(chunk, channels, count ?? LIMITS.anchors);
+    return { rows, values: columns, rowStep: 1, channelStep: rows };
+  }
+  const rows = count ?? reader.u32();
+  must(rows <= LIMITS.anchors, "limit_exceeded", `a chunk announces ${rows} rows`);
+  const packed = reader.take(Math.ceil(channels / 4));
+  const modes = Array.from({ length: channels }, (_, c) => (packed[c >> 2] >> (2 * (c & 3))) & 3);
+  must(!modes.includes(3), "corrupt_chunk", "a channel has an unknown mode");
+  const centres = modes.map((mode) => (mode === 1 ? reader.i32() : 0));
+  const scales = readScales(reader, channels);
+  const coder = new RansDecoder(reader.rest(), coding);
+  const values = decodeColumns(coder, rows, scales);
+  coder.end();
+  for (let c = 0; c < channels; c++) {
+    if (modes[c] === 0) continue;
+    for (let i = 0, at = c; i < rows; i++, at += channels) {
+      const sum = values[at] + (modes[c] === 1 ? centres[c] : i ? values[at - channels] : 0);
+      must(sum === (sum | 0), "overflow", "a number leaves its column's type");
+      values[at] = sum;
+    }
+  }
+  return { rows, values, rowStep: channels, channelStep: 1 };
+}

@@ -1,0 +1,153 @@
+/** The integer state that travels, as in core/anchors.py and core/residual.py: levels of anchors, keyframes, residuals. */
+
+export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
+
+/** @typedef {import("./camera.js").RigCamera} RigCamera */
+
+/**
+ * @typedef {object} Header
+ * @property {number[]} origin - 3 world coordinates of voxel (0, 0, 0)
+ * @property {number} rootCell - world units
+ * @property {number} levels
+ * @property {number} slots - Gaussians an anchor, K
+ * @property {boolean} viewDependent
+ * @property {number} referenceDistance - world units
+ * @property {Float32Array} positionSteps - one a level
+ * @property {Float32Array} featureSteps - F
+ * @property {Float32Array} offsetSteps - 3K
+ * @property {Float32Array} scalingSteps - 6
+ * @property {Float32Array} background - RGB in [0, 1]
+ * @property {number} fps
+ * @property {RigCamera[]} cameras
+ */
+
+/**
+ * @typedef {object} Weights
+ * @property {Float32Array} hiddenWeight - [I, 32]
+ * @property {Float32Array} hiddenBias - [32]
+ * @property {Float32Array} outputWeight - [32, 11K]
+ * @property {Float32Array} outputBias - [11K]
+ * @property {Float32Array} featureDecoder - [12, F]
+ * @property {Float32Array} offsetDecoder - [12, 3K]
+ */
+
+/**
+ * Anchors of one level; rows are only ever appended and keep their number until the next keyframe.
+ * @typedef {object} Level
+ * @property {number} count
+ * @property {Int32Array} voxel - [N, 3]
+ * @property {Int32Array} position - [N, 3] offset from the node in position steps
+ * @property {Int16Array} feature - [N, F]
+ * @property {Int16Array} offset - [N, 3K]
+ * @property {Int16Array} scaling - [N, 6]
+ * @property {Int16Array} extraLevel - [N]
+ * @property {Int16Array} latent - [N, 24]
+ * @property {Uint8Array} alive - [N]
+ */
+
+/**
+ * @typedef {object} Scene
+ * @property {Header} header
+ * @property {Weights} weights
+ * @property {Level[]} levels
+ * @property {number[]} versions - one a level, -1 where the level is absent
+ * @property {number} keyframe
+ */
+
+/**
+ * Changes of one level.
+ * @typedef {object} LevelChange
+ * @property {Uint32Array} rows - ascending rows whose integers change
+ * @property {Int32Array} position - [n, 3] differences
+ * @property {Int32Array} latent - [n, 24] differences
+ * @property {Uint32Array} removed - ascending rows that die
+ * @property {Level | null} added - rows appended
+ */
+
+/** Bytes that are refused; `code` as in codec/FORMAT.md. */
+export class BitstreamError extends Error {
+  /** @param {string} code @param {string} detail */
+  constructor(code, detail) {
+    super(detail);
+    this.code = code;
+  }
+}
+
+/** @type {(features: number, slots: number, count?: number) => Level} */
+export function emptyLevel(features, slots, count = 0) {
+  return {
+    count,
+    voxel: new Int32Array(3 * count),
+    position: new Int32Array(3 * count),
+    feature: new Int16Array(features * count),
+    offset: new Int16Array(3 * slots * count),
+    scaling: new Int16Array(SCALINGS * count),
+    extraLevel: new Int16Array(count),
+    latent: new Int16Array(LATENTS * count),
+    alive: new Uint8Array(count),
+  };
+}
+
+/**
+ * @template {Int32Array | Int16Array | Uint8Array} A
+ * @param {A} first
+ * @param {A} second
+ * @returns {A}
+ */
+function joined(first, second) {
+  const result = new /** @type {any} */ (first.constructor)(first.length + second.length);
+  result.set(first);
+  result.set(second, first.length);
+  return result;
+}
+
+/** The rows of `first`, then those of `second`. @type {(first: Level, second: Level) => Level} */
+export function appendRows(first, second) {
+  return {
+    count: first.count + second.count,
+    voxel: joined(first.voxel, second.voxel),
+    position: joined(first.position, second.position),
+    feature: joined(first.feature, second.feature),
+    offset: joined(first.offset, second.offset),
+    scaling: joined(first.scaling, second.scaling),
+    extraLevel: joined(first.extraLevel, second.extraLevel),
+    latent: joined(first.latent, second.latent),
+    alive: joined(first.alive, second.alive),
+  };
+}
+
+/**
+ * The level after a change; the old one stays as it was.
+ * @param {Level} level
+ * @param {LevelChange} change - rows ascend and lie inside the level
+ * @returns {Level}
+ * @throws {BitstreamError} an integer leaves its type
+ */
+export function changed(level, { rows, position, latent, removed, added }) {
+  const next = { ...level, position: level.position.slice(), latent: level.latent.slice(), alive: level.alive.slice() };
+  for (let i = 0; i < rows.length; i++) {
+    const p = 3 * rows[i], l = LATENTS * rows[i];
+    for (let j = 0; j < 3; j++) {
+      const sum = level.position[p + j] + position[3 * i + j];
+      if (sum !== (sum | 0)) throw new BitstreamError("overflow", "a position leaves the range of int32");
+      next.position[p + j] = sum;
+    }
+    for (let j = 0; j < LATENTS; j++) {
+      const sum = level.latent[l + j] + latent[LATENTS * i + j];
+      if (sum < -32768 || sum > 32767) throw new BitstreamError("overflow", "a latent leaves the range of int16");
+      next.latent[l + j] = sum;
+    }
+  }
+  for (let i = 0; i < removed.length; i++) next.alive[removed[i]] = 0;
+  return added ? appendRows(next, added) : next;
+}
+
+/** The scene's version: the greatest of its levels'. @type {(scene: Scene) => number} */
+export const versionOf = (scene) => Math.max(...scene.versions);
+
+/** @type {(scene: Scene) => number} anchors alive on all levels */
+export function anchorCount(scene) {
+  let count = 0;
+  for (const level of scene.levels) for (let i = 0; i < level.count; i++) count += level.alive[i];
+  return count;
+}

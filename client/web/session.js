@@ -1,0 +1,212 @@
+/**
+ * The viewer's side of docs/protocol.md without a socket: messages in, messages to send and a status out.
+ */
+
+export const PROTOCOL = "streamlod.v1";
+const VERSION = 1;
+const CLIENT = "streamlod-web/1.0";
+const FIRST_WAIT_MS = 500, LONGEST_WAIT_MS = 15_000;
+const STALL_MS = 2500;
+
+/** @typedef {{ epoch: number, version: number }} Position */
+
+/**
+ * What is going on, for people.
+ * @typedef {"connecting" | "waiting" | "live" | "behind" | "paused" | "stalled" | "reconnecting" | "ended" | "failed"
+ *   | "version" | "denied" | "missing"} Phase
+ */
+
+/**
+ * @typedef {object} Status
+ * @property {Phase} phase
+ * @property {string} detail - the other side's words, may be empty
+ * @property {number | null} fraction - of training the first frame
+ * @property {{ oldest: Position, newest: Position } | null} window
+ * @property {Position | null} position - newest applied
+ * @property {"live" | "replay" | "paused"} mode
+ * @property {number | null} levels - of the stream
+ * @property {number | null} sentLevels - that packets carry now
+ * @property {number | null} fps - of the stream
+ * @property {number} retryAt - time in ms of the next attempt while reconnecting
+ * @property {number} skipped - versions not sent one by one
+ * @property {number} bytes - received on all connections
+ */
+
+/** Close codes after which another attempt cannot help. @type {Record<number, Phase>} */
+const FINAL = { 1000: "ended", 1009: "failed", 4400: "failed", 4401: "denied", 4403: "denied", 4404: "missing", 4415: "version" };
+
+export class Session {
+  /** @param {number} now - ms */
+  constructor(now) {
+    /** @type {Status} */
+    this.status = {
+      phase: "connecting", detail: "", fraction: null, window: null, position: null, mode: "live", levels: null,
+      sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0,
+    };
+    this.attempts = 0;
+    this.open = false;
+    this.received = 0; // bytes on this connection
+    this.ackEvery = 8;
+    this.unacknowledged = 0;
+    this.lastAck = now;
+    this.lastPacket = now;
+    this.epoch = 0;
+    this.streamState = "";
+    this.refused = 0;
+    /** @type {{ levels?: number | null, kilobytes_per_second?: number | null }} */
+    this.wishes = {};
+    /** Where to begin; after a break, where the viewer was. @type {"live" | Position} */
+    this.start = "live";
+  }
+
+  /** The connection stands. @type {(now: number) => object[]} */
+  opened(now) {
+    this.open = true;
+    this.received = this.unacknowledged = 0;
+    this.lastAck = this.lastPacket = now;
+    const wishes = Object.fromEntries(Object.entries(this.wishes).filter(([, value]) => value != null));
+    return [{ type: "hello", versions: [VERSION], client: CLIENT, start: this.start, ...wishes }];
+  }
+
+  /**
+   * A control message came.
+   * @param {string} text
+   * @returns {{ position: boolean, keyframeFollows: boolean }} whether a position event asks to drop what waits
+   */
+  control(text) {
+    const message = JSON.parse(text);
+    const { status } = this;
+    const effect = { position: false, keyframeFollows: false };
+    const name = message.type === "event" ? message.event : message.type;
+    switch (name) {
+      case "welcome":
+        if (message.version !== VERSION) {
+          status.phase = "version";
+          return effect;
+        }
+        this.attempts = 0;
+        this.epoch = message.epoch ?? 0;
+        this.ackEvery = message.ack_every ?? 8;
+        Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, window: message.window });
+        this.#streamState(message.state, message.detail);
+        break;
+      case "state":
+        this.#streamState(message.state, message.detail);
+        break;
+      case "progress":
+        status.fraction = message.fraction;
+        status.detail = message.text ?? "";
+        break;
+      case "epoch":
+        this.epoch = message.epoch;
+        effect.keyframeFollows = true;
+        break;
+      case "position":
+        status.mode = message.mode;
+        effect.position = true;
+        this.#settle();
+        break;
+      case "levels":
+        status.sentLevels = message.levels;
+        break;
+      case "skipped":
+        status.skipped += Math.max(0, message.to - message.from - 1) || 0;
+        break;
+      case "caught_up":
+        if (status.mode !== "paused") status.mode = "live";
+        this.#settle();
+        break;
+      case "window":
+        status.window = { oldest: message.oldest, newest: message.newest };
+        break;
+    }
+    return effect;
+  }
+
+  /** @type {(state: string, detail: string) => void} */
+  #streamState(state, detail) {
+    this.streamState = state;
+    this.status.detail = detail ?? "";
+    this.#settle();
+  }
+
+  /** The phase that follows from what is known. */
+  #settle() {
+    const { status } = this;
+    if (!this.open) return;
+    if (this.streamState === "ended" && status.mode === "live") status.phase = "ended";
+    else if (this.streamState === "failed") status.phase = "failed";
+    else if (!status.position || !this.epoch) status.phase = "waiting";
+    else status.phase = status.mode === "live" ? "live" : status.mode === "paused" ? "paused" : "behind";
+  }
+
+  /** A packet of `size` bytes arrived. @type {(size: number, now: number) => void} */
+  arrived(size, now) {
+    this.received += size;
+    this.status.bytes += size;
+    this.lastPacket = now;
+  }
+
+  /** The state is at `version` now. @type {(version: number, decodeMs: number, now: number) => object[]} */
+  applied(version, decodeMs, now) {
+    this.status.position = { epoch: this.epoch, version };
+    this.refused = 0;
+    this.#settle();
+    this.unacknowledged++;
+    if (this.unacknowledged < this.ackEvery && now - this.lastAck < 900) return [];
+    return this.acknowledge(decodeMs, now);
+  }
+
+  /** @type {(decodeMs: number | null, now: number) => object[]} */
+  acknowledge(decodeMs, now) {
+    this.unacknowledged = 0;
+    this.lastAck = now;
+    if (!this.status.position) return [];
+    const ack = { type: "ack", bytes: this.received, ...this.status.position };
+    return [decodeMs === null ? ack : { ...ack, decode_ms: Number(decodeMs.toFixed(2)) }];
+  }
+
+  /** Once in a while: acknowledge what is open, notice silence. @type {(now: number) => object[]} */
+  tick(now) {
+    const { status } = this;
+    if (!this.open) return [];
+    const quiet = now - this.lastPacket > Math.max(STALL_MS, 8000 / (status.fps || 30));
+    if (status.phase === "live" && quiet) status.phase = "stalled";
+    else if (status.phase === "stalled" && !quiet) this.#settle();
+    return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];
+  }
+
+  /** A packet was refused: the close code to leave with. @type {() => number} */
+  refuse() {
+    this.refused++;
+    return 4400;
+  }
+
+  /**
+   * The connection ended, or could not be made.
+   * @param {number} code - 1006 when the network broke
+   * @param {string} reason
+   * @param {number} now - ms
+   * @param {number} random - 0 to 1, the jitter
+   * @returns {number | null} ms to wait before the next attempt; null when there is none
+   */
+  closed(code, reason, now, random) {
+    const { status } = this;
+    this.open = false;
+    const own = this.refused > 0; // we left because of a packet; at once at first, then more slowly
+    if (!own && FINAL[code]) {
+      status.phase = code === 1000 && !status.position ? "missing" : FINAL[code];
+      status.detail = reason;
+      return null;
+    }
+    if (status.mode === "live" || !status.position) this.start = "live";
+    else this.start = status.position;
+    const step = Math.min(FIRST_WAIT_MS * 2 ** this.attempts, LONGEST_WAIT_MS);
+    const wait = own && this.refused === 1 ? 0 : step * (0.75 + 0.5 * random);
+    this.attempts++;
+    status.phase = "reconnecting";
+    status.detail = reason;
+    status.retryAt = now + wait;
+    return wait;
+  }
+}

@@ -1,0 +1,231 @@
+/**
+ * The part of the page that draws: worker, renderer and pose, without any controls around them.
+ * Fires `scene`, `picture`, `status`, `refused` and `frame` events.
+ */
+
+import { between, fromCamera, homeCamera, rigUp } from "./camera.js";
+import { Renderer } from "./renderer.js";
+
+/** @typedef {import("./camera.js").Pose} Pose */
+/** @typedef {import("./camera.js").Vec3} Vec3 */
+/** @typedef {import("./messages.js").FromWorker} FromWorker */
+/** @typedef {import("./messages.js").ToWorker} ToWorker */
+/** @typedef {import("./messages.js").Status} Status */
+
+const GLIDE_MS = 450;
+const still = matchMedia("(prefers-reduced-motion: reduce)");
+
+export class Viewer extends EventTarget {
+  /** @param {HTMLCanvasElement} canvas @throws {Error} without WebGL2 */
+  constructor(canvas) {
+    super();
+    this.canvas = canvas;
+    this.renderer = new Renderer(canvas);
+    this.software = /swiftshader|llvmpipe|software|basic render/i.test(this.renderer.hardware);
+    this.worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" });
+    this.worker.onmessage = ({ data }) => this.#hear(data);
+    /** @type {Pose} */
+    this.pose = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, shift: [0, 0] };
+    /** @type {Vec3} */
+    this.up = [0, -1, 0];
+    /** @type {Pose | null} */
+    this.home = null;
+    /** @type {import("./messages.js").SceneFacts | null} */
+    this.scene = null;
+    /** @type {Status | null} */
+    this.status = null;
+    /** @type {import("./messages.js").PictureMessage | null} */
+    this.picture = null;
+    this.posed = false; // someone chose a pose: a new scene does not move the camera
+    this.levels = 16;
+    this.resolution = 1; // fraction of the screen's own
+    this.fps = 0;
+    this.frames = 0;
+    /** @type {{ from: Pose, to: Pose, start: number } | null} */
+    this.glide = null;
+    /** @type {Map<number, (value: any) => void>} */
+    this.answers = new Map();
+    this.asked = 0;
+    this.generation = -1;
+    this.dirty = true;
+    this.running = true;
+    this.lastDraw = 0;
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => this.#restore());
+    this.resizer = new ResizeObserver(() => this.resize());
+    this.resizer.observe(canvas);
+    this.resize();
+    const loop = () => {
+      if (!this.running) return;
+      requestAnimationFrame(loop);
+      this.#frame();
+    };
+    requestAnimationFrame(loop);
+  }
+
+  /** @param {ToWorker} message */
+  tell(message) {
+    this.worker.postMessage(message);
+  }
+
+  /** @param {"pick" | "depth"} type @param {Vec3} origin @param {Vec3} direction @returns {Promise<Vec3 | null>} */
+  ask(type, origin, direction) {
+    const id = ++this.asked;
+    this.tell({ type, id, origin, direction });
+    return new Promise((resolve) => this.answers.set(id, resolve));
+  }
+
+  /** The decoder's state, for comparison with other decoders. @returns {Promise<import("./messages.js").Inspection | null>} */
+  inspect() {
+    const id = ++this.asked;
+    this.tell({ type: "inspect", id });
+    return new Promise((resolve) => this.answers.set(id, resolve));
+  }
+
+  /** @param {FromWorker} message */
+  #hear(message) {
+    switch (message.type) {
+      case "picture": {
+        if (message.generation !== this.generation) this.renderer.clear();
+        this.generation = message.generation;
+        this.renderer.update(message.rows, message.spans);
+        this.renderer.setOrder(message.quads);
+        this.picture = { ...message, spans: [], quads: new Uint32Array(0) };
+        this.dirty = true;
+        break;
+      }
+      case "scene":
+        this.#meet(message);
+        break;
+      case "status":
+        this.status = message.status;
+        break;
+      case "picked":
+      case "inspected":
+        this.answers.get(message.id)?.(message.type === "picked" ? message.point : message.state);
+        this.answers.delete(message.id);
+        return;
+    }
+    this.dispatchEvent(new CustomEvent(message.type, { detail: message }));
+  }
+
+  /** @param {import("./messages.js").SceneFacts} scene */
+  #meet(scene) {
+    this.scene = scene;
+    this.renderer.background = scene.background;
+    if (!scene.cameras.length) return;
+    this.up = rigUp(scene.cameras);
+    const first = !this.home;
+    const index = homeCamera(scene.cameras);
+    const begin = fromCamera(scene.cameras[index], this.pose.distance);
+    this.home = begin;
+    if (first && !this.posed) this.moveTo(begin, false);
+    else this.viewChanged();
+    this.depthOf(begin).then((distance) => {
+      const home = { ...begin, distance };
+      this.home = home;
+      if (first && !this.posed) this.pose = { ...this.pose, distance };
+    });
+  }
+
+  /** How far away lies what a pose looks at. @param {Pose} pose */
+  async depthOf(pose) {
+    const forward = /** @type {Vec3} */ (pose.rotation.slice(6, 9));
+    const answer = await this.ask("depth", pose.position, forward);
+    return answer?.[2] || pose.distance;
+  }
+
+  /** @param {Pose} pose @param {boolean} [glide] - move there smoothly */
+  moveTo(pose, glide = true) {
+    if (glide && !still.matches) {
+      this.glide = { from: this.pose, to: pose, start: performance.now() };
+      this.dirty = true;
+      return;
+    }
+    this.glide = null;
+    this.pose = pose;
+    this.viewChanged();
+  }
+
+  /** The pose was changed by hand. @param {Pose} pose */
+  steer(pose) {
+    this.posed = true;
+    this.glide = null;
+    this.pose = pose;
+    this.viewChanged();
+  }
+
+  viewChanged() {
+    this.dirty = true;
+    const { position, rotation } = this.pose;
+    this.tell({ type: "view", view: { position, rotation, levels: this.levels } });
+  }
+
+  /** Fit the drawing buffer to the page. */
+  resize() {
+    const scale = this.resolution * Math.min(devicePixelRatio || 1, 2);
+    const width = Math.max(1, Math.round(this.canvas.clientWidth * scale));
+    const height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
+    if (width === this.canvas.width && height === this.canvas.height) return;
+    this.canvas.width = width;
+    this.canvas.height = height;
+    this.dirty = true;
+  }
+
+  /** @returns {import("./renderer.js").View} */
+  view() {
+    const { width, height } = this.canvas;
+    const { rotation, position, focal, shift } = this.pose;
+    // A picture narrower than a square would show very little of what a camera sees: keep what fits the width.
+    const unit = Math.min(height, width);
+    const translation = [0, 1, 2].map((i) => -rotation[3 * i] * position[0] - rotation[3 * i + 1] * position[1] - rotation[3 * i + 2] * position[2]);
+    const scale = focal * unit;
+    return { rotation, translation, focal: [scale, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit] };
+  }
+
+  #frame() {
+    const now = performance.now();
+    if (this.glide) {
+      const t = Math.min(1, (now - this.glide.start) / GLIDE_MS);
+      const eased = t * t * (3 - 2 * t);
+      this.pose = t < 1 ? between(this.glide.from, this.glide.to, eased) : this.glide.to;
+      if (t >= 1) this.glide = null;
+      this.viewChanged();
+    }
+    this.dispatchEvent(new CustomEvent("frame", { detail: { now } }));
+    if (!this.dirty) return;
+    this.dirty = false;
+    this.draw();
+    const elapsed = now - this.lastDraw;
+    this.lastDraw = now;
+    if (elapsed < 1000) this.fps += (1000 / Math.max(elapsed, 1) - this.fps) * (this.frames++ < 3 ? 1 : 0.1);
+  }
+
+  draw() {
+    this.renderer.draw(this.view());
+  }
+
+  #restore() {
+    const { background } = this.renderer;
+    this.renderer = new Renderer(this.canvas);
+    this.renderer.background = background;
+    this.generation = -1;
+    this.tell({ type: "texture" });
+  }
+
+  /** What is seen now, as an image. @returns {Promise<Blob>} */
+  capture() {
+    this.draw();
+    return new Promise((resolve, reject) => {
+      this.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no picture"))), "image/png");
+    });
+  }
+
+  /** Stop everything and free the graphics card. */
+  destroy() {
+    this.running = false;
+    this.resizer.disconnect();
+    this.tell({ type: "close" });
+    this.renderer.destroy();
+  }
+}

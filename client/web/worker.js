@@ -1,0 +1,141 @@
+/** The worker between socket and splats. Speaks with the page by the messages of protocol types in `messages.js`. */
+
+import { Connection } from "./connection.js";
+import { Engine } from "./engine.js";
+import { loadKernel } from "./expand.js";
+import { Recording } from "./recording.js";
+import { BitstreamError, versionOf } from "./scene.js";
+import { digest } from "./checksum.js";
+import { RECORD } from "./expand.js";
+
+/** @typedef {import("./messages.js").ToWorker} ToWorker */
+/** @typedef {import("./messages.js").FromWorker} FromWorker */
+
+const kernel = fetch(new URL("kernel.wasm", import.meta.url))
+  .then((answer) => (answer.ok ? answer.arrayBuffer() : Promise.reject(new Error("kernel.wasm is missing"))))
+  .then(loadKernel);
+
+/** @type {Engine | null} */
+let engine = null;
+/** @type {Connection | Recording | null} */
+let source = null;
+/** @type {import("./engine.js").EngineView | null} */
+let view = null;
+let drawn = { keyframe: -1, generation: -1 };
+let scheduled = false;
+let refusals = 0;
+let decodeMs = 0;
+
+/** @type {(message: FromWorker, transfer?: Transferable[]) => void} */
+const tell = (message, transfer = []) => self.postMessage(message, { transfer });
+
+/** Decode one packet; null where it is refused. @type {(bytes: Uint8Array) => Promise<{ version: number, ms: number } | null>} */
+async function decode(bytes) {
+  engine ??= new Engine(await kernel);
+  const start = performance.now();
+  try {
+    await engine.push(bytes);
+  } catch (error) {
+    if (!(error instanceof BitstreamError)) throw error;
+    refusals++;
+    tell({ type: "refused", code: error.code, detail: error.message });
+    return null;
+  }
+  decodeMs = performance.now() - start;
+  schedule();
+  return { version: versionOf(/** @type {any} */ (engine.scene)), ms: decodeMs };
+}
+
+/** Make a picture soon: after the messages that wait, so that the newest view wins. */
+function schedule() {
+  if (scheduled) return;
+  scheduled = true;
+  channel.port2.postMessage(0);
+}
+
+const channel = new MessageChannel();
+channel.port1.onmessage = () => {
+  scheduled = false;
+  picture();
+};
+
+function picture() {
+  const scene = engine?.scene;
+  if (!engine || !scene) return;
+  if (scene.keyframe !== drawn.keyframe || drawn.generation < 0) {
+    drawn = { keyframe: scene.keyframe, generation: engine.generation };
+    const { cameras, background, fps, levels, viewDependent } = scene.header;
+    tell({ type: "scene", cameras, background: [background[0], background[1], background[2]], fps, levels, viewDependent });
+  }
+  if (!view) return;
+  const result = engine.picture(view);
+  if (!result) return;
+  const { spans, quads } = result;
+  const transfer = [quads.buffer, ...spans.map(({ data }) => data.buffer)];
+  const position = source?.session.status.position ?? null;
+  tell({ type: "picture", ...result, decodeMs, position, summary: engine.summary() }, /** @type {any} */ (transfer));
+}
+
+function status() {
+  if (source) tell({ type: "status", status: { ...source.session.status }, refusals, now: performance.now() });
+}
+
+const handlers = { packet: decode, control: () => undefined, status };
+
+/** @param {MessageEvent<ToWorker>} event */
+self.onmessage = async ({ data: message }) => {
+  switch (message.type) {
+    case "connect":
+      source?.close();
+      drawn = { keyframe: -1, generation: -1 };
+      engine?.reset();
+      source = message.recording ? new Recording(message.url, handlers) : new Connection(message.url, message.token, handlers);
+      source.session.wishes = message.wishes;
+      if (message.start) source.session.start = message.start;
+      status();
+      break;
+    case "view":
+      view = message.view;
+      schedule();
+      break;
+    case "send":
+      source?.send(message.messages);
+      break;
+    case "wishes":
+      if (source) source.session.wishes = message.wishes;
+      source?.send([{ type: "set", ...message.wishes }]);
+      break;
+    case "hurry":
+      source?.hurry();
+      break;
+    case "texture":
+      engine?.forgetTexture();
+      schedule();
+      break;
+    case "pick":
+      tell({ type: "picked", id: message.id, point: engine?.pick(message.origin, message.direction) ?? null });
+      break;
+    case "depth":
+      tell({ type: "picked", id: message.id, point: [0, 0, engine?.depthAlong(message.origin, message.direction) ?? 0] });
+      break;
+    case "inspect":
+      tell(inspect(message.id));
+      break;
+    case "close":
+      source?.close();
+      self.close();
+  }
+};
+
+/** The state as other decoders can be compared with. @type {(id: number) => FromWorker} */
+function inspect(id) {
+  const scene = engine?.scene, expander = engine?.expander;
+  if (!engine || !scene || !expander) return { type: "inspected", id, state: null };
+  const shown = new Float32Array(engine.activeCount * RECORD);
+  for (let i = 0; i < engine.activeCount; i++) {
+    const at = engine.active[i] * RECORD;
+    shown.set(expander.numbers.subarray(at, at + RECORD), i * RECORD);
+  }
+  const digests = scene.levels.map(digest);
+  return { type: "inspected", id, state: { version: versionOf(scene), versions: scene.versions, digests, splats: shown } };
+}
