@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 
 import numpy as np
+from numpy.typing import NDArray
 
 from codec import kernels
 from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
@@ -20,18 +21,18 @@ def encode(matrix: Int64, *, with_count: bool = False) -> bytes | None:
 
     Each channel is sent as it is, around a centre, or as difference to the row before, whichever is smallest.
     """
-    centre = np.round(np.median(matrix, axis=0)).astype(np.int64)
+    centre = np.asarray(np.round(np.median(matrix, axis=0)), np.int64)
     previous = np.diff(matrix, axis=0, prepend=0)
     forms = np.stack([matrix, matrix - centre, previous])
-    sizes = np.log2(1 + np.abs(forms)).sum(axis=1)
-    sizes[_CENTRED, :] += 32  # bits that a centre costs
-    modes = np.argmin(sizes, axis=0)
-    values = np.take_along_axis(forms, modes[None, None], axis=0)[0]
+    sizes: NDArray[np.float64] = np.log2(1.0 + np.abs(forms)).sum(axis=1)
+    sizes += 32 * (np.arange(3)[:, None] == _CENTRED)  # the bits of a centre
+    modes: Int64 = np.argmin(sizes, axis=0).astype(np.int64)
+    values = np.asarray(np.take_along_axis(forms, modes[None, None], axis=0)[0], np.int64)
     if np.abs(values).max(initial=0) >= kernels.VALUE_LIMIT:
         return None
     side, scale = encode_scales(values)
     lanes, words = encode_items(lambda items: kernels.columns_items(values, scale, items, 0), 2 * values.size)
-    centres = centre[modes == _CENTRED].astype("<i4").tobytes()
+    centres: bytes = centre[modes == _CENTRED].astype("<i4").tobytes()
     count = _COUNT.pack(len(matrix)) if with_count else b""
     return bytes([lanes]) + count + _pack_modes(modes) + centres + side + words
 
@@ -66,7 +67,7 @@ def decode_counted(data: bytes, most_rows: int, channels: int) -> Int64:
 
 def _pack_modes(modes: Int64) -> bytes:
     padded = np.append(modes, [0] * (-len(modes) % 4)).astype(np.uint8).reshape(-1, 4)
-    return (padded << np.array([0, 2, 4, 6], np.uint8)).sum(axis=1).astype(np.uint8).tobytes()
+    return bytes((padded << np.array([0, 2, 4, 6], np.uint8)).sum(axis=1).tolist())
 
 
 def _unpack_modes(data: bytes, at: int, channels: int) -> tuple[Int64, int]:

@@ -1,8 +1,8 @@
 """The frozen probability tables, and what a value costs under them: one model for coding and training.
 
 A value is coded under a *bin*, a quarter octave of expected magnitude: bin b expects 2^((b - 24) / 4). Row b of
-`FREQUENCIES` is a two-sided geometric law with a dead zone, P(0) = 1 - q^0.62 and P(|v| = k) = q^0.62 (1 - q) q^(k-1), of that mean,
-in 1/4096. The numbers below, not this formula, are the definition (FORMAT.md section 12).
+`FREQUENCIES` is a two-sided geometric law with a dead zone, P(0) = 1 - q^0.62 and P(|v| = k) = q^0.62 (1 - q) q^(k-1),
+of that mean, in 1/4096. The numbers below, not this formula, are the definition (FORMAT.md section 12).
 """
 
 from __future__ import annotations

@@ -35,4 +35,4 @@ def saturate(state: Int16 | Int32, delta: Int32) -> Int32:
     """`delta` cut back so that ``state + delta`` stays in the type of `state`; decoders refuse an overflow."""
     limits = np.iinfo(state.dtype)
     total = np.clip(state.astype(np.int64) + delta, limits.min, limits.max)
-    return (total - state).astype(np.int32)
+    return np.asarray(total - state, np.int32)

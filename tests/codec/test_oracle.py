@@ -1,0 +1,114 @@
+"""The compiled coder and the plain Python one produce the same words and read each other's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from codec import kernels, oracle
+from codec.entropy import encode_items
+from core.arrays import Int64
+from core.entropy_model import FREQUENCIES, SCALES
+
+SALT = np.uint64(77)
+EXTREME = kernels.VALUE_LIMIT - 1
+seeds = st.integers(0, 2**32 - 1)
+
+
+def _words(data: bytes) -> list[int]:
+    return [int(word) for word in np.frombuffer(data, "<u2")]
+
+
+def _numbers(rng: np.random.Generator, shape: tuple[int, int]) -> Int64:
+    """Laplace integers of very different sizes, some of them extreme."""
+    values = np.round(rng.laplace(0, 1, shape) * 2.0 ** rng.uniform(-4, 12, shape[1])).astype(np.int64)
+    values[rng.random(shape) < 0.02] = EXTREME
+    values[rng.random(shape) < 0.02] = -EXTREME
+    return values
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, rows=st.integers(0, 30), channels=st.integers(1, 40))
+def test_columns(seed: int, rows: int, channels: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = _numbers(rng, (rows, channels))
+    scale = np.where(values.any(axis=0), SCALES[rng.integers(0, 192, channels)], 0)
+    lanes, data = encode_items(lambda items: kernels.columns_items(values, scale, items, 0), 10)
+    encoder = oracle.Encoder()
+    oracle.columns(encoder, rows, scale.tolist(), values.tolist())
+    assert encoder.words(lanes) == _words(data)
+    decoder = oracle.Decoder(_words(data), lanes)
+    assert oracle.columns(decoder, rows, scale.tolist(), None) == values.tolist()
+    decoder.finish()
+    found = np.zeros_like(values)
+    assert kernels.decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, scale)
+    np.testing.assert_array_equal(found, values)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, count=st.integers(0, 300), share=st.floats(0, 1))
+def test_changes(seed: int, count: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    changed = (rng.random(count) < share * rng.random()).astype(np.uint8)
+    voxel = rng.integers(-4, 4, (count, 3)) + rng.choice([-(2**31) + 9, 0, 2**31 - 9])
+    rows = np.flatnonzero(changed)
+    delta = _numbers(rng, (len(rows), 3)) // 4
+    latent = _numbers(rng, (len(rows), 24))
+    scale = np.where(latent.any(axis=0), SCALES[rng.integers(0, 192, 24)], 0)
+    errors = kernels.position_errors(voxel[rows], delta, SALT)
+
+    def model_pass(items: kernels.Array) -> int:
+        n = kernels.positions_items(errors, SCALES[50], items, kernels.rows_items(changed, items, 0))
+        return kernels.columns_items(latent, scale, items, n)
+
+    lanes, data = encode_items(model_pass, 10)
+    at = [tuple(v) for v in voxel[rows].tolist()]
+    encoder = oracle.Encoder()
+    oracle.dynamic_set(encoder, count, changed.tolist())
+    oracle.positions(encoder, at, int(SCALES[50]), delta.tolist())
+    oracle.columns(encoder, len(rows), scale.tolist(), latent.tolist())
+    assert encoder.words(lanes) == _words(data)
+    words = np.frombuffer(data, "<u2").astype(np.uint16)
+    voxel32 = voxel.astype(np.int32)
+    sound, *found = kernels.decode_change(words, lanes, voxel32, SCALES[50], scale, np.uint64(1))
+    assert sound
+    for expected, array in zip((rows, delta, latent), found, strict=True):
+        np.testing.assert_array_equal(expected, array)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=seeds, count=st.integers(1, 200), depth=st.integers(0, 21))
+def test_octrees(seed: int, count: int, depth: int) -> None:
+    rng = np.random.default_rng(seed)
+    spread = rng.integers(1, depth + 1) if depth else 0
+    leaves = np.unique(rng.integers(0, 2**spread, (count, 3)), axis=0)
+    keys = np.array([_morton(leaf, depth) for leaf in leaves.tolist()])
+    order = np.argsort(keys)
+    lanes, data = encode_items(lambda items: kernels.octree_items(keys[order], depth, items, 0), 10)
+    encoder = oracle.Encoder()
+    wanted = [tuple(leaf) for leaf in leaves[order].tolist()]
+    assert oracle.octree(encoder, depth, len(keys), wanted) == wanted
+    assert encoder.words(lanes) == _words(data)
+    sound, nodes = kernels.decode_octree(np.frombuffer(data, "<u2").astype(np.uint16), lanes, depth, len(keys))
+    assert sound
+    np.testing.assert_array_equal(nodes, leaves[order])
+
+
+@pytest.mark.parametrize("e", [0, 3, 4, 255, 256, 789, 790, 791, 1579, 1580, 10**6, 2**42])
+def test_bins_agree(e: int) -> None:
+    assert kernels.magnitude_bin(e) == oracle.magnitude_bin(e)
+
+
+def test_tables_are_what_the_format_says() -> None:
+    assert FREQUENCIES.shape == (31, 17)
+    assert (FREQUENCIES.sum(axis=1) == 4096).all()
+    assert FREQUENCIES.min() >= 1
+    costs = FREQUENCIES[:, 0]
+    assert (np.diff(costs) < 0).all()  # a greater expected magnitude makes zero rarer
+
+
+def _morton(leaf: list[int], depth: int) -> int:
+    x, y, z = leaf
+    return sum((x >> i & 1) << 3 * i + 2 | (y >> i & 1) << 3 * i + 1 | (z >> i & 1) << 3 * i for i in range(depth))
