@@ -1,0 +1,143 @@
+"""Recordings of the caliscope calibration program.
+
+camera_array.toml   [cameras.N]: size, matrix, distortions (OpenCV, 5), rotation (matrix or Rodrigues vector),
+                    translation; world to camera; ``ignore = true`` leaves a camera out
+cam_N.mp4           one a camera
+timestamps.csv      sync_index, cam_id, frame_time in seconds: the n-th row of a camera, in order of sync_index,
+                    is the n-th picture of its video; pictures of one sync_index form one instant
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections import defaultdict
+from collections.abc import Generator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from core.arrays import UInt8
+from core.camera import Camera
+from core.data.colmap import fitted
+from core.data.dataset import Recording
+from core.data.files import blaming, numbers, read_text
+from core.data.lens import opencv_camera
+from core.data.names import in_numeric_order
+from core.data.sources import read_exactly
+from core.data.video import VideoInfo, probe_video
+from core.errors import InputError
+
+FILE = "camera_array.toml"
+TIMES = "timestamps.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class TimedVideos:
+    """Videos whose pictures are paired by a table.
+
+    Attributes:
+        files: one a camera; counts: pictures in each.
+        times_ns: mean capture time of each instant, from the first one's.
+        rows: for each camera, its picture's number at each instant; -1 where it has none.
+        fps: instants a second, from the median interval.
+    """
+
+    files: tuple[Path, ...]
+    counts: tuple[int, ...]
+    times_ns: tuple[int, ...]
+    rows: tuple[tuple[int, ...], ...]
+    fps: float
+
+    @property
+    def frame_count(self) -> int:
+        """Number of instants."""
+        return len(self.times_ns)
+
+    def time_ns(self, index: int) -> int:
+        """Capture time from the clip's start."""
+        return self.times_ns[index]
+
+    def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
+        """As `Source.pictures`."""
+        wanted = self.rows[camera][start:stop]
+        present = [row for row in wanted if row >= 0]
+        if not present:
+            yield from [None] * len(wanted)
+            return
+        decoded = read_exactly(self.files[camera], present[0], present[-1] + 1, self.counts[camera])
+        for row in wanted:
+            yield next(decoded) if row >= 0 else None
+        decoded.close()
+
+
+def read_caliscope(path: Path) -> Recording:
+    """The recording in `path`.
+
+    Raises:
+        InputError: missing or damaged files, or files that do not belong together.
+    """
+    file = path / FILE
+    try:
+        tables = tomllib.loads(read_text(file)).get("cameras")
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(file, f"is not valid TOML: {error}") from error
+    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
+        raise InputError(file, "needs a table [cameras.N] for each camera")
+    used = in_numeric_order(key for key, table in tables.items() if not table.get("ignore"))
+    files = [path / f"cam_{key}.mp4" for key in used]
+    with blaming(file):
+        cameras = [_camera(f"cam_{key}", tables[key], file) for key in used]
+    infos = [probe_video(video) for video in files]
+    fitting = [fitted(camera, (i.width, i.height), f) for camera, i, f in zip(cameras, infos, files, strict=True)]
+    return Recording(path, "caliscope", tuple(fitting), _paired(path / TIMES, used, files, infos))
+
+
+def _camera(name: str, table: dict[str, Any], file: Path) -> Camera:
+    if table.get("fisheye"):
+        raise InputError(f"camera {name}", "a fisheye lens is not supported")
+    size = numbers(table.get("size"), (2,), "size", file)
+    if not (size.min() >= 1 and size.max() < 1e6):
+        raise InputError(f"camera {name}", "picture size is not possible")
+    rotation = table.get("rotation")
+    if isinstance(rotation, list) and rotation and not isinstance(rotation[0], list):
+        matrix = cv2.Rodrigues(numbers(rotation, (3,), "rotation", file))[0]
+    else:
+        matrix = numbers(rotation, (3, 3), "rotation", file)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = matrix, numbers(table.get("translation"), (3,), "translation", file)
+    return opencv_camera(
+        name,
+        numbers(table.get("matrix"), (3, 3), "matrix", file),
+        pose,
+        (int(size[0]), int(size[1])),
+        numbers(table.get("distortions"), (5,), "distortions", file),
+    )
+
+
+def _paired(path: Path, keys: list[str], files: list[Path], infos: list[VideoInfo]) -> TimedVideos:
+    times: dict[int, dict[str, float]] = defaultdict(dict)
+    try:
+        for row in csv.DictReader(read_text(path).splitlines()):
+            if row["cam_id"] in keys:
+                times[int(row["sync_index"])][row["cam_id"]] = float(row["frame_time"])
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise InputError(path, "needs the columns sync_index, cam_id and frame_time, with numbers in them") from error
+    instants = [times[index] for index in sorted(times)]
+    if not instants or not np.isfinite([t for instant in instants for t in instant.values()]).all():
+        raise InputError(path, "holds no usable time of any camera")
+    rows = []
+    for key, file, info in zip(keys, files, infos, strict=True):
+        has = np.array([key in instant for instant in instants])
+        if has.sum() != info.frame_count:
+            raise InputError(path, f"has {has.sum()} times of {file.name}, which holds {info.frame_count} pictures")
+        rows.append(tuple(int(n) for n in np.where(has, np.cumsum(has) - 1, -1)))
+    seconds = np.array([np.mean(list(instant.values())) for instant in instants])
+    interval = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1 / infos[0].fps
+    if interval <= 0:
+        raise InputError(path, "its times do not increase with sync_index")
+    times_ns = tuple(round(s * 1e9) for s in seconds - seconds[0])
+    return TimedVideos(tuple(files), tuple(info.frame_count for info in infos), times_ns, tuple(rows), 1 / interval)

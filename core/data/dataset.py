@@ -1,0 +1,211 @@
+"""A recording as its files hold it, and the data set that training sees."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from core.arrays import UInt8
+from core.camera import Camera
+from core.data.lens import Development, development
+from core.data.names import listed
+from core.errors import InputError
+from core.frames import FrameSet, PointCloud
+
+FPS_OF_PICTURES = 30.0  # folders of pictures do not say their rate
+
+
+class Source(Protocol):
+    """Raw pictures of all cameras, by instant."""
+
+    @property
+    def fps(self) -> float:
+        """Instants a second."""
+
+    @property
+    def frame_count(self) -> int:
+        """Number of instants."""
+
+    def time_ns(self, index: int) -> int:
+        """Capture time of an instant, nanoseconds from the clip's start."""
+
+    def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
+        """[H,W,3] RGB of one camera for the instants start to stop - 1; None where it has none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What a layout's reader found.
+
+    Attributes:
+        path: folder. layout: name of its layout.
+        cameras: as calibrated, distortion included; intrinsics in pixels of the raw pictures.
+        source: the raw pictures, in the order of `cameras`.
+        read_points: reads the points that came with the calibration, or none.
+        depth_bounds: nearest and farthest depth of the scene in world units, if the layout says.
+        skipped: names of pictures that the calibration lists and the folder lacks.
+
+    Raises:
+        InputError: no camera, two of one name, or pictures of different sizes.
+    """
+
+    path: Path
+    layout: str
+    cameras: tuple[Camera, ...]
+    source: Source
+    read_points: Callable[[], PointCloud] | None = None
+    depth_bounds: tuple[float, float] | None = None
+    skipped: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise InputError(self.path, f"holds no camera with pictures in the {self.layout} layout")
+        first = self.cameras[0]
+        names = set()
+        for camera in self.cameras:
+            if camera.name in names:
+                raise InputError(self.path, f"holds two cameras called {camera.name}")
+            names.add(camera.name)
+            if (camera.width, camera.height) != (first.width, first.height):
+                raise InputError(
+                    self.path,
+                    f"camera {camera.name} has pictures of {camera.width}x{camera.height}, but {first.name} of "
+                    f"{first.width}x{first.height}; bring them to one size",
+                )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dataset:
+    """Cameras without distortion, at the size wanted, and their pictures, read as they are asked for.
+
+    Attributes:
+        recording: where the pictures come from.
+        rows: number in the recording of each camera used here.
+        developments: what makes a raw picture fit the camera, for each camera used here.
+        cameras: pinholes that match the pictures of `frames`.
+    """
+
+    recording: Recording
+    rows: tuple[int, ...]
+    developments: tuple[Development, ...]
+    cameras: tuple[Camera, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cameras", tuple(plan.camera for plan in self.developments))
+
+    @property
+    def layout(self) -> str:
+        """Name of the layout that was read."""
+        return self.recording.layout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(camera.name for camera in self.cameras)
+
+    @property
+    def fps(self) -> float:
+        """Instants a second."""
+        return self.recording.source.fps
+
+    @property
+    def frame_count(self) -> int:
+        """Number of instants."""
+        return self.recording.source.frame_count
+
+    @property
+    def depth_bounds(self) -> tuple[float, float] | None:
+        """Nearest and farthest depth of the scene in world units, if the layout says."""
+        return self.recording.depth_bounds
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Names of pictures that the calibration lists and the folder lacks."""
+        return self.recording.skipped
+
+    def points(self) -> PointCloud | None:
+        """The points that came with the calibration, or none; InputError if their file is damaged."""
+        return None if self.recording.read_points is None else self.recording.read_points()
+
+    def select(self, names: Sequence[str]) -> Dataset:
+        """The same data set with the cameras `names` only, in that order.
+
+        Raises:
+            InputError: a name that does not exist, or given twice.
+        """
+        rows = [_row_of(name, self.names, self.recording.path) for name in names]
+        if not rows or len(set(rows)) < len(rows):
+            raise InputError(self.recording.path, "needs at least one camera selected, and each only once")
+        return replace(
+            self,
+            rows=tuple(self.rows[row] for row in rows),
+            developments=tuple(self.developments[row] for row in rows),
+        )
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSet]:
+        """The instants start to stop - 1 (to the last one by default), one in memory at a time.
+
+        Cameras are decoded side by side on a thread each. Dropping the iterator, or its close(), closes the files.
+
+        Raises:
+            ValueError: start or stop outside the clip.
+            InputError: while iterating, for a file that turns out to be damaged.
+        """
+        stop = self.frame_count if stop is None else stop
+        if not 0 <= start <= stop <= self.frame_count:
+            raise ValueError(f"frames {start} to {stop} are not inside the clip's {self.frame_count}")
+        return self._frames(start, stop)
+
+    def _frames(self, start: int, stop: int) -> Iterator[FrameSet]:
+        source, count = self.recording.source, len(self.cameras)
+        height, width = self.cameras[0].height, self.cameras[0].width
+        with ExitStack() as stack:
+            streams = [source.pictures(row, start, stop) for row in self.rows]
+            for stream in streams:
+                stack.enter_context(closing(stream))
+            pool = stack.enter_context(ThreadPoolExecutor(min(count, os.cpu_count() or 1), "decode"))
+            for index in range(start, stop):
+                images = np.zeros((count, height, width, 3), np.uint8)
+                present = pool.map(_develop, streams, self.developments, images, [index] * count)
+                yield FrameSet(index, source.time_ns(index), images, np.array(list(present), np.bool_))
+
+
+def dataset(recording: Recording, downscale: float = 1, cameras: Sequence[str] | None = None) -> Dataset:
+    """The data set of `recording`, scaled down by `downscale`, with the cameras named, or all.
+
+    Raises:
+        ValueError: `downscale` below 1.
+        InputError: a camera that does not exist, or whose distortion cannot be undone.
+    """
+    if not 1 <= downscale <= 64:
+        raise ValueError(f"downscale must lie between 1 and 64, not {downscale}")
+    names = [camera.name for camera in recording.cameras]
+    rows = range(len(names)) if cameras is None else [_row_of(name, names, recording.path) for name in cameras]
+    plans = tuple(development(recording.cameras[row], downscale) for row in rows)
+    chosen = Dataset(recording, tuple(rows), plans)
+    return chosen.select(chosen.names)
+
+
+def _develop(stream: Iterator[UInt8 | None], plan: Development, into: UInt8, index: int) -> bool:
+    picture = next(stream)
+    if picture is None:
+        return False
+    width, height = plan.raw_size
+    if picture.shape != (height, width, 3):
+        found = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise InputError(f"camera {plan.camera.name}", f"has {found} pixels at instant {index}, not {width}x{height}")
+    into[:] = plan(picture)
+    return True
+
+
+def _row_of(name: str, names: Sequence[str], path: Path) -> int:
+    if name not in names:
+        raise InputError(path, f"has no camera {name!r}; it has {listed(names)}")
+    return names.index(name)

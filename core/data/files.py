@@ -1,0 +1,89 @@
+"""Small files from outside, read with limits and without trust."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.arrays import Float64
+from core.errors import InputError
+
+MAX_TEXT_BYTES = 256 << 20
+
+
+@contextmanager
+def blaming(path: Path) -> Iterator[None]:
+    """Put the file's name before every `InputError` raised inside, such as that of a camera built from its numbers."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(path, str(error)) from error
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """The file's bytes; InputError if it is missing or larger than `max_bytes`."""
+    try:
+        if path.stat().st_size > max_bytes:
+            raise InputError(path, f"is larger than {max_bytes >> 20} MiB, the limit for such a file")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror}") from error
+
+
+def read_text(path: Path) -> str:
+    """The file's text; InputError if it is missing, very large or not UTF-8."""
+    try:
+        return read_bytes(path, MAX_TEXT_BYTES).decode()
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"is not a text file: byte {error.start} is not UTF-8") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The file's JSON object; InputError if it holds anything else."""
+    try:
+        value = json.loads(read_text(path))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(path, f"is not valid JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise InputError(path, "must hold a JSON object")
+    return value
+
+
+def read_array(path: Path) -> Float64:
+    """A .npy file's array of numbers as float64; InputError for pickled objects, archives and damaged files."""
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)  # mapping checks the shape against the file's size
+        if not isinstance(array, np.ndarray):
+            array.close()
+            raise InputError(path, "is an archive; a single array is needed, written with numpy.save")
+        return np.array(array, np.float64)
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    except (ValueError, EOFError, TypeError, SyntaxError) as error:
+        raise InputError(path, "does not hold an array of plain numbers, or is cut short") from error
+
+
+def number(value: object, what: str, path: Path) -> float:
+    """`value` as a float; InputError if it is not a number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(path, f"{what} must be a number, not {value!r:.40}")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise InputError(path, f"{what} is too large for a number") from error
+
+
+def numbers(value: object, shape: tuple[int, ...], what: str, path: Path) -> Float64:
+    """`value` (nested lists) as a float64 array of `shape`; InputError if it is not one."""
+    try:
+        array = np.array(value, np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise InputError(path, f"{what} must be numbers of shape {'x'.join(map(str, shape))}") from error
+    if array.shape != shape:
+        raise InputError(path, f"{what} must be numbers of shape {'x'.join(map(str, shape))}, not {array.shape}")
+    return array

@@ -1,0 +1,150 @@
+"""Pictures as a lens took them -> pictures of a pinhole camera, at the size wanted.
+
+OpenCV puts pixel centres on integers and `Camera` on half-integers, hence the halves that come and go here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Float64, UInt8
+from core.camera import Camera
+from core.errors import InputError
+
+_BORDER_SAMPLES = 65
+_ZOOM_LIMIT = 4.0  # a lens that needs more than this to fill a picture is not described by five coefficients
+_ITERATIONS = 300
+_ROUND_TRIP = 1e-6  # on the plane z = 1, far below a pixel
+
+
+def opencv_camera(
+    name: str, matrix: Float64, pose: Float64, size: tuple[int, int], distortion: Float64 | None = None
+) -> Camera:
+    """A camera from numbers in OpenCV's convention, where the top left pixel's centre is (0, 0).
+
+    Args:
+        matrix: [3,3] intrinsics; pose: [4,4] world_to_camera; size: (width, height); distortion: [5] or none.
+    """
+    intrinsics = np.array(matrix, np.float64)
+    intrinsics[:2, 2] += 0.5
+    return Camera(name, intrinsics, pose, size[0], size[1], np.zeros(5) if distortion is None else distortion)
+
+
+def opencv_matrix(camera: Camera) -> Float64:
+    """[3,3] intrinsics of `camera` in OpenCV's convention; the inverse of what `opencv_camera` does."""
+    matrix = camera.intrinsics.copy()
+    matrix[:2, 2] -= 0.5
+    return matrix
+
+
+def undistorted_camera(camera: Camera) -> Camera:
+    """The pinhole camera that pictures of `camera` are turned into: same size and principal point, no empty pixel.
+
+    Both focal lengths are multiplied by the smallest factor with which every pixel of the result was seen.
+
+    Raises:
+        InputError: distortion so strong that no such picture exists.
+    """
+    if not camera.has_distortion:
+        return camera
+    width, height = camera.width, camera.height
+    across, down = np.linspace(0, width, _BORDER_SAMPLES), np.linspace(0, height, _BORDER_SAMPLES)
+    sides = [  # the picture's outline: axis whose coordinate is constant, and the points
+        (0, np.stack([np.zeros_like(down), down], 1)),
+        (0, np.stack([np.full_like(down, width), down], 1)),
+        (1, np.stack([across, np.zeros_like(across)], 1)),
+        (1, np.stack([across, np.full_like(across, height)], 1)),
+    ]
+    focal, principal = camera.intrinsics[[0, 1], [0, 1]], camera.intrinsics[:2, 2]
+    factor = 0.0
+    for axis, points in sides:
+        ideal = undistort((points - principal) / focal, camera.distortion)
+        wanted = (points[0, axis] - principal[axis]) / focal[axis]
+        nearest = ideal[np.abs(ideal[:, axis]).argmin(), axis]
+        if not np.isfinite(nearest) or wanted * nearest <= 0:
+            raise InputError(f"camera {camera.name}", "its distortion cannot be undone; check the coefficients")
+        factor = max(factor, wanted / nearest)
+    if not 1 / _ZOOM_LIMIT < factor < _ZOOM_LIMIT:
+        raise InputError(f"camera {camera.name}", "its distortion is too strong to be undone; check the coefficients")
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[[0, 1], [0, 1]] *= factor
+    return replace(camera, intrinsics=intrinsics).undistorted()
+
+
+def scaled_size(width: int, height: int, downscale: float) -> tuple[int, int]:
+    """(width, height) after scaling down: 2704x2028 by 2 is 1352x1014; fractions are cut, and 1 stays 1."""
+    return max(1, int(width / downscale)), max(1, int(height / downscale))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Development:
+    """What turns one camera's raw pictures into those of its pinhole camera.
+
+    Attributes:
+        raw_size: (width, height) of the pictures that come in.
+        camera: the pinhole camera of the pictures that go out.
+        maps: OpenCV fixed-point sampling maps, or none without distortion.
+    """
+
+    raw_size: tuple[int, int]
+    camera: Camera
+    maps: tuple[NDArray[Any], NDArray[Any]] | None
+
+    def __call__(self, picture: UInt8) -> UInt8:
+        """[H,W,3] raw picture -> [camera.height,camera.width,3]: undistorted first, then averaged by area."""
+        straight: NDArray[Any] = picture
+        if self.maps is not None:
+            straight = cv2.remap(picture, *self.maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        if (self.camera.width, self.camera.height) != self.raw_size:
+            straight = cv2.resize(straight, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
+        return straight
+
+
+def development(camera: Camera, downscale: float) -> Development:
+    """Plan for `camera`, whose size and intrinsics are those of the raw pictures; the maps are computed here, once."""
+    straight = undistorted_camera(camera)
+    size = scaled_size(camera.width, camera.height, downscale)
+    maps = None
+    if camera.has_distortion:
+        maps = cv2.initUndistortRectifyMap(
+            opencv_matrix(camera),
+            camera.distortion,
+            np.eye(3),
+            opencv_matrix(straight),
+            (camera.width, camera.height),
+            cv2.CV_16SC2,
+        )
+    return Development((camera.width, camera.height), straight.scaled(*size), maps)
+
+
+def distort(points: Float64, coefficients: Float64) -> Float64:
+    """[N,2] points on the plane z = 1 -> where a lens with OpenCV's `coefficients` [5] k1 k2 p1 p2 k3 shows them.
+
+    Formula: https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html; `undistort` goes back.
+    """
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = points.T
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+
+
+def undistort(points: Float64, coefficients: Float64) -> Float64:
+    """The inverse of `distort`, by fixed-point iteration; NaN for points that it does not find."""
+    ideal = points.copy()
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_ITERATIONS):
+            ideal = ideal + (points - distort(ideal, coefficients))
+        missed = ~(np.abs(distort(ideal, coefficients) - points).max(axis=1) < _ROUND_TRIP)
+    return np.where(missed[:, None], np.nan, ideal)

@@ -1,0 +1,79 @@
+"""Open a recording of any known layout."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from core.data import caliscope, transforms
+from core.data.caliscope import read_caliscope
+from core.data.colmap import is_colmap, read_colmap
+from core.data.dataset import Dataset, Recording, dataset
+from core.data.transforms import read_transforms
+from core.data.video_folder import read_video_folder, video_files
+from core.errors import InputError
+
+_log = logging.getLogger(__name__)
+
+_READERS: dict[str, Callable[[Path], Recording]] = {
+    "n3dv": lambda path: read_video_folder(path, "n3dv"),
+    "meetroom": lambda path: read_video_folder(path, "meetroom"),
+    "colmap": read_colmap,
+    "transforms": read_transforms,
+    "caliscope": read_caliscope,
+}
+LAYOUTS = tuple(_READERS)
+
+
+def open_dataset(
+    path: Path | str, *, layout: str | None = None, downscale: float = 1, cameras: Sequence[str] | None = None
+) -> Dataset:
+    """Open the recording in a folder; pictures are read only when `Dataset.frames` is iterated.
+
+    Args:
+        path: the folder (or the transforms.json in it).
+        layout: one of `LAYOUTS`; None finds it out from the files.
+        downscale: how many times smaller than the stored pictures, 1 or more; fractions are allowed.
+        cameras: names of the cameras to use, in the order wanted; None for all, in numeric order.
+
+    Raises:
+        InputError: no such folder, or one that cannot be used; names the file and its fault.
+        ValueError: an unknown layout, or `downscale` below 1.
+    """
+    folder = Path(path)
+    if folder.name == transforms.FILE and folder.is_file():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(folder, "is not a folder" if folder.exists() else "does not exist")
+    if not any(folder.iterdir()):
+        raise InputError(folder, "is an empty folder")
+    chosen = _detect(folder) if layout is None else layout
+    if chosen not in _READERS:
+        raise ValueError(f"layout must be one of {', '.join(LAYOUTS)}, not {chosen!r}")
+    opened = dataset(_READERS[chosen](folder), downscale, cameras)
+    first = opened.cameras[0]
+    _log.info(
+        "%s: %s, %d cameras, %d frames, %dx%d",
+        *(folder, chosen, len(opened.cameras), opened.frame_count, first.width, first.height),
+    )
+    return opened
+
+
+def _detect(folder: Path) -> str:
+    if (folder / caliscope.FILE).is_file():
+        return "caliscope"
+    if (folder / transforms.FILE).is_file():
+        return "transforms"
+    for layout in ("n3dv", "meetroom"):
+        if video_files(folder, layout):
+            return layout
+    if is_colmap(folder):
+        return "colmap"
+    if (folder / "poses_bounds.npy").is_file():
+        return "n3dv"  # whose reader then says which videos are missing
+    raise InputError(
+        folder,
+        "is not a recording in a known layout; it needs camNN.mp4 or cam_N.mp4 with poses_bounds.npy, a COLMAP model "
+        "in sparse/0 with images, a transforms.json, or a camera_array.toml",
+    )

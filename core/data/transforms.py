@@ -1,0 +1,145 @@
+"""transforms.json, as nerfstudio and instant-ngp write it: one instant of pictures, or a video for each camera.
+
+A frame's ``transform_matrix`` is camera_to_world with OpenGL's axes (x right, y up, z backwards). Intrinsics and
+distortion stand at the top or in the frame: ``fl_x fl_y cx cy w h``, or ``camera_angle_x``; ``k1 k2 p1 p2 k3``.
+Files that are listed but missing are left out and counted.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.arrays import Float64
+from core.camera import Camera
+from core.data.colmap import fitted
+from core.data.dataset import Recording, Source
+from core.data.files import blaming, number, numbers, read_json
+from core.data.names import listed, numeric_key
+from core.data.pictures import SUFFIXES as PICTURE_SUFFIXES
+from core.data.pictures import picture_size
+from core.data.sources import Pictures, videos
+from core.data.video import SUFFIXES as VIDEO_SUFFIXES
+from core.errors import InputError
+
+FILE = "transforms.json"
+MAX_FRAMES = 4096
+_log = logging.getLogger(__name__)
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
+
+
+def read_transforms(path: Path) -> Recording:
+    """The recording in the folder `path`.
+
+    Raises:
+        InputError: missing or damaged files, several instants in one file, or a lens that is not supported.
+    """
+    file = path / FILE
+    value = read_json(file)
+    frames = value.get("frames")
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise InputError(file, "'frames' must be a list of objects")
+    if len(frames) > MAX_FRAMES:
+        raise InputError(file, f"lists {len(frames)} frames; the limit is {MAX_FRAMES}")
+    if len({frame.get("time") for frame in frames if not isinstance(frame.get("time"), dict | list)}) > 1:
+        raise InputError(file, "lists several instants ('time'); list each camera once, with a video")
+    entries, skipped = [], []
+    for frame in frames:
+        found = _picture_file(path, frame.get("file_path"), file)
+        if found is None:
+            skipped.append(str(frame.get("file_path")))
+        else:
+            entries.append((found, {**value, **frame}))
+    if skipped:
+        _log.warning("%s: %d of %d listed files are missing: %s", file, len(skipped), len(frames), listed(skipped, 5))
+    if not entries:
+        raise InputError(file, f"lists {len(frames)} files, none of which is there")
+    entries.sort(key=lambda entry: numeric_key(entry[0].as_posix()))
+    files = [entry[0] for entry in entries]
+    source, sizes = _source(files, file)
+    names = [f.stem for f in files]
+    if len(set(names)) < len(names):
+        names = [f.relative_to(path).with_suffix("").as_posix() for f in files]
+    with blaming(file):
+        cameras = [
+            _camera(name, settings, size, picture, file)
+            for name, (picture, settings), size in zip(names, entries, sizes, strict=True)
+        ]
+    return Recording(path, "transforms", tuple(cameras), source, skipped=tuple(skipped))
+
+
+def opengl_pose(matrix: Float64) -> Float64:
+    """[4,4] world_to_camera with OpenCV's axes from camera_to_world with OpenGL's."""
+    rotation = (matrix[:3, :3] * [1, -1, -1]).T
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ matrix[:3, 3]
+    return pose
+
+
+def _picture_file(folder: Path, name: object, file: Path) -> Path | None:
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise InputError(file, "each frame needs a 'file_path'")
+    relative = Path(name)
+    if relative.is_absolute() or ".." in relative.parts:
+        raise InputError(file, f"file_path {name!r} leads out of the folder")
+    # Blender's synthetic scenes leave the suffix out
+    candidates = [relative, *(relative.with_name(relative.name + suffix) for suffix in PICTURE_SUFFIXES)]
+    return next((folder / candidate for candidate in candidates if (folder / candidate).is_file()), None)
+
+
+def _source(files: list[Path], file: Path) -> tuple[Source, list[tuple[int, int]]]:
+    kinds = {f.suffix.lower() in VIDEO_SUFFIXES for f in files}
+    if len(kinds) > 1:
+        raise InputError(file, "lists both pictures and videos; use one kind")
+    if kinds == {True}:
+        source, infos = videos(files)
+        return source, [(info.width, info.height) for info in infos]
+    return Pictures((tuple(files),)), [picture_size(f) for f in files]
+
+
+def _camera(name: str, settings: dict[str, Any], size: tuple[int, int], picture: Path, file: Path) -> Camera:
+    if settings.get("camera_model", "OPENCV") not in _MODELS or settings.get("is_fisheye"):
+        raise InputError(f"camera {name}", f"lens model {settings.get('camera_model')} is not supported")
+    if number(settings.get("k4", 0), "k4", file) != 0:
+        raise InputError(f"camera {name}", "the coefficient k4 is not supported")
+    width = number(settings.get("w", size[0]), "w", file)
+    height = number(settings.get("h", size[1]), "h", file)
+    if not (1 <= width < 1e6 and 1 <= height < 1e6):
+        raise InputError(f"camera {name}", f"picture size {width:g}x{height:g} is not possible")
+    fx, fy = _focal_lengths(name, settings, width, height, file)
+    cx, cy = number(settings.get("cx", width / 2), "cx", file), number(settings.get("cy", height / 2), "cy", file)
+    matrix = numbers(settings.get("transform_matrix"), (4, 4), f"transform_matrix of {name}", file)
+    camera = Camera(
+        name,
+        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64),
+        opengl_pose(matrix),
+        round(width),
+        round(height),
+        np.array([number(settings.get(key, 0), key, file) for key in _COEFFICIENTS], np.float64),
+    )
+    return fitted(camera, size, picture)
+
+
+def _focal_lengths(name: str, settings: dict[str, Any], width: float, height: float, file: Path) -> tuple[float, float]:
+    """fl_x and fl_y, from each other or from the angle of view where one is missing."""
+    given: list[float | None] = []
+    for key, angle_key, side in (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height)):
+        if key in settings:
+            given.append(number(settings[key], key, file))
+        elif angle_key in settings:
+            angle = number(settings[angle_key], angle_key, file)
+            if not 0 < angle < math.pi:
+                raise InputError(f"camera {name}", f"{angle_key} must lie between 0 and pi, not {angle:g}")
+            given.append(side / 2 / math.tan(angle / 2))
+        else:
+            given.append(None)
+    fx, fy = given
+    fx, fy = (fy if fx is None else fx), (fx if fy is None else fy)
+    if fx is None or fy is None:
+        raise InputError(f"camera {name}", "its focal length is missing: give fl_x or camera_angle_x")
+    return fx, fy
