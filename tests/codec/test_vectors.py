@@ -1,0 +1,46 @@
+"""The conformance vectors hold for this decoder; `node --test` runs the same manifest."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from codec.decoder import SceneDecoder
+from core.errors import BitstreamError
+from tests.vectors.make import FOLDER, read_stream, state_of
+
+MANIFEST: dict[str, Any] = json.loads((FOLDER / "manifest.json").read_text())
+
+
+@pytest.mark.parametrize("vector", MANIFEST["valid"], ids=lambda v: v["name"])
+def test_valid(vector: dict[str, Any]) -> None:
+    decoder = SceneDecoder()
+    for packet, state in zip(read_stream(FOLDER / vector["file"]), vector["states"], strict=True):
+        decoder.push(packet)
+        assert state_of(decoder) == state
+
+
+@pytest.mark.parametrize("vector", MANIFEST["broken"], ids=lambda v: v["name"])
+def test_broken(vector: dict[str, Any]) -> None:
+    *packets, last = read_stream(FOLDER / vector["file"])
+    decoder = SceneDecoder()
+    for packet in packets:
+        decoder.push(packet)
+    before = state_of(decoder)
+    with pytest.raises(BitstreamError) as refused:
+        decoder.push(last)
+    assert refused.value.code == vector["refused"]
+    assert state_of(decoder) == before
+
+
+def test_every_refusal_code_has_a_vector() -> None:
+    codes = {"bad_file", "too_large"} | {vector["refused"] for vector in MANIFEST["broken"]}
+    text = (FOLDER.parents[1] / "codec" / "FORMAT.md").read_text()
+    section = text.split("## 13. Refusals")[1].split("Order of checks")[0]
+    documented = {line.split("|")[1].strip() for line in section.splitlines() if line.startswith("| ")} - {
+        "code",
+        "---",
+    }
+    assert codes == documented

@@ -1,0 +1,176 @@
+"""Streams that every decoder reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind, build, drop_levels, make_chunk, parse, select_levels, split_levels
+from core.anchors import Scene, empty_level
+from core.residual import difference
+from tests.codec.scenes import grow, make_scene, move
+
+Streams = Iterator[tuple[str, list[bytes]]]
+KINDS = {"predicted": PacketKind.PREDICTED, "skip": PacketKind.SKIP, "catch_up": PacketKind.CATCH_UP}
+
+
+def small(counts: tuple[int, ...] = (4, 20), seed: int = 0) -> Scene:
+    """A scene with one Gaussian an anchor and two features."""
+    return make_scene(counts, seed, slots=1, features=2)
+
+
+def key(scene: Scene, profile: int = 1) -> bytes:
+    """The key packet of a scene."""
+    return encode_keyframe(scene, time_ns=scene.version * 33_366_700, profile=profile)
+
+
+def packet(a: Scene, b: Scene, kind: str = "predicted", profile: int = 1) -> bytes:
+    """The packet from `a` to `b`."""
+    return encode_residual(a, difference(a, b), kind=KINDS[kind], time_ns=b.version * 33_366_700, profile=profile)
+
+
+def later(scene: Scene, **columns: np.ndarray) -> Scene:
+    """The next version, with columns of level 0 replaced."""
+    return replace(scene, levels=(replace(scene.levels[0], **columns), *scene.levels[1:]), version=scene.version + 1)
+
+
+def valid_streams() -> Streams:
+    """Name and packets of each stream."""
+    for profile in (0, 1):
+        yield f"chain-profile{profile}", _chain(make_scene((6, 30, 90)), profile)
+        yield f"growth-profile{profile}", _growth(profile)
+        yield f"skip-profile{profile}", _skip(profile)
+        yield f"extremes-profile{profile}", _extremes(profile)
+    for count in (0, 1, 63, 64, 65):
+        yield f"{count}-anchors", _chain(_count(count), 1)
+    yield "four-lanes", _chain(make_scene((20, 100, 600)), 1, share=0.6)
+    yield "still", _still()
+    yield "everything-moves", _chain(small((10, 70)), 1, share=1.0)
+    yield "trickle", _trickle()
+    yield "levels-apart", _levels_apart()
+    yield "state-hash", _state_hash()
+    yield "second-keyframe", _second_keyframe()
+    yield "same-voxel-twice", _same_voxel()
+    yield "extension-chunk", _extension()
+    yield "no-cameras-no-view", _bare()
+
+
+def _chain(scene: Scene, profile: int, share: float = 0.3) -> list[bytes]:
+    packets = [key(scene, profile)]
+    for seed in range(3):
+        following = move(scene, seed, share)
+        packets.append(packet(scene, following, profile=profile))
+        scene = following
+    return packets
+
+
+def _count(count: int) -> Scene:
+    scene = small((max(count, 1),), seed=5)
+    level = scene.levels[0]
+    if count == 0:
+        return replace(scene, levels=(empty_level(2, 1),))
+    rows = np.arange(count)
+    voxel = np.stack([rows >> 4, rows >> 2 & 3, rows & 3], axis=1).astype(np.int32) - 2
+    picked = {
+        name: np.resize(getattr(level, name), (count, *getattr(level, name).shape[1:])) for name in level.__slots__
+    }
+    return replace(scene, levels=(type(level)(**{**picked, "voxel": voxel}),))
+
+
+def _growth(profile: int) -> list[bytes]:
+    scene = small()
+    packets = [key(scene, profile)]
+    for seed in range(3):
+        following = grow(replace(move(scene, seed), version=scene.version), seed)
+        packets.append(packet(scene, following, profile=profile))
+        scene = following
+    return packets
+
+
+def _skip(profile: int) -> list[bytes]:
+    first = small()
+    second = grow(move(first, 1))
+    third = grow(move(second, 2))
+    return [key(first, profile), packet(first, third, "skip", profile)]
+
+
+def _extremes(profile: int) -> list[bytes]:
+    scene = small((12,))
+    level = scene.levels[0]
+    high16, low16, high32, low32 = 32767, -32768, 2**31 - 1, -(2**31)
+    feature, position, voxel = level.feature.copy(), level.position.copy(), level.voxel.copy()
+    feature[0], feature[1] = high16, low16
+    scene = replace(scene, levels=(replace(level, feature=feature),))
+    position[0], position[1] = 2**29, -(2**29)
+    latent = level.latent.copy()
+    latent[2], latent[3], latent[4, 0] = high16, low16, 17
+    second = later(scene, position=position, latent=latent)
+    position, latent = position.copy(), latent.copy()
+    position[2], position[3] = high32 - 50, low32 + 50
+    latent[2], latent[3] = low16, high16
+    third = later(second, position=position, latent=latent)
+    voxel[-1] = high32  # needs plain geometry
+    other = replace(scene, levels=(replace(scene.levels[0], voxel=voxel),), keyframe=9, version=9)
+    return [
+        key(scene, profile),
+        packet(scene, second, profile=profile),
+        packet(second, third, profile=profile),
+        key(other, profile),
+    ]
+
+
+def _still() -> list[bytes]:
+    scene = small()
+    return [key(scene), packet(scene, replace(scene, version=1))]
+
+
+def _trickle() -> list[bytes]:
+    first = small((4, 12, 30))
+    second = move(first, 1)
+    third = move(second, 2)
+    parts = split_levels(key(first))
+    rest = select_levels(packet(first, third, "catch_up"), 0b110)
+    return [parts[0], packet(first, second), parts[1], packet(second, third), parts[2], rest]
+
+
+def _levels_apart() -> list[bytes]:
+    first = small((4, 12, 30))
+    second = move(first, 1)
+    return [drop_levels(key(first), 1), *(select_levels(packet(first, second), 1 << n) for n in (1, 0))]
+
+
+def _state_hash() -> list[bytes]:
+    scene = small()
+    following = replace(move(scene, 1), version=30)
+    final = move(following, 2)
+    return [key(scene), packet(scene, following), packet(following, final)]
+
+
+def _second_keyframe() -> list[bytes]:
+    first, second = small(), replace(small(seed=3), keyframe=7, version=7)
+    return [key(first), packet(first, move(first)), key(second), packet(second, move(second))]
+
+
+def _same_voxel() -> list[bytes]:
+    scene = small((12,))
+    voxel = scene.levels[0].voxel.copy()
+    voxel[5] = voxel[4]
+    voxel[9] = voxel[4]
+    return _chain(replace(scene, levels=(replace(scene.levels[0], voxel=voxel),)), 1, share=1.0)
+
+
+def _extension() -> list[bytes]:
+    scene = small()
+    parsed = parse(packet(scene, move(scene, share=0.5)))
+    chunks = sorted([*parsed.chunks, make_chunk(1, 13, b"from the future")], key=lambda c: (c.level, c.kind))
+    return [key(scene), build(replace(parsed, chunks=tuple(chunks)))]
+
+
+def _bare() -> list[bytes]:
+    scene = small()
+    header = replace(scene.header, view_dependent=False, cameras=())
+    weights = replace(scene.weights, hidden_weight=scene.weights.hidden_weight[:2].copy())
+    return [key(replace(scene, header=header, weights=weights))]
