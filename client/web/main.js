@@ -1,0 +1,229 @@
+/** The page: puts viewer, controls and panels together. */
+
+import { fromCamera, fromText, toText } from "./camera.js";
+import { Controls } from "./controls.js";
+import { createHandle, listenToParent } from "./handle.js";
+import { attachMenu, button, element, menuItem, toast } from "./page.js";
+import { Quality, QUALITIES } from "./quality.js";
+import { frusta } from "./frusta.js";
+import { NO_WEBGL, words } from "./states.js";
+import { chooseStream, liveAddress, showStreams } from "./streams.js";
+import { fillStatistics, Rates } from "./statistics.js";
+import { Timeline } from "./timeline.js";
+import { Viewer } from "./viewer.js";
+
+/** @typedef {import("./states.js").Words} Words */
+
+const IDLE_MS = 4000;
+const options = new URLSearchParams(location.search);
+const recording = options.get("src");
+const canvas = /** @type {HTMLCanvasElement} */ (element("canvas"));
+document.body.classList.toggle("embed", options.get("embed") === "1");
+document.body.classList.toggle("bare", options.get("ui") === "0");
+
+/** @param {Words} said */
+function show(said) {
+  element("stage").dataset.tone = said.tone;
+  const chip = element("status-text");
+  if (chip.textContent !== said.chip) chip.textContent = said.chip;
+  const card = element("card");
+  card.hidden = !said.card;
+  if (!said.card) return;
+  const { title, text, spinner, fraction, button: label } = said.card;
+  card.classList.toggle("still", !spinner);
+  element("card-title").textContent = title;
+  element("card-text").textContent = text;
+  const progress = /** @type {HTMLProgressElement} */ (element("card-progress"));
+  progress.hidden = fraction == null;
+  progress.value = fraction ?? 0;
+  button("card-button").hidden = !label;
+  button("card-button").textContent = label ?? "";
+}
+
+/** @returns {Viewer | null} */
+function createViewer() {
+  try {
+    return new Viewer(canvas);
+  } catch {
+    show(NO_WEBGL);
+    element("tools").hidden = true;
+    return null;
+  }
+}
+
+/** @param {Viewer} viewer */
+async function start(viewer) {
+  const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }), recording !== null);
+  const controls = new Controls(viewer);
+  const quality = new Quality(viewer, options.get("quality"));
+  const rates = new Rates();
+  let retryAt = 0, showFrusta = false;
+
+  const destroy = () => {
+    controls.destroy();
+    viewer.destroy();
+  };
+  const handle = createHandle(viewer, timeline, destroy);
+  Object.defineProperty(window, "streamlod", { value: handle });
+  listenToParent(handle);
+
+  const refresh = () => {
+    const { status } = viewer;
+    if (!status) return;
+    show(words(status, viewer.picture !== null, retryAt - performance.now()));
+    timeline.update(status);
+  };
+  viewer.addEventListener("status", (event) => {
+    const { status, now } = /** @type {CustomEvent} */ (event).detail;
+    retryAt = performance.now() + Math.max(0, status.retryAt - now);
+    if (recording && viewer.scene) status.fps ??= viewer.scene.fps;
+    quality.limit(status.levels);
+    refresh();
+  });
+  viewer.addEventListener("picture", (event) => {
+    const { detail } = /** @type {CustomEvent} */ (event);
+    if (detail.position && viewer.status) viewer.status.position = detail.position;
+    rates.frame(detail, viewer.status?.bytes ?? 0);
+    refresh();
+  });
+  const heartbeat = setInterval(() => {
+    quality.tick();
+    if (viewer.status?.phase === "reconnecting") refresh();
+    if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates);
+  }, 500);
+  viewer.addEventListener("scene", () => {
+    if (showFrusta) drawFrusta();
+    const t = options.get("t");
+    if (t !== null && Number.isInteger(Number(t))) timeline.seek(Number(t));
+    options.delete("t");
+  });
+
+  const drawFrusta = () => {
+    viewer.renderer.setLines(showFrusta && viewer.scene ? frusta(viewer.scene.cameras, 0.12 * viewer.pose.distance) : new Float32Array(0));
+    viewer.dirty = true;
+  };
+
+  const goHome = () => viewer.home && viewer.moveTo(viewer.home);
+  /** @param {number} index */
+  const goTo = async (index) => {
+    const camera = viewer.scene?.cameras[index];
+    if (!camera) return;
+    viewer.posed = true;
+    const pose = fromCamera(camera, viewer.pose.distance);
+    viewer.moveTo({ ...pose, distance: await viewer.depthOf(pose) });
+    toast(camera.name);
+  };
+  const share = async () => {
+    const link = new URL(location.href);
+    link.searchParams.set("camera", toText(viewer.pose));
+    link.searchParams.delete("token");
+    const { position, mode } = viewer.status ?? {};
+    if (position && mode !== "live") link.searchParams.set("t", String(position.version));
+    else link.searchParams.delete("t");
+    try {
+      await navigator.clipboard.writeText(link.href);
+      toast("Link to this view copied");
+    } catch {
+      history.replaceState(null, "", link);
+      toast("The link is in the address bar");
+    }
+  };
+  const save = async () => {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(await viewer.capture());
+    link.download = `streamlod-${viewer.picture?.version ?? 0}.png`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    toast("Picture saved");
+  };
+  const fullScreen = () => {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else document.documentElement.requestFullscreen?.().catch(() => toast("Full screen is not allowed here"));
+  };
+  const statistics = () => {
+    const panel = element("stats");
+    panel.hidden = !panel.hidden;
+    button("b-stats").setAttribute("aria-pressed", String(!panel.hidden));
+    if (!panel.hidden) fillStatistics(panel, viewer, rates);
+  };
+  const help = () => /** @type {HTMLDialogElement} */ (element("help")).showModal();
+
+  button("b-home").onclick = goHome;
+  button("b-share").onclick = share;
+  button("b-shot").onclick = save;
+  button("b-full").onclick = fullScreen;
+  button("b-stats").onclick = statistics;
+  button("b-help").onclick = help;
+  button("stream-name").onclick = () => showStreams(options);
+  button("card-button").onclick = () => {
+    const phase = viewer.status?.phase;
+    if (phase === "reconnecting") viewer.tell({ type: "hurry" });
+    else if (phase === "missing") showStreams(options);
+    else location.reload();
+  };
+  const cameraMenu = element("camera-menu");
+  attachMenu(button("b-cameras"), cameraMenu, () => {
+    const cameras = viewer.scene?.cameras ?? [];
+    cameraMenu.replaceChildren(
+      menuItem(showFrusta ? "Hide the rig" : "Show the rig", "", null, () => {
+        showFrusta = !showFrusta;
+        drawFrusta();
+        button("b-cameras").click();
+      }),
+      document.createElement("hr"),
+      ...cameras.map((camera, i) => menuItem(camera.name, i < 9 ? String(i + 1) : "", null, () => goTo(i))),
+    );
+  });
+  const qualityMenu = element("quality-menu");
+  attachMenu(button("b-quality"), qualityMenu, () => {
+    const note = Object.assign(document.createElement("p"), { textContent: quality.explain() });
+    qualityMenu.replaceChildren(note, ...QUALITIES.map(({ name, label, note: small }) =>
+      menuItem(label, small, quality.name === name, () => {
+        quality.choose(name);
+        button("b-quality").click();
+      })));
+  });
+
+  /** @type {Record<string, () => unknown>} */
+  const keys = {
+    " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.seek(timeline.oldest),
+    end: () => timeline.live(), r: goHome, f: fullScreen, p: save, l: share, i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
+  };
+  window.addEventListener("keydown", (event) => {
+    const target = /** @type {HTMLElement} */ (event.target);
+    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input, dialog, .menu")) return;
+    if (event.key === " " && target.closest("button")) return;
+    const key = event.key.toLowerCase();
+    if (keys[key]) {
+      event.preventDefault();
+      keys[key]();
+    } else if (/^[1-9]$/.test(key)) goTo(Number(key) - 1);
+  });
+
+  let idle = 0;
+  const wake = () => {
+    document.body.classList.remove("idle");
+    clearTimeout(idle);
+    idle = window.setTimeout(() => document.body.classList.add("idle"), IDLE_MS);
+  };
+  for (const name of ["pointermove", "pointerdown", "keydown", "focusin"]) window.addEventListener(name, wake);
+  wake();
+  window.addEventListener("pagehide", () => clearInterval(heartbeat));
+
+  const pose = fromText(options.get("camera"));
+  if (pose) viewer.steer(pose);
+  if (viewer.software) toast("Drawn in software: turn on hardware acceleration for a smooth picture", 6000);
+
+  const token = options.get("token");
+  const wishes = quality.wishes();
+  if (recording) {
+    const url = new URL(recording, location.href).href;
+    viewer.tell({ type: "connect", url, recording: true, token: null, wishes, start: null });
+    return;
+  }
+  const stream = await chooseStream(options);
+  viewer.tell({ type: "connect", url: liveAddress(stream), recording: false, token, wishes, start: null });
+}
+
+const viewer = createViewer();
+if (viewer) await start(viewer);

@@ -1,0 +1,57 @@
+/** Which stream to watch. */
+
+import { button, element } from "./page.js";
+
+/** @typedef {{ id: string, name: string, state: string, viewers: number }} Stream */
+
+/** @param {URLSearchParams} options @returns {Promise<Stream[]>} empty where the server does not say */
+async function fetchStreams(options) {
+  const token = options.get("token");
+  try {
+    const answer = await fetch("/v1/streams", { headers: token ? { Authorization: `Bearer ${token}` } : {} });
+    return answer.ok ? (await answer.json()).items : [];
+  } catch {
+    return [];
+  }
+}
+
+/** The stream the address names, or the server's only or first one. @param {URLSearchParams} options @returns {Promise<string>} */
+export async function chooseStream(options) {
+  const named = options.get("stream");
+  const streams = await fetchStreams(options);
+  const chosen = named ?? streams[0]?.id ?? "main";
+  const label = button("stream-name");
+  label.textContent = streams.find(({ id }) => id === chosen)?.name ?? chosen;
+  label.hidden = streams.length < 2;
+  return chosen;
+}
+
+/** @type {(stream: string) => string} */
+export function liveAddress(stream) {
+  const address = new URL(`/v1/streams/${encodeURIComponent(stream)}/live`, location.href);
+  address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+  return address.href;
+}
+
+/** The list, in a dialog. @param {URLSearchParams} options */
+export async function showStreams(options) {
+  const streams = await fetchStreams(options);
+  const items = streams.map(({ id, name, state, viewers }) => {
+    const link = document.createElement("a");
+    const address = new URL(location.href);
+    address.searchParams.set("stream", id);
+    address.searchParams.delete("camera");
+    address.searchParams.delete("t");
+    link.href = address.href;
+    link.setAttribute("aria-current", String(id === (options.get("stream") ?? streams[0].id)));
+    const note = document.createElement("small");
+    note.textContent = `${state}, ${viewers} watching`;
+    link.append(name, note);
+    const item = document.createElement("li");
+    item.append(link);
+    return item;
+  });
+  if (!items.length) items.push(Object.assign(document.createElement("li"), { textContent: "There is no stream now." }));
+  element("stream-list").replaceChildren(...items);
+  /** @type {HTMLDialogElement} */ (element("streams")).showModal();
+}

@@ -1,0 +1,157 @@
+/** The bar at the bottom: the retained window, pause, scrub, step, loop, speed and the way back to the live edge. */
+
+import { button, element, setIcon } from "./page.js";
+import { clock } from "./states.js";
+
+/** @typedef {import("./session.js").Status} Status */
+/** @typedef {import("./session.js").Position} Position */
+
+const SPEEDS = [0.25, 0.5, 1, 2, 4];
+const SCRUB_MS = 90; // between two seeks while dragging
+
+export class Timeline {
+  /**
+   * @param {(messages: object[]) => void} send
+   * @param {boolean} recording - a file: has speed, has no live edge
+   */
+  constructor(send, recording) {
+    this.send = send;
+    this.recording = recording;
+    this.bar = element("timeline");
+    this.scrub = /** @type {HTMLInputElement} */ (element("t-scrub"));
+    /** @type {Status | null} */
+    this.status = null;
+    this.loop = false;
+    this.speed = 1;
+    this.dragging = false;
+    this.lastSeek = 0;
+    /** @type {number | null} a version to show and stop at */
+    this.stopAt = null;
+    this.loops = 0;
+    button("t-live").hidden = recording;
+    button("t-speed").hidden = !recording;
+    button("t-play").onclick = () => this.toggle();
+    button("t-back").onclick = () => this.step(-1);
+    button("t-forward").onclick = () => this.step(1);
+    button("t-live").onclick = () => this.live();
+    button("t-loop").onclick = () => this.setLoop(!this.loop);
+    button("t-speed").onclick = () => this.setSpeed(SPEEDS[(SPEEDS.indexOf(this.speed) + 1) % SPEEDS.length]);
+    this.scrub.oninput = () => this.#drag();
+    this.scrub.onchange = () => {
+      this.dragging = false;
+      this.seek(Number(this.scrub.value));
+    };
+  }
+
+  get window() {
+    return this.status?.window ?? null;
+  }
+
+  get version() {
+    return this.status?.position?.version ?? this.window?.newest.version ?? 0;
+  }
+
+  get paused() {
+    return this.status?.mode === "paused";
+  }
+
+  /** @param {number} version */
+  at(version) {
+    const window = this.window;
+    if (!window) return null;
+    const inside = Math.min(Math.max(version, this.oldest), window.newest.version);
+    return { epoch: window.newest.epoch, version: inside };
+  }
+
+  /** Oldest version of the newest epoch. */
+  get oldest() {
+    const window = this.window;
+    return !window ? 0 : window.oldest.epoch === window.newest.epoch ? window.oldest.version : 0;
+  }
+
+  /** Show `version`; playing goes on from there, unless paused. @param {number} version */
+  seek(version) {
+    const to = this.at(version);
+    if (!to) return;
+    this.stopAt = this.paused && !this.recording ? to.version : null;
+    this.send([{ type: "seek", to }]);
+  }
+
+  live() {
+    this.stopAt = null;
+    this.send([{ type: "seek", to: "live" }, { type: "play" }]);
+  }
+
+  toggle() {
+    this.stopAt = null;
+    this.send([{ type: this.paused || this.status?.phase === "ended" ? "play" : "pause" }]);
+  }
+
+  /** @param {number} by - frames */
+  step(by) {
+    const version = this.version;
+    if (!this.paused) this.send([{ type: "pause" }]);
+    const to = this.at(version + by);
+    if (!to) return;
+    this.stopAt = this.recording ? null : to.version;
+    this.send([{ type: "seek", to }]);
+  }
+
+  /** @param {boolean} on */
+  setLoop(on) {
+    this.loop = on;
+    button("t-loop").setAttribute("aria-pressed", String(on));
+    if (this.recording) this.send([{ type: "loop", value: on }]);
+    else if (on && this.status?.mode === "live") this.seek(this.oldest);
+  }
+
+  /** @param {number} speed */
+  setSpeed(speed) {
+    this.speed = speed;
+    button("t-speed").textContent = `${speed}×`;
+    this.send([{ type: "speed", value: speed }]);
+  }
+
+  #drag() {
+    this.dragging = true;
+    this.#show(Number(this.scrub.value));
+    const now = performance.now();
+    if (now - this.lastSeek < SCRUB_MS) return;
+    this.lastSeek = now;
+    this.seek(Number(this.scrub.value));
+  }
+
+  /** @param {Status} status */
+  update(status) {
+    const before = this.status;
+    this.status = status;
+    this.bar.hidden = !status.window;
+    if (!status.window) return;
+    const atEdge = status.mode === "live" && !this.recording;
+    if (this.stopAt !== null && status.position && status.position.version >= this.stopAt && status.mode !== "paused") {
+      this.stopAt = null;
+      this.send([{ type: "pause" }]);
+    }
+    if (this.loop && !this.recording && before?.mode === "replay" && atEdge) this.seek(this.oldest);
+    setIcon("t-play", status.mode === "paused" || status.phase === "ended" ? "play" : "pause");
+    button("t-play").setAttribute("aria-label", status.mode === "paused" ? "Play" : "Pause");
+    this.bar.parentElement?.setAttribute("data-edge", atEdge ? "live" : "behind");
+    if (!this.dragging) this.#show(atEdge ? Math.max(this.version, status.window.newest.version) : this.version);
+  }
+
+  /** @param {number} version */
+  #show(version) {
+    const window = this.window;
+    if (!window) return;
+    const { oldest } = this, newest = Math.max(window.newest.version, this.version);
+    Object.assign(this.scrub, { min: String(oldest), max: String(newest) });
+    if (!this.dragging) this.scrub.value = String(version);
+    const share = newest > oldest ? (version - oldest) / (newest - oldest) : 1;
+    this.scrub.style.setProperty("--done", `${(100 * share).toFixed(2)}%`);
+    const fps = this.status?.fps ?? null, behind = newest - version;
+    const live = this.status?.mode === "live" && !this.dragging;
+    const text = this.recording ? `${clock(version - oldest, fps)} / ${clock(newest - oldest, fps)}` : live || behind <= 0 ? clock(version - oldest, fps) : `−${clock(behind, fps)}`;
+    element("t-time").textContent = text;
+    this.scrub.setAttribute("aria-valuetext", this.recording || live ? text : `${clock(behind, fps)} behind live, frame ${version}`);
+  }
+}

@@ -1,0 +1,221 @@
+"""A small server of the viewer protocol, for tests of the page: a fixed list of states, and faults on request."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from fastapi.staticfiles import StaticFiles
+
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind
+from core.anchors import Scene
+from core.residual import difference
+from tests.client.web.scenes import moved
+
+WEB = Path(__file__).parents[3] / "client" / "web"
+
+
+@dataclass
+class Clip:
+    """States of one stream and their packets; packets between any two states are made on demand."""
+
+    states: list[Scene]
+    profile: int = 1
+    _made: dict[tuple[int, int], bytes] = field(default_factory=dict)
+
+    def key(self) -> bytes:
+        """The keyframe."""
+        return encode_keyframe(self.states[0], time_ns=0, profile=self.profile)
+
+    def residual(self, before: int, after: int) -> bytes:
+        """From one state to a later one."""
+        if (before, after) not in self._made:
+            kind = PacketKind.PREDICTED if after == before + 1 else PacketKind.CATCH_UP if before == 0 else PacketKind.SKIP
+            change = difference(self.states[before], self.states[after])
+            time_ns = after * 33_333_333
+            packet = encode_residual(self.states[before], change, kind=kind, time_ns=time_ns, profile=self.profile)
+            self._made[before, after] = packet
+        return self._made[before, after]
+
+
+def make_clip(scene: Scene, frames: int, profile: int = 1) -> Clip:
+    """A clip that begins with `scene`."""
+    states = [scene]
+    for _ in range(frames - 1):
+        states.append(moved(states[-1]))
+    return Clip(states, profile)
+
+
+@dataclass
+class Behaviour:
+    """What the server does; tests change it while it runs."""
+
+    fps: float = 20.0
+    version: int = 1
+    state: str = "live"
+    detail: str = ""
+    close: tuple[int, str] | None = None
+    progress: tuple[float, str] | None = None
+    newest: int | None = None  # the live edge stops there
+    corrupt: set[int] = field(default_factory=set)  # versions whose packet is damaged, once
+    streams: tuple[str, ...] = ("main",)
+    hellos: list[dict[str, Any]] = field(default_factory=list)
+
+
+class Viewer:
+    """One connection."""
+
+    def __init__(self, socket: WebSocket, clip: Clip, behaviour: Behaviour, started: float) -> None:
+        self.socket, self.clip, self.behaviour, self.started = socket, clip, behaviour, started
+        self.mode, self.version, self.have = "live", -1, -1
+
+    @property
+    def edge(self) -> int:
+        """The newest version there is."""
+        last = len(self.clip.states) - 1
+        limit = last if self.behaviour.newest is None else min(last, self.behaviour.newest)
+        return min(limit, int((time.monotonic() - self.started) * self.behaviour.fps) + 1)
+
+    def position(self, version: int) -> dict[str, int]:
+        """As the protocol writes it."""
+        return {"epoch": 1, "version": version}
+
+    def window(self) -> dict[str, Any]:
+        """What can be sought."""
+        return {"oldest": self.position(0), "newest": self.position(self.edge)}
+
+    async def event(self, name: str, **fields: Any) -> None:
+        """Send an event."""
+        await self.socket.send_text(json.dumps({"type": "event", "event": name, **fields}))
+
+    async def run(self) -> None:
+        """Say welcome, then serve until the connection ends."""
+        b = self.behaviour
+        hello = json.loads(await self.socket.receive_text())
+        b.hellos.append(hello)
+        if b.close:
+            await self.socket.close(*b.close)
+            return
+        ready = b.state not in ("idle", "starting")
+        facts: dict[str, Any] = {"levels": 3, "fps": b.fps, "window": self.window()} if ready else {}
+        welcome = {"type": "welcome", "version": b.version, "session": "test", "stream": "main", "state": b.state}
+        welcome |= {"detail": b.detail, "epoch": 1, "levels": None, "fps": None, "window": None, "ack_every": 8}
+        await self.socket.send_text(json.dumps(welcome | facts))
+        if b.progress:
+            await self.event("progress", fraction=b.progress[0], loss=None, text=b.progress[1])
+        if ready:
+            start = hello["start"]
+            await self.jump(self.edge if start == "live" else start["version"], "live" if start == "live" else "replay")
+            sender = asyncio.create_task(self.send_frames())
+        else:
+            sender = asyncio.create_task(asyncio.sleep(3600))
+        try:
+            await self.listen()
+        finally:
+            sender.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await sender
+
+    async def jump(self, version: int, mode: str) -> None:
+        """Keyframe and catch-up to a version."""
+        version = max(0, min(version, self.edge))
+        self.mode, self.version = mode, version
+        await self.event("position", mode=mode, **self.position(version), clamped=False)
+        await self.socket.send_bytes(self.clip.key())
+        if version:
+            await self.socket.send_bytes(self.clip.residual(0, version))
+        if mode == "live":
+            await self.event("caught_up")
+
+    async def send_frames(self) -> None:
+        """Frame after frame at the clip's rate."""
+        said = 0.0
+        while True:
+            await asyncio.sleep(1 / self.behaviour.fps)
+            if time.monotonic() - said > 0.5:
+                said = time.monotonic()
+                await self.event("window", **self.window())
+            if self.mode == "paused" or self.version >= self.edge:
+                continue
+            target = self.edge if self.mode == "live" else self.version + 1
+            packet = self.clip.residual(self.version, target)
+            if target in self.behaviour.corrupt:
+                self.behaviour.corrupt.discard(target)
+                packet = packet[:-3] + bytes([packet[-3] ^ 0x55]) + packet[-2:]
+            self.version = target
+            await self.socket.send_bytes(packet)
+            if self.mode == "replay" and target == self.edge:
+                self.mode = "live"
+                await self.event("caught_up")
+
+    async def listen(self) -> None:
+        """Obey control messages."""
+        while True:
+            message = json.loads(await self.socket.receive_text())
+            if message["type"] == "seek":
+                live = message["to"] == "live"
+                await self.jump(self.edge if live else message["to"]["version"], "live" if live else "replay")
+            elif message["type"] in ("pause", "play"):
+                self.mode = "paused" if message["type"] == "pause" else "replay"
+                await self.event("position", mode=self.mode, **self.position(self.version), clamped=False)
+
+
+def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None) -> FastAPI:
+    """The page, the live socket, the list of streams and, where given, a folder of files under /files."""
+    app = FastAPI()
+    started = time.monotonic()
+
+    @app.websocket("/v1/streams/{stream}/live")
+    async def live(socket: WebSocket, stream: str) -> None:
+        await socket.accept(subprotocol="streamlod.v1")
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await Viewer(socket, clip, behaviour, started).run()
+
+    @app.get("/v1/streams")
+    def streams() -> dict[str, Any]:
+        items = [{"id": s, "name": s, "state": behaviour.state, "viewers": 1} for s in behaviour.streams]
+        return {"items": items, "next_cursor": None}
+
+    if files is not None:
+        app.mount("/files", StaticFiles(directory=files))
+    app.mount("/", StaticFiles(directory=WEB, html=True))
+    return app
+
+
+def free_port() -> int:
+    """A TCP port that is free now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextlib.contextmanager
+def serving(app: FastAPI, port: int | None = None) -> Iterator[str]:
+    """Serve in a thread; yields the address."""
+    port = port or free_port()
+    config = uvicorn.Config(
+        app, host="127.0.0.1", port=port, log_level="error", ws="websockets-sansio", ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    deadline = time.monotonic() + 10
+    while not server.started and time.monotonic() < deadline:
+        time.sleep(0.02)
+    try:
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        server.should_exit = True
+        thread.join(5)
