@@ -34,6 +34,6 @@ class Exposure:
         return Exposure(self.gain.detach().clone(), self.offset.detach().clone())
 
 
-def neutral(cameras: int) -> Exposure:
+def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:
     """No correction for any of `cameras`."""
-    return Exposure(torch.ones(cameras, 3), torch.zeros(cameras, 3))
+    return Exposure(torch.ones(cameras, 3, device=device), torch.zeros(cameras, 3, device=device))

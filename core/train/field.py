@@ -56,10 +56,18 @@ class Field:
             parts = (self.feature[rows], self.offset[rows], self.scaling[rows], self.position[rows])
         return decode(*parts, self.network, self.view(centre))
 
+    def to(self, device: str) -> Field:
+        """The same anchors on another device."""
+        network = Network(*(value.to(device) for value in self.network.parameters()))
+        moved = {name: getattr(self, name).to(device) for name in _ARRAYS}
+        return replace(self, network=network, **moved)
+
     def with_rows(self, rows: Tensor) -> Field:
         """Only the anchors of `rows`."""
-        names = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
+
+
+_ARRAYS = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")
 
 
 def visible_levels(field: Field, centre: Tensor, highest: int) -> Tensor:

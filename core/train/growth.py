@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from core.arrays import Bool, Float64, Int32, Int64
+from core.arrays import Float64, Int32, Int64
 from core.train.config import KeyframeConfig
 from core.train.field import Field
 
@@ -20,28 +21,28 @@ _TRUSTED_SHARE = 0.3  # of the largest visit count, below which a gradient avera
 class GrowthStatistics:
     """Sums over the steps since the last adjustment, for N anchors of K Gaussians."""
 
-    def __init__(self, anchors: int, slots: int) -> None:
-        self.gradient = np.zeros(anchors * slots)
-        self.gradient_count = np.zeros(anchors * slots)
-        self.opacity = np.zeros(anchors)
-        self.visits = np.zeros(anchors)
+    def __init__(self, anchors: int, slots: int, device: torch.device | None = None) -> None:
+        self.gradient = torch.zeros(anchors * slots, device=device)
+        self.gradient_count = torch.zeros(anchors * slots, device=device)
+        self.opacity = torch.zeros(anchors, device=device)
+        self.visits = torch.zeros(anchors, device=device)
 
-    def add(self, gaussians: Int64, norms: Float64, anchors: Int64, opacity: Float64) -> None:
+    def add(self, gaussians: Tensor, norms: Tensor, anchors: Tensor, opacity: Tensor) -> None:
         """One step: gradient `norms` of the visible `gaussians`, summed positive `opacity` of the drawn `anchors`."""
-        self.gradient[gaussians] += norms
-        self.gradient_count[gaussians] += 1
-        self.opacity[anchors] += opacity
-        self.visits[anchors] += 1
+        self.gradient.index_add_(0, gaussians, norms)
+        self.gradient_count.index_add_(0, gaussians, torch.ones_like(norms))
+        self.opacity.index_add_(0, anchors, opacity)
+        self.visits.index_add_(0, anchors, torch.ones_like(opacity))
 
-    def mean_gradient(self) -> Float64:
+    def mean_gradient(self) -> Tensor:
         """[N*K] mean gradient norm where it was seen often enough, else 0."""
-        trusted = self.gradient_count >= max(_TRUSTED_SHARE * self.gradient_count.max(initial=0), 1)
-        return np.where(trusted, self.gradient / np.maximum(self.gradient_count, 1), 0.0)
+        enough = (_TRUSTED_SHARE * self.gradient_count.max()).clamp_min(1) if len(self.gradient_count) else 1
+        return torch.where(self.gradient_count >= enough, self.gradient / self.gradient_count.clamp_min(1), 0.0)
 
-    def faint(self, opacity: float) -> Bool:
+    def faint(self, opacity: float) -> Tensor:
         """[N] anchors seen often enough whose opacity, summed over slots and averaged over visits, is below a limit."""
-        often = self.visits >= max(0.5 * self.visits.max(initial=0), 1)
-        return np.asarray(often & (self.opacity < opacity * self.visits))
+        often = self.visits >= (0.5 * self.visits.max()).clamp_min(1) if len(self.visits) else self.visits > 0
+        return often & (self.opacity < opacity * self.visits)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +57,7 @@ class NewAnchors:
         return len(self.level)
 
 
-def grow(field: Field, gradient: Float64, config: KeyframeConfig, highest: int) -> NewAnchors:
+def grow(field: Field, gradient: Tensor, config: KeyframeConfig, highest: int) -> NewAnchors:
     """Where Gaussians pull hardest, an anchor at their own level; where harder still, one at the next finer level.
 
     Args:
@@ -65,13 +66,14 @@ def grow(field: Field, gradient: Float64, config: KeyframeConfig, highest: int) 
     """
     with torch.no_grad():
         means = field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]
-    centres = means.reshape(-1, 3).numpy().astype(np.float64)
-    slot_level = np.repeat(field.level.numpy(), field.slots)
+    centres = means.reshape(-1, 3).cpu().numpy().astype(np.float64)
+    slot_level = np.repeat(field.level.cpu().numpy(), field.slots)
+    pull = gradient.cpu().numpy()
     found: list[NewAnchors] = []
     for level in range(field.octree.levels):
         threshold = config.growth_threshold * _LEVEL_FACTOR**level
-        own = (slot_level == level) & (gradient >= threshold) & (gradient < threshold * _LEVEL_FACTOR)
-        next_level = (slot_level == level) & (gradient >= threshold * _LEVEL_FACTOR)
+        own = (slot_level == level) & (pull >= threshold) & (pull < threshold * _LEVEL_FACTOR)
+        next_level = (slot_level == level) & (pull >= threshold * _LEVEL_FACTOR)
         for target, candidates in ((level, own), (level + 1, next_level)):
             if target <= highest and candidates.any():
                 found.append(_free_nodes(field, centres, np.flatnonzero(candidates), target))
@@ -86,12 +88,12 @@ def grow(field: Field, gradient: Float64, config: KeyframeConfig, highest: int) 
     )
 
 
-def earned_extra_level(field: Field, gradient: Float64, config: KeyframeConfig) -> Bool:
+def earned_extra_level(field: Field, gradient: Tensor, config: KeyframeConfig) -> Tensor:
     """[N] anchors whose mean gradient earns them extra level (paper section III-A)."""
     per_slot = gradient.reshape(len(field), field.slots)
-    mean = per_slot.sum(axis=1) / np.maximum((per_slot > 0).sum(axis=1), 1)
-    threshold = config.growth_threshold * _LEVEL_FACTOR ** field.level.numpy()
-    return np.asarray(mean >= _EXTRA_SHARE * threshold)
+    mean = per_slot.sum(dim=1) / (per_slot > 0).sum(dim=1).clamp_min(1)
+    threshold = config.growth_threshold * _LEVEL_FACTOR ** field.level.float()
+    return mean >= _EXTRA_SHARE * threshold
 
 
 def _free_nodes(field: Field, centres: Float64, candidates: Int64, level: int) -> NewAnchors:
@@ -99,7 +101,7 @@ def _free_nodes(field: Field, centres: Float64, candidates: Int64, level: int) -
     voxels = field.octree.voxel_of(centres[candidates], level)
     inside = np.abs(voxels).max(axis=1) < _REACH
     voxels, candidates = voxels[inside], candidates[inside]
-    taken = field.voxel.numpy()[field.level.numpy() == level]
+    taken = field.voxel.cpu().numpy()[field.level.cpu().numpy() == level]
     unique, first = np.unique(voxels, axis=0, return_index=True)
     free = ~np.isin(_key(unique), _key(taken))
     parent = candidates[first[free]] // field.slots

@@ -35,14 +35,6 @@ class Views:
     usable: list[int]
 
 
-@dataclass(frozen=True, slots=True)
-class StepResult:
-    """One training step: its loss and how many gradients were not finite."""
-
-    loss: float
-    broken: int
-
-
 class KeyframeTrainer:
     """Optimises a field against one instant.
 
@@ -58,11 +50,13 @@ class KeyframeTrainer:
         self._model = config.model
         self._views = views
         self._backend = backend
-        self._generator = torch.Generator().manual_seed(config.seed)
-        self._centres = [torch.from_numpy(camera.centre).float() for camera in views.cameras]
-        self._background = torch.zeros(3)
-        self._order = ViewOrder(views.usable, self._generator)
-        self._exposure = neutral(len(views.cameras))
+        device = field.feature.device
+        self._generator = torch.Generator(device).manual_seed(config.seed)
+        self._chances = torch.Generator().manual_seed(config.seed)  # what the host decides
+        self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
+        self._background = torch.zeros(3, device=device)
+        self._order = ViewOrder(views.usable, self._chances)
+        self._exposure = neutral(len(views.cameras), device)
         leaves = {name: getattr(field, name).clone().requires_grad_() for name in _ROW_PARAMETERS}
         network = {name: getattr(field.network, name).clone().requires_grad_() for name in _NETWORK_PARAMETERS}
         exposure = {"gain": self._exposure.gain, "exposure_offset": self._exposure.offset}
@@ -71,7 +65,7 @@ class KeyframeTrainer:
                 value.requires_grad_()
         self._optimiser = RowAdam({**leaves, **network, **(exposure if config.model.exposure else {})})
         self._fixed = field
-        self._statistics = GrowthStatistics(len(field), field.slots)
+        self._statistics = GrowthStatistics(len(field), field.slots, device)
         self._highest = field.octree.levels - 1
         self._average: dict[str, Tensor] = {}
         self._averaged = 0
@@ -95,8 +89,13 @@ class KeyframeTrainer:
         """Gains and offsets fitted so far."""
         return self._exposure.frozen()
 
-    def step(self) -> StepResult:
-        """One view, one update."""
+    @property
+    def broken(self) -> int:
+        """Gradient entries that were not finite and were taken as zero."""
+        return self._optimiser.broken
+
+    def step(self) -> Tensor:
+        """One view, one update; returns its loss, detached."""
         config, progress = self._config, self._done / self._config.steps
         self._highest = unlocked_level(self._fixed.octree.levels, config, progress)
         number = self._order.next()
@@ -119,7 +118,7 @@ class KeyframeTrainer:
         rates = keyframe_rates(config, progress)
         rates |= dict.fromkeys(_NETWORK_PARAMETERS, rates["network"])
         rates |= dict.fromkeys(("gain", "exposure_offset"), rates["exposure"])
-        broken = self._optimiser.step(rates)
+        self._optimiser.step(rates)
         if self._model.exposure:
             self._exposure.centre()
         self._count(raster, splats, rows)
@@ -128,14 +127,14 @@ class KeyframeTrainer:
             self._add_to_average()
         if self._done % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             self._adjust()
-        return StepResult(float(loss.detach()), broken)
+        return loss.detach()
 
     def _drawn_rows(self, number: int) -> Tensor | None:
         """Anchors of this step: all, those of a random coarse cap, or those that the camera's distances call for."""
         field, highest = self._fixed, self._highest
-        capped = torch.rand((), generator=self._generator).item() < self._config.level_cap_share
+        capped = torch.rand((), generator=self._chances).item() < self._config.level_cap_share
         if capped and highest > 0:
-            highest = int(torch.randint(0, highest, (), generator=self._generator))
+            highest = int(torch.randint(0, highest, (), generator=self._chances))
         if self._model.selection == "distance":
             return torch.nonzero(visible_levels(field, self._centres[number], highest))[:, 0]
         return None if highest == field.octree.levels - 1 else torch.nonzero(field.level <= highest)[:, 0]
@@ -165,9 +164,9 @@ class KeyframeTrainer:
         visible = raster.probe.visible
         norms = raster.probe.gradients.norm(dim=1)
         opacity = splats.opacities.detach().clamp_min(0).reshape(-1, slots).sum(dim=1)
-        anchors = torch.arange(len(self._fixed)) if rows is None else rows
+        anchors = torch.arange(len(self._fixed), device=visible.device) if rows is None else rows
         gaussians = anchors[visible // slots] * slots + visible % slots
-        self._statistics.add(gaussians.numpy(), norms.double().numpy(), anchors.numpy(), opacity.double().numpy())
+        self._statistics.add(gaussians, norms, anchors, opacity)
 
     def _add_to_average(self) -> None:
         """Mean of the parameters over the last steps: steadier than any one of them (Polyak averaging)."""
@@ -180,19 +179,22 @@ class KeyframeTrainer:
         """Grow, prune, and start counting anew."""
         field, config = self.field, self._config
         gradient = self._statistics.mean_gradient()
-        extra = torch.from_numpy(earned_extra_level(field, gradient, config)).float() * config.extra_level_gain
+        extra = earned_extra_level(field, gradient, config).float() * config.extra_level_gain
         new = grow(field, gradient, config, self._highest)
         if len(field) + len(new) > self._model.max_anchors:
             new = type(new)(new.voxel[:0], new.level[:0], new.parent[:0])
-        kept = torch.from_numpy(~self._statistics.faint(config.prune_opacity)).nonzero()[:, 0]
-        level, voxel = torch.from_numpy(new.level), torch.from_numpy(new.voxel)
+        kept = torch.nonzero(~self._statistics.faint(config.prune_opacity))[:, 0]
+        device = field.feature.device
+        level, voxel = torch.from_numpy(new.level).to(device), torch.from_numpy(new.voxel).to(device)
+        parent = torch.from_numpy(new.parent).to(device)
         cells = field.octree.root_cell / 2.0 ** level.double()
-        position = (torch.from_numpy(field.octree.origin) + voxel * cells[:, None]).float()
+        position = (torch.from_numpy(field.octree.origin).to(device) + voxel * cells[:, None]).float()
         self._optimiser.replace_rows(
             kept,
             {
-                "feature": field.feature[torch.from_numpy(new.parent)],
-                "offset": _OFFSET_SPREAD * torch.randn(len(new), field.slots, 3, generator=self._generator),
+                "feature": field.feature[parent],
+                "offset": _OFFSET_SPREAD
+                * torch.randn(len(new), field.slots, 3, generator=self._generator, device=device),
                 "scaling": cells.log().float()[:, None].repeat(1, 6),
             },
         )
@@ -200,10 +202,10 @@ class KeyframeTrainer:
             self._fixed,
             level=torch.cat([field.level[kept], level]),
             voxel=torch.cat([field.voxel[kept], voxel]),
-            extra_level=torch.cat([(field.extra_level + extra)[kept], torch.zeros(len(new))]),
+            extra_level=torch.cat([(field.extra_level + extra)[kept], torch.zeros(len(new), device=device)]),
             position=torch.cat([field.position[kept], position]),
         )
-        self._statistics = GrowthStatistics(len(self._fixed), field.slots)
+        self._statistics = GrowthStatistics(len(self._fixed), field.slots, field.feature.device)
 
 
 def _network_of(parameters: dict[str, Tensor]) -> Network:

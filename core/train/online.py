@@ -54,35 +54,37 @@ class ResidualTrainer:
         self, scene: Scene, field: Field, rows: Tensor, static: Tensor, views: Views, exposure: Exposure | None
     ) -> None:
         self._field, self._rows, self._views, self._exposure = field, rows, views, exposure
-        self._centres = [torch.from_numpy(camera.centre).float() for camera in views.cameras]
-        self._feature_decoder = torch.from_numpy(scene.weights.feature_decoder)
-        self._offset_decoder = torch.from_numpy(scene.weights.offset_decoder)
-        steps = torch.from_numpy(scene.header.position_steps)
+        device = field.feature.device
+        self._background = torch.zeros(3, device=device)
+        self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
+        self._feature_decoder = torch.from_numpy(scene.weights.feature_decoder).to(device)
+        self._offset_decoder = torch.from_numpy(scene.weights.offset_decoder).to(device)
+        steps = torch.from_numpy(scene.header.position_steps).to(device)
         self._position_step = steps[field.level[rows]][:, None]
         self._static = _static_splats(field, static, self._centres)
-        self._latent = torch.zeros(len(rows), LATENTS, requires_grad=True)
-        self._position = torch.zeros(len(rows), 3, requires_grad=True)
+        self._latent = torch.zeros(len(rows), LATENTS, device=device, requires_grad=True)
+        self._position = torch.zeros(len(rows), 3, device=device, requires_grad=True)
 
     def run(self, config: PredictConfig, backend: Backend, generator: torch.Generator) -> Quanta:
         """Train as configured and round."""
         views = self._views.usable
         total = max(config.epochs * len(views), config.minimum_steps)
         order, optimiser = ViewOrder(views, generator), RowAdam({"latent": self._latent, "position": self._position})
-        broken, losses = 0, []
+        losses: list[Tensor] = []
         for step in range(total):
             loss = self._loss(order.next(), config, backend)
             loss.backward()  # type: ignore[no-untyped-call]
             decay = config.final_rate ** (step / total)
-            broken += optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
-            losses.append(float(loss.detach()))
+            optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
+            losses.append(loss.detach())
         latent, position = _finite_quanta(self._latent), _finite_quanta(self._position)
-        return Quanta(latent, position, total, float(np.mean(losses[-len(views) :])), broken)
+        return Quanta(latent, position, total, float(torch.stack(losses[-len(views) :]).mean()), optimiser.broken)
 
     def _loss(self, number: int, config: PredictConfig, backend: Backend) -> Tensor:
         dynamic = self._dynamic_splats(number)
         splats = join(dynamic, self._static[number])
         camera = self._views.cameras[number]
-        raster = rasterise(*splats.astuple(), camera, torch.zeros(3), gradient_rows=len(dynamic), backend=backend)
+        raster = rasterise(*splats.astuple(), camera, self._background, gradient_rows=len(dynamic), backend=backend)
         image = raster.image if self._exposure is None else self._exposure.apply(raster.image, number)
         loss = photometric_loss(image, self._views.targets[number], config.dssim_weight)
         if config.rate_weight:
@@ -143,4 +145,4 @@ def _finite_quanta(values: Tensor) -> Int32:
     """Nearest integers; what is not finite stays at its last good state, zero."""
     limit = 2.0**24
     rounded = torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0).round().clamp(-limit, limit)
-    return rounded.to(torch.int32).numpy()
+    return rounded.to(torch.int32).cpu().numpy()

@@ -19,10 +19,10 @@ _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering po
 
 def change_masks(references: Tensor, views: Views, floor: float) -> Tensor:
     """[C,H,W] bool: pixels of each usable camera that changed against `references` [C,H,W,3]."""
-    masks = torch.zeros(references.shape[:3], dtype=torch.bool)
+    masks = torch.zeros(references.shape[:3], dtype=torch.bool, device=references.device)
     for number in views.usable:
-        changed = changed_pixels(references[number].numpy(), views.targets[number].numpy(), floor)
-        masks[number] = torch.from_numpy(changed)
+        changed = changed_pixels(references[number].cpu().numpy(), views.targets[number].cpu().numpy(), floor)
+        masks[number] = torch.from_numpy(changed).to(references.device)
     return masks
 
 
@@ -46,7 +46,7 @@ def partition(
         previous: [N] dynamic in the frame before.
     """
     if config.everything:
-        return alive.numpy()
+        return np.asarray(alive.cpu().numpy())
     scores = motion_scores(field, alive, references, views, masks, config, backend)
     return dynamic_anchors(scores, previous, config.posterior, config.posterior * _HYSTERESIS)
 
@@ -74,7 +74,7 @@ def motion_scores(
         camera = views.cameras[number]
         rows = torch.nonzero(alive)[:, 0]
         with torch.no_grad():
-            splats = field.decode(torch.from_numpy(camera.centre).float(), rows)
+            splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
         means = splats.means.requires_grad_()
         raster = rasterise(
             means,
@@ -83,15 +83,15 @@ def motion_scores(
             splats.opacities,
             splats.colours,
             camera,
-            torch.zeros(3),
+            torch.zeros(3, device=rows.device),
             backend=backend,
         )
         base = references[number] if masked else raster.image.detach()
         gradient = 2 * (base - views.targets[number]) / base.numel()
         raster.image.backward(gradient * mask[..., None] if masked else gradient)  # type: ignore[no-untyped-call]
         visible = raster.probe.visible
-        anchors = rows[visible // field.slots].numpy()
-        norms = raster.probe.gradients.norm(dim=1).double().numpy()
+        anchors = rows[visible // field.slots].cpu().numpy()
+        norms = raster.probe.gradients.norm(dim=1).double().cpu().numpy()
         count = np.bincount(anchors, minlength=len(field))
         total += np.bincount(anchors, norms, minlength=len(field)) / np.maximum(count, 1)
         views_seen += count > 0

@@ -32,7 +32,7 @@ def dropout_keep(level: Tensor, config: KeyframeConfig, progress: float, generat
         level: [G] level of each Gaussian's anchor.
     """
     rate = ((config.dropout_base + config.dropout_slope * level.float()) * progress).clamp(max=config.dropout_cap)
-    return (torch.rand(len(level), generator=generator) >= rate) / (1 - rate)
+    return (torch.rand(len(level), generator=generator, device=level.device) >= rate) / (1 - rate)
 
 
 def unlocked_level(levels: int, config: KeyframeConfig, progress: float) -> int:

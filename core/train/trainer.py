@@ -69,7 +69,8 @@ class Trainer:
         self._cameras, self._config, self._fps = cameras, config, fps
         self._backend = select(device)
         self._rig = rig or cameras
-        self._exposure = neutral(len(cameras))
+        self._device = "cuda" if self._backend == "cuda" else "cpu"
+        self._exposure = neutral(len(cameras), self._device)
         self._state: _State | None = None
 
     @property
@@ -92,27 +93,30 @@ class Trainer:
         watch, views = Stopwatch(), self._views(frames)
         with watch.stage("seed"):
             generator = torch.Generator().manual_seed(self._config.seed)
-            field = seed_field(points, self._cameras, self._config.model, generator)
+            field = seed_field(points, self._cameras, self._config.model, generator).to(self._device)
             trainer = KeyframeTrainer(field, views, self._config, self._backend)
 
         def preview() -> Scene:
             return self._scene_of(trainer.field, frames.index)
 
-        steps, broken, losses = self._config.keyframe.steps, 0, []
+        steps, losses = self._config.keyframe.steps, list[Tensor]()
         with watch.stage("train"):
             for step in range(steps):
-                result = trainer.step()
-                broken += result.broken
-                losses.append(result.loss)
+                losses.append(trainer.step())
                 if on_progress is not None and (step + 1) % _REPORT_EVERY == 0:
-                    mean = float(np.mean(losses[-_REPORT_EVERY:]))
+                    mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
                     on_progress(Progress("first frame", (step + 1) / steps, mean, len(trainer.field), preview))
         with watch.stage("round"):
             scene = preview()
             self._exposure = trainer.exposure
             self._adopt(scene, views)
         report = FrameReport(
-            watch.seconds, steps, scene.anchor_count, scene.anchor_count, float(np.mean(losses[-50:])), broken
+            watch.seconds,
+            steps,
+            scene.anchor_count,
+            scene.anchor_count,
+            float(torch.stack(losses[-50:]).mean()),
+            trainer.broken,
         )
         return TrainedFrame(scene, None, report)
 
@@ -128,7 +132,7 @@ class Trainer:
             keep_references: the scene shows what this trainer's state showed.
         """
         references = self._state.references if keep_references and self._state is not None else None
-        field = field_of(scene)
+        field = field_of(scene).to(self._device)
         self._state = _State(scene, field, field, references, np.zeros(_rows(scene), np.bool_))
 
     def predict(self, frames: FrameSet) -> TrainedFrame:
@@ -139,26 +143,26 @@ class Trainer:
         """
         state, watch, views = self._require(), Stopwatch(), self._views(frames)
         config = self._config.predict
-        alive = _alive(state.scene)
+        alive = _alive(state.scene).to(self._device)
         with watch.stage("partition"):
             references = views.targets if state.references is None else state.references
             masks = change_masks(references, views, config.noise_floor)
             due = frames.index % config.partition_interval == 0 or not state.dynamic.any()
-            dynamic = state.dynamic & alive.numpy()
+            dynamic = state.dynamic & alive.cpu().numpy()
             if due:
                 source = state.canonical if config.cue == "canonical" else state.field
                 dynamic = partition(source, alive, references, views, masks, dynamic, config, self._backend)
-        rows = torch.from_numpy(np.flatnonzero(dynamic))
+        rows = torch.from_numpy(np.flatnonzero(dynamic)).to(self._device)
         quanta = Quanta(np.zeros((0, 24), np.int32), np.zeros((0, 3), np.int32), 0, 0.0, 0)
         if len(rows):
             with watch.stage("train"):
-                static = torch.nonzero(alive & ~torch.from_numpy(dynamic))[:, 0]
+                static = torch.nonzero(alive & ~torch.from_numpy(dynamic).to(self._device))[:, 0]
                 exposure = self._exposure if self._config.model.exposure else None
                 trainer = ResidualTrainer(state.scene, state.field, rows, static, views, exposure)
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 quanta = trainer.run(config, self._backend, generator)
         with watch.stage("round"):
-            residual = residual_of(state.scene, rows.numpy(), quanta, frames.index)
+            residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
             renewed = torch.where(masks[..., None], views.targets, references)
             self._state = replace(
@@ -171,14 +175,14 @@ class Trainer:
         usable = np.flatnonzero(frames.present).tolist()
         if not usable:
             raise ModelError(f"frame {frames.index} has no picture from any camera")
-        targets = torch.from_numpy(frames.images).float().div_(255)
+        targets = torch.from_numpy(frames.images).to(self._device).float().div_(255)
         return Views(self._cameras, targets, usable)
 
     def _scene_of(self, field: Field, version: int) -> Scene:
         return scene_of(field, self._config.predict, self._rig, self._fps, version)
 
     def _adopt(self, scene: Scene, views: Views) -> None:
-        field = field_of(scene)
+        field = field_of(scene).to(self._device)
         self._state = _State(scene, field, field, views.targets, np.zeros(_rows(scene), np.bool_))
 
     def _require(self) -> _State:
@@ -197,16 +201,18 @@ def _rows(scene: Scene) -> int:
 
 def _updated(field: Field, scene: Scene, residual: Residual) -> Field:
     """`field` after `residual` led to `scene`: changed rows are dequantised again, as the decoder does it."""
+    device = field.feature.device
     if any(len(part.added) for part in residual.levels):
-        return field_of(scene)
+        return field_of(scene).to(str(device))
     starts = level_starts(scene)
     feature, offset = field.feature.clone(), field.offset.clone()
     position = field.position.clone()
     for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
         if len(part.rows) == 0:
             continue
-        rows = torch.from_numpy(part.rows + starts[number])
+        rows = torch.from_numpy(part.rows + starts[number]).to(device)
         new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
-        feature[rows], offset[rows] = torch.from_numpy(new_feature), torch.from_numpy(new_offset)
-        position[rows] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows])
+        feature[rows] = torch.from_numpy(new_feature).to(device)
+        offset[rows] = torch.from_numpy(new_offset).to(device)
+        position[rows] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
     return replace(field, feature=feature, offset=offset, position=position)

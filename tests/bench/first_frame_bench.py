@@ -1,0 +1,91 @@
+"""First frame: the anchor model against plain Gaussians, same points, rasteriser, loss and CPU time.
+
+    python -m tests.bench.first_frame_bench DATA [--views 6 --test cam00 --downscale 2 --steps 1500 --seeds 2]
+
+Prints PSNR, SSIM, and PSNR after fitting gain and offset a channel, of the held-out camera, and saves the pictures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from core.arrays import Float32
+from core.data import linspace_split, open_dataset
+from core.expand import expand
+from core.frames import FrameSet
+from core.metrics import psnr, ssim
+from core.render.cpu import render
+from core.train import Trainer, preset
+from core.train.keyframe import Views
+from tests.bench.plain_gaussians import PlainGaussians
+
+
+def fitted(picture: Float32, truth: Float32) -> Float32:
+    """`picture` with the gain and offset a channel that bring it nearest to `truth`."""
+    result = picture.copy()
+    for channel in range(3):
+        design = np.stack([picture[..., channel].ravel(), np.ones(picture[..., channel].size)], axis=1)
+        gain, offset = np.linalg.lstsq(design, truth[..., channel].ravel(), rcond=None)[0]
+        result[..., channel] = picture[..., channel] * gain + offset
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data")
+    parser.add_argument("--views", type=int, default=6)
+    parser.add_argument("--test", default="cam00")
+    parser.add_argument("--downscale", type=float, default=2)
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--preset", default="balanced")
+    parser.add_argument("--out", type=Path, default=None)
+    options = parser.parse_args()
+    dataset = open_dataset(options.data, downscale=options.downscale)
+    names = [camera.name for camera in dataset.cameras]
+    rows = [names.index(name) for name in linspace_split(names, options.views, (options.test,)).train]
+    frame = next(iter(dataset.frames()))
+    held_out, cameras = dataset.cameras[names.index(options.test)], tuple(dataset.cameras[row] for row in rows)
+    truth = frame.images[names.index(options.test)].astype(np.float32) / 255
+    points = dataset.points()
+    assert points is not None, "this bench starts from the data set's own points"
+    training = FrameSet(frame.index, frame.time_ns, frame.images[rows], frame.present[rows])
+    targets = torch.from_numpy(training.images).float() / 255
+
+    def show(label: str, seed: int, picture: Float32, size: int, seconds: float) -> None:
+        picture = picture.clip(0, 1)
+        scores = (psnr(picture, truth), ssim(picture, truth), psnr(fitted(picture, truth), truth))
+        print(
+            f"{label:14s} seed {seed} views {len(rows)}: PSNR {scores[0]:.2f} SSIM {scores[1]:.4f} fitted "
+            f"{scores[2]:.2f} size {size} CPU {seconds:.0f} s",
+            flush=True,
+        )
+        if options.out:
+            options.out.mkdir(parents=True, exist_ok=True)
+            both = np.concatenate([truth, picture], axis=1)[..., ::-1]
+            cv2.imwrite(str(options.out / f"{label}-{len(rows)}-{seed}.png"), (255 * both).round().astype(np.uint8))
+
+    for seed in range(options.seeds):
+        config = preset(options.preset)
+        config = replace(config, seed=seed, keyframe=replace(config.keyframe, steps=options.steps))
+        begin = time.process_time()
+        trained = Trainer(cameras, config, dataset.fps, "cpu").keyframe(training, points)
+        seconds = time.process_time() - begin
+        cloud = expand(trained.scene, held_out.centre)
+        picture = render(cloud, held_out, trained.scene.header.background).image
+        show("anchors", seed, picture, trained.scene.anchor_count, seconds)
+        plain = PlainGaussians(points, Views(cameras, targets, list(range(len(rows)))), seed=seed)
+        plain.train(seconds)
+        with torch.no_grad():
+            show("plain", seed, plain.render(camera=held_out).image.numpy(), len(plain), seconds)
+
+
+if __name__ == "__main__":
+    main()
