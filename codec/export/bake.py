@@ -1,0 +1,57 @@
+"""Freeze what depends on the view, so that a scene becomes plain Gaussians.
+
+A view-dependent scene has no single answer: baked at one viewpoint it is exact there and an approximation elsewhere;
+averaged over several it is an approximation everywhere, and nowhere far off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.anchors import Scene
+from core.arrays import Float32, Float64
+from core.expand import expand_slots, visible
+from core.gaussians import GaussianCloud, concatenate
+
+
+def bake(scene: Scene, viewpoints: Float64) -> GaussianCloud:
+    """The scene's Gaussians as seen from `viewpoints` [V,3], averaged over them where they differ.
+
+    Opacities and scales are means over the views, colours are means weighted by opacity, rotations are means of unit
+    quaternions on one hemisphere.
+
+    Raises:
+        ValueError: no viewpoint.
+    """
+    if len(viewpoints) == 0:
+        raise ValueError("baking needs at least one viewpoint")
+    points = viewpoints if scene.header.view_dependent else viewpoints[:1]
+    clouds = []
+    for number, level in enumerate(scene.levels):
+        rows = np.flatnonzero(level.alive)
+        views = [expand_slots(scene.header, scene.weights, number, level, rows, point) for point in points]
+        clouds.append(visible(_mean(views)))
+    return concatenate(clouds)
+
+
+def _mean(views: list[GaussianCloud]) -> GaussianCloud:
+    """One cloud from the same Gaussians seen from several viewpoints; means do not depend on the view."""
+    if len(views) == 1:
+        return views[0]
+    opacities = np.stack([view.opacities for view in views])
+    share = opacities / np.maximum(opacities.sum(axis=0), np.float32(1e-12))
+    colours = sum(w[:, None] * view.colours for w, view in zip(share, views, strict=True))
+    scales = np.mean([view.scales for view in views], axis=0)
+    quaternions = _unit(views[0].quaternions)
+    total = np.zeros_like(quaternions)
+    for view in views:
+        turned = _unit(view.quaternions)
+        total += np.where((turned * quaternions).sum(axis=1, keepdims=True) < 0, -turned, turned)
+    parts = (views[0].means, total, scales, opacities.mean(axis=0), np.asarray(colours))
+    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+
+
+def _unit(quaternions: Float32) -> Float32:
+    return np.asarray(
+        quaternions / np.maximum(np.linalg.norm(quaternions, axis=1, keepdims=True), np.float32(1e-12)), np.float32
+    )
