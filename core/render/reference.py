@@ -33,17 +33,17 @@ def rasterise_reference(
     base: Tensor | None,
 ) -> Raster:
     """`core.render.differentiable.rasterise` by brute force; arguments as there, float64 allowed and kept."""
-    given = (means, quaternions, scales, opacities, colours)
-    if gradient_rows is not None:
-        given = tuple(torch.cat([p[:gradient_rows], p[gradient_rows:].detach()]) for p in given)
+    moving = len(means) if gradient_rows is None else gradient_rows
+    given = [torch.cat([p[:moving], p[moving:].detach()]) for p in (means, quaternions, scales, opacities, colours)]
     with torch.no_grad():
-        rows = _visible(*(p.double() for p in given), camera)
+        m, q, s, o, c = (p.double() for p in given)
+        rows = _visible(m, q, s, o, c, camera)
     m, q, s, o, c = (p[rows].double() for p in given)
     mean, covariance, depth = project(m, q, s, camera)
-    probe = Probe(rows if gradient_rows is None else rows[rows < gradient_rows])
+    probe = Probe(rows[rows < moving])
     if mean.requires_grad:
         half = mean.new_tensor([camera.width / 2, camera.height / 2])
-        mean.register_hook(lambda g: probe.record((g[: len(probe.visible)] * half).float()))
+        mean.register_hook(lambda g: probe.record((g[: len(probe.visible)] * half).float()))  # type: ignore[no-untyped-call]
     order = torch.argsort(depth, stable=True)
     image, light = blend(
         mean[order], covariance[order], o[order], c[order], background.double(), camera.width, camera.height

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 TILE_WIDTH, TILE_HEIGHT = 32, 16  # pixels
+
+
+class Box(NamedTuple):
+    """A part of a picture in pixels; right and bottom are exclusive."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
 
 
 def tile_grid(width: int, height: int) -> tuple[int, int]:

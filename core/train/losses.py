@@ -6,23 +6,16 @@ zero padding, means over all pixels and channels.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from core.render.tiles import Box
+
 WINDOW, SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
-
-
-class Box(NamedTuple):
-    """A part of a picture in pixels; right and bottom are exclusive."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
 
 
 def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Box | None = None) -> Tensor:
@@ -86,16 +79,16 @@ class _Fused(torch.autograd.Function):
     """The gradient is made together with the value, since it needs the same blurs."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float, box: Box) -> Tensor:  # type: ignore[override]
+    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float, box: Box) -> Tensor:
         from core.render.cpu.photometric import photometric_sums
 
         value, gradient = photometric_sums(
-            image.detach().contiguous().numpy(), target.detach().contiguous().numpy(), dssim_weight, tuple(box)
+            image.detach().contiguous().numpy(), target.detach().contiguous().numpy(), dssim_weight, box
         )
         ctx.gradient = torch.from_numpy(gradient)
         return image.new_tensor(value)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         return ctx.gradient * upstream, None, None, None

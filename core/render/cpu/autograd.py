@@ -33,7 +33,7 @@ class _Call:
 
 class _Rasterise(torch.autograd.Function):
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any,
         means: Tensor,
         quaternions: Tensor,
@@ -58,7 +58,7 @@ class _Rasterise(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, image_gradient: Tensor | None, light_gradient: Tensor | None) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, image_gradient: Tensor | None, light_gradient: Tensor | None) -> tuple[Tensor | None, ...]:
         call: _Call = ctx.call
         frame = call.frame
         cloud = _cloud(*ctx.saved_tensors[:5])

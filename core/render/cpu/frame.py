@@ -146,16 +146,23 @@ def backward(
     sums = workspace.take("sums", (workers, len(wanted), SUMS), np.float32)
     light = np.zeros((0, 0), np.float32) if light_gradient is None else light_gradient
     tiles_x = tile_grid(width, height)[1]
-    shapes = ((count, 3), (count, 4), (count, 3), (count,), (count, 3))
-    out = [np.zeros(shape, np.float32) for shape in shapes]
-    screen = np.zeros((len(wanted), 2), np.float32)
+    out = Gradients(
+        means=np.zeros((count, 3), np.float32),
+        quaternions=np.zeros((count, 4), np.float32),
+        scales=np.zeros((count, 3), np.float32),
+        opacities=np.zeros(count, np.float32),
+        colours=np.zeros((count, 3), np.float32),
+        rows=wanted,
+        screen=np.zeros((len(wanted), 2), np.float32),
+    )
     if len(wanted):
         lists = (frame.sorted_records, frame.slots, frame.offsets, frame.lists)
         picture = (frame.image, frame.transmittance, image_gradient, light)
         differentiate_tiles(frame.tiles, frame.bounds, tiles_x, *lists, *picture, sums)
         parameters = (cloud.means, cloud.quaternions, cloud.scales, frame.camera, width, height)
-        differentiate_projection(workers, wanted, frame.records, sums, *parameters, *out, screen)
-    return Gradients(*out, wanted, screen)
+        into = (out.means, out.quaternions, out.scales, out.opacities, out.colours, out.screen)
+        differentiate_projection(workers, wanted, frame.records, sums, *parameters, *into)
+    return out
 
 
 def _depth_order(depths: Float32) -> Int32:

@@ -1,6 +1,6 @@
 """Gradients of blending, front to back like the forward pass.
 
-With v = dL/dpixel and C_i the colours, walk the same Gaussians again and keep rem = v . (what lies behind), which starts
+With v = dL/dpixel and C_i the colours, walk the same Gaussians again and keep rem = v . (what lies behind): it starts
 as v . C_final + dL/dT T_final and loses w_i v . C_i at each; then dL/dsigma_i = alpha rem / (1 - alpha) - w_i v . C_i.
 Nothing but the picture and its transmittance is kept from the forward pass; transmittances are recomputed bit by bit.
 """

@@ -88,7 +88,8 @@ def count_pairs(
         records [N,16], boxes [N,4]: from `project`. rows: [M] rows of the visible Gaussians, near to far.
         sorted_records [M,16], sorted_boxes [M,4]: out, in depth order.
         tile_mask: [T] 1 where a tile is wanted, 0 elsewhere.
-        cursors: out, [workers,T] where each worker writes first. offsets: out, [T+1] list t is [offsets[t], offsets[t+1]).
+        cursors: out, [workers,T] where each worker writes first.
+        offsets: out, [T+1] list t is [offsets[t], offsets[t+1]).
     """
     count = rows.shape[0]
     for w in prange(workers):

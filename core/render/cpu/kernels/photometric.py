@@ -1,8 +1,8 @@
 """L1 + D-SSIM of two pictures and its gradient, row by row, in one pass that stays in cache.
 
-A worker walks down its band of rows. Of each new row it keeps horizontal blurs of x, y, x^2, y^2, xy in a ring of eleven
-rows; from a full ring it takes the SSIM (Wang et al. 2004, equation 13) of the row in the middle and its slopes by x's
-blurs; their horizontal blurs go into a second ring, and from that come the gradients, five rows further up.
+A worker walks down its band of rows. Of each new row it keeps horizontal blurs of x, y, x^2, y^2, xy in a ring of
+eleven rows; from a full ring it takes the SSIM (Wang et al. 2004, equation 13) of the row in the middle and its slopes
+by x's blurs; their horizontal blurs go into a second ring, and from that come the gradients, five rows further up.
 Outside the picture everything is zero, as in a zero-padded convolution. Rows are flat: a pixel's neighbour is three
 floats away. Gradients are the same for any number of workers.
 """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -101,8 +100,8 @@ def project_rows(
         top, bottom = mean_y - extent_y - HALF, mean_y + extent_y - HALF
         if not (right >= ZERO and bottom >= ZERO and left <= wide - ONE and top <= high - ONE):
             continue
-        first_x, last_x = int(math.ceil(max(left, ZERO))), int(math.floor(min(right, wide - ONE)))
-        first_y, last_y = int(math.ceil(max(top, ZERO))), int(math.floor(min(bottom, high - ONE)))
+        first_x, last_x = math.ceil(max(left, ZERO)), math.floor(min(right, wide - ONE))
+        first_y, last_y = math.ceil(max(top, ZERO)), math.floor(min(bottom, high - ONE))
         if last_x < first_x or last_y < first_y:
             continue  # between pixel centres
         box = boxes[i]

@@ -70,7 +70,7 @@ def _quaternion_gradient(q: Any, inverse_norm: Any, r: Any, out: Float32) -> Non
 
 
 @njit(**SERIAL)
-def _differentiate_rows(
+def _differentiate_rows(  # noqa: PLR0915 - one formula, in one place
     start: int,
     stop: int,
     rows: Int32,

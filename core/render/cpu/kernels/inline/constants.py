@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
+from core.render import tiles
 
 # The image model, gsplat's rules: every backend and the reference follow them.
 ALPHA_MIN = np.float32(1 / 255)  # weaker contributions are skipped
@@ -19,6 +19,7 @@ FIELD_MARGIN = np.float32(0.3)  # Jacobian clamped beyond 1.3 times the half fie
 FINITE = np.float32(1e30)  # sums beyond are taken as overflowed
 
 LANES = 8
+TILE_WIDTH, TILE_HEIGHT = tiles.TILE_WIDTH, tiles.TILE_HEIGHT
 TILE_PIXELS = TILE_WIDTH * TILE_HEIGHT
 
 # One projected Gaussian, 64 bytes: a cache line. The conic is scaled so that its quadratic form gives -sigma / 8.

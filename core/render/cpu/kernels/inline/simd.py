@@ -12,10 +12,18 @@ from typing import Any
 
 from llvmlite import ir
 from numba.core import types
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.core.typing import templates
+from numba.extending import intrinsic as _intrinsic
+from numba.extending import lower_builtin, models
+from numba.extending import register_model as _register_model
 
 from core.render.cpu.kernels.inline.constants import LANES
+
+# Numba's own types describe these functions' definitions, not what kernels call.
+intrinsic: Any = _intrinsic
+register_model: Any = _register_model
+infer_global: Any = templates.infer_global
+signature: Any = templates.signature
 
 _FLAGS = ("contract", "nsz", "reassoc", "arcp")
 _INT, _LONG = ir.IntType(32), ir.IntType(64)
@@ -28,17 +36,18 @@ class Float8(types.Type):
     """Eight float32 lanes."""
 
     def __init__(self) -> None:
-        super().__init__(name="float32x8")
+        super().__init__("float32x8")  # type: ignore[no-untyped-call]
 
 
 class Mask8(types.Type):
     """Eight booleans."""
 
     def __init__(self) -> None:
-        super().__init__(name="boolx8")
+        super().__init__("boolx8")  # type: ignore[no-untyped-call]
 
 
-float8, mask8 = Float8(), Mask8()
+float8: Any = Float8()
+mask8: Any = Mask8()
 
 
 @register_model(Float8)
@@ -69,7 +78,7 @@ def _vector(builder: Any, kind: Any, value: Any) -> Any:
 # Arithmetic: Float8 with Float8 or float32, in either order.
 
 
-class _Arithmetic(AbstractTemplate):
+class _Arithmetic(templates.AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
         known = len(args) == 2 and all(isinstance(a, Float8) or a == types.float32 for a in args)
         if known and any(isinstance(a, Float8) for a in args):

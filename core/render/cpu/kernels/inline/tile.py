@@ -54,21 +54,30 @@ def exp_of_8(x: Any) -> Any:
 
 
 @njit(**INLINE)
+def ellipse_span(record: Float32, top: Any, bottom: Any) -> Any:
+    """Left and right end of the ellipse alpha = 1/255 over heights [top, bottom], all relative to its mean.
+
+    The ends lie at the band's edge or at the tangent points dy = -+SKEW.
+    """
+    slope = record[CONIC_B] * EIGHT * record[INVERSE_A]
+    dy = clamp(-record[SKEW], top, bottom)
+    left = slope * dy - math.sqrt(max(ZERO, record[REACH] - record[DETERMINANT] * dy * dy)) * record[INVERSE_A]
+    dy = clamp(record[SKEW], top, bottom)
+    right = slope * dy + math.sqrt(max(ZERO, record[REACH] - record[DETERMINANT] * dy * dy)) * record[INVERSE_A]
+    return left, right
+
+
+@njit(**INLINE)
 def tile_span(record: Float32, first: Any, last: Any, tile_y: Any, single: Any) -> Any:
     """Tiles [start, stop) of row `tile_y` that the ellipse alpha = 1/255 touches, within its box's [first, last).
 
-    The ellipse's left and right ends over the band of pixel centres lie at the band's edge or at the tangent points
-    dy = -+SKEW. `single`: the box is one tile wide or high, so that the box says it all.
+    single: the box is one tile wide or high, so that the box says it all.
     """
     start, stop = np.int64(first), np.int64(last)
     if not single:
         top = np.float32(tile_y * TILE_HEIGHT) + HALF - record[MEAN_Y]
         bottom = top + np.float32(TILE_HEIGHT - 1)
-        slope = record[CONIC_B] * EIGHT * record[INVERSE_A]
-        dy = clamp(record[SKEW], top, bottom)
-        right = slope * dy + math.sqrt(max(ZERO, record[REACH] - record[DETERMINANT] * dy * dy)) * record[INVERSE_A]
-        dy = clamp(-record[SKEW], top, bottom)
-        left = slope * dy - math.sqrt(max(ZERO, record[REACH] - record[DETERMINANT] * dy * dy)) * record[INVERSE_A]
+        left, right = ellipse_span(record, top, bottom)
         x = record[MEAN_X] - HALF
         start = max(start, np.int64(math.floor((x + left) / np.float32(TILE_WIDTH) - _SLACK)))
         stop = min(stop, np.int64(math.floor((x + right) / np.float32(TILE_WIDTH) + _SLACK)) + 1)
@@ -81,8 +90,8 @@ def reached_part(record: Float32, x: Any, y: Any, rows: Any) -> Any:
 
     x, y: the mean relative to the tile's first pixel centre.
     """
-    top = max(0, int(math.ceil(max(y - record[EXTENT_Y], ZERO))))
-    bottom = int(math.floor(min(y + record[EXTENT_Y], np.float32(rows - 1))))
+    top = max(0, math.ceil(max(y - record[EXTENT_Y], ZERO)))
+    bottom = math.floor(min(y + record[EXTENT_Y], np.float32(rows - 1)))
     left = max(0, int(max(x - record[EXTENT_X], ZERO)) // LANES)
     right = max(0, int(min(x + record[EXTENT_X], np.float32(TILE_WIDTH - 1)))) // LANES
     return top, bottom, left, right
