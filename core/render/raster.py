@@ -17,6 +17,7 @@ class Probe:
     def __init__(self, visible: Tensor) -> None:
         self.visible = visible
         self._gradients: Tensor | None = None
+        self._absolute: Tensor | None = None
 
     @property
     def gradients(self) -> Tensor:
@@ -31,9 +32,14 @@ class Probe:
             raise RuntimeError("a probe has gradients only after backward() of a loss on its picture")
         return self._gradients
 
-    def record(self, gradients: Tensor) -> None:
-        """For backends: put down [M,2] scaled gradients; those of several backward passes add up."""
-        self._gradients = gradients if self._gradients is None else self._gradients + gradients
+    @property
+    def absolute(self) -> Tensor | None:
+        """[M,2] the same with |gradient| summed over pixels (Ye et al. 2024, AbsGS), from the cuda backend only."""
+        return self._absolute
+
+    def record(self, gradients: Tensor, absolute: Tensor | None = None) -> None:
+        """For backends: put down [M,2] scaled gradients after a backward pass."""
+        self._gradients, self._absolute = gradients, absolute
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,14 +36,14 @@ class Float8(types.Type):
     """Eight float32 lanes."""
 
     def __init__(self) -> None:
-        super().__init__("float32x8")  # type: ignore[no-untyped-call]
+        super().__init__("float32x8")
 
 
 class Mask8(types.Type):
     """Eight booleans."""
 
     def __init__(self) -> None:
-        super().__init__("boolx8")  # type: ignore[no-untyped-call]
+        super().__init__("boolx8")
 
 
 float8: Any = Float8()
@@ -53,13 +53,13 @@ mask8: Any = Mask8()
 @register_model(Float8)
 class _Float8Model(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _FLOATS)
+        super().__init__(manager, kind, _FLOATS)  # type: ignore[no-untyped-call]
 
 
 @register_model(Mask8)
 class _Mask8Model(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _BITS)
+        super().__init__(manager, kind, _BITS)  # type: ignore[no-untyped-call]
 
 
 def _splat(builder: Any, value: Any) -> Any:
@@ -94,7 +94,7 @@ def _register(symbol: Callable[..., Any], instruction: str) -> None:
         return getattr(builder, instruction)(a, b, flags=_FLAGS)
 
     for kinds in ((Float8, Float8), (Float8, types.Float), (types.Float, Float8)):
-        lower_builtin(symbol, *kinds)(lower)
+        lower_builtin(symbol, *kinds)(lower)  # type: ignore[no-untyped-call]
 
 
 for _symbol, _instruction in (
