@@ -1,0 +1,159 @@
+"""The live end of one stream: the decoded state, and packets from any version to the newest, made on demand.
+
+Viewers hold nothing but a number; what they get next is read from here. So a viewer that falls behind costs no memory,
+and is brought up to date by one residual of exact integers instead of a queue.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_residual
+from codec.limits import DEFAULT_LIMITS, Limits
+from codec.packet import PacketKind, select_levels, split_levels
+from core.anchors import Scene
+from core.residual import difference
+from server.packets import PacketWindow, StreamPacket, binary_frame
+
+_STATES = 24  # decoded states kept, to begin skip packets from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    packet: StreamPacket
+    scene: Scene
+
+
+class Hub:
+    """What all viewers of a stream share.
+
+    Args:
+        window_bytes: packets kept in memory.
+        limits: of the decoder.
+    """
+
+    def __init__(self, window_bytes: int, limits: Limits = DEFAULT_LIMITS) -> None:
+        self.window = PacketWindow(window_bytes)
+        self._decoder = SceneDecoder(limits)
+        self._key: _State | None = None
+        self._states: OrderedDict[int, _State] = OrderedDict()
+        self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
+        self._parts: tuple[int, list[bytes]] | None = None
+        self._changed = asyncio.Event()
+
+    @property
+    def newest(self) -> StreamPacket | None:
+        """The packet that leads to the live edge."""
+        return self.window.newest
+
+    @property
+    def keyframe(self) -> StreamPacket | None:
+        """The newest keyframe."""
+        return None if self._key is None else self._key.packet
+
+    @property
+    def scene(self) -> Scene | None:
+        """The decoded state at the live edge."""
+        newest = self.newest
+        return None if newest is None else self._states[newest.number].scene
+
+    async def accept(self, packet: StreamPacket) -> None:
+        """Decode the newest packet, in a thread, and offer it to viewers.
+
+        Raises:
+            BitstreamError: it is not valid; nothing has changed.
+            ValueError: it does not follow the newest one.
+        """
+        await asyncio.to_thread(self._decoder.push, packet.data)
+        scene = self._decoder.scene
+        assert scene is not None
+        self.window.append(packet)
+        state = _State(packet, scene)
+        if packet.is_key:
+            self._key = state
+        self._states[packet.number] = state
+        while len(self._states) > _STATES:
+            self._states.popitem(last=False)
+        self.wake()
+
+    def wake(self) -> None:
+        """Let every viewer look again."""
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    async def change(self) -> None:
+        """Return at the next `wake`."""
+        await self._changed.wait()
+
+    def can_skip(self, number: int) -> bool:
+        """Whether one residual leads from packet `number` to the newest."""
+        newest, state = self.newest, self._states.get(number)
+        if newest is None or state is None:
+            return False
+        same = state.packet.position.epoch == newest.position.epoch
+        return same and state.scene.keyframe == self._states[newest.number].scene.keyframe
+
+    async def skip(self, number: int, levels: int) -> tuple[int, bytes]:
+        """One framed residual from packet `number` to the newest, whose number comes first; needs `can_skip`."""
+        return await self._residual(self._states[number], (1 << levels) - 1)
+
+    def key_parts(self, first: int, last: int) -> list[bytes]:
+        """The newest keyframe's levels `first` to `last` as framed packets, coarse first.
+
+        The part of level 0 begins the scene; the others need it.
+        """
+        assert self._key is not None
+        packet = self._key.packet
+        if self._parts is None or self._parts[0] != packet.number:
+            self._parts = packet.number, [binary_frame(part) for part in split_levels(packet.data)]
+        return self._parts[1][first : last + 1]
+
+    async def catch_up(self, first: int, last: int) -> tuple[int, bytes | None]:
+        """One framed residual of levels `first` to `last` from the newest keyframe to the newest packet.
+
+        The newest packet's number comes first; there is no residual where that packet is the keyframe.
+        """
+        assert self._key is not None
+        newest = self.newest
+        assert newest is not None
+        if newest.number == self._key.packet.number:
+            return newest.number, None
+        mask = (1 << last + 1) - (1 << first)
+        return await self._residual(self._key, mask)
+
+    async def snapshot(self) -> list[bytes]:
+        """Packets that lead to the newest state: a keyframe and, if it is older, one residual."""
+        if self._key is None or self.newest is None:
+            return []
+        packets = [self._key.packet.data]
+        if self.newest.number != self._key.packet.number:
+            packets.append(await self._encoded(self._key))
+        return packets
+
+    async def _residual(self, before: _State, mask: int) -> tuple[int, bytes]:
+        newest = self.newest
+        assert newest is not None
+        packet = await self._encoded(before)
+        whole = mask & newest.info.level_mask == newest.info.level_mask
+        return newest.number, binary_frame(packet if whole else select_levels(packet, mask))
+
+    async def _encoded(self, before: _State) -> bytes:
+        """The residual from `before` to the newest state, encoded once."""
+        newest = self.newest
+        assert newest is not None
+        key = (before.packet.number, newest.number)
+        if key not in self._made:
+            after = self._states[newest.number]
+            self._made[key] = asyncio.create_task(asyncio.to_thread(_encode, before, after))
+            while len(self._made) > _STATES:
+                self._made.popitem(last=False)
+        return await asyncio.shield(self._made[key])
+
+
+def _encode(before: _State, after: _State) -> bytes:
+    residual = difference(before.scene, after.scene)
+    kind = PacketKind.CATCH_UP if before.scene.version == before.scene.keyframe else PacketKind.SKIP
+    return encode_residual(before.scene, residual, kind=kind, time_ns=after.packet.info.time_ns)

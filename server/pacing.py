@@ -1,0 +1,69 @@
+"""How fast, and with how many levels, one viewer is fed. Pure arithmetic on given times; no I/O."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_CALM_SECONDS = 5.0  # without congestion before a level is tried again
+_LONGEST_CALM_SECONDS = 80.0
+
+
+class Throttle:
+    """A byte rate that is not exceeded on average.
+
+    Args:
+        bytes_per_second: the rate, or None for no bound.
+    """
+
+    def __init__(self, bytes_per_second: float | None) -> None:
+        self._rate = bytes_per_second
+        self._free_at = 0.0
+
+    def spend(self, size_bytes: int, now: float) -> float:
+        """Account for `size_bytes`; seconds to wait before anything more is sent."""
+        if self._rate is None:
+            return 0.0
+        self._free_at = max(self._free_at, now) + size_bytes / self._rate
+        return self._free_at - now
+
+
+@dataclass(slots=True)
+class LevelControl:
+    """How many levels a viewer gets: one less whenever it falls behind, one more after a calm time.
+
+    A level that did not hold doubles the calm time before it is tried again, so that quality recovers but does not
+    flicker.
+
+    Attributes:
+        wanted: levels that the viewer asked for.
+        levels: levels it gets.
+    """
+
+    wanted: int
+    levels: int
+    calm_seconds: float = _CALM_SECONDS
+    quiet_since: float = 0.0
+    raised_at: float | None = None
+
+    def congested(self, now: float) -> bool:
+        """The viewer fell behind; whether it has a level less now."""
+        if self.raised_at is not None and now - self.raised_at < 2 * self.calm_seconds:
+            self.calm_seconds = min(2 * self.calm_seconds, _LONGEST_CALM_SECONDS)
+        self.raised_at, self.quiet_since = None, now
+        self.levels = max(1, min(self.levels, self.wanted) - 1) if self.levels > 1 else 1
+        return True
+
+    def may_raise(self, now: float) -> bool:
+        """Whether another level should be tried."""
+        return self.levels < self.wanted and now - self.quiet_since >= self.calm_seconds
+
+    def raise_level(self, now: float) -> None:
+        """Another level is being sent."""
+        self.levels = min(self.levels + 1, self.wanted)
+        self.raised_at = self.quiet_since = now
+
+    def want(self, levels: int, now: float) -> None:
+        """The viewer asks for `levels`; more are given at once."""
+        self.wanted = levels
+        self.calm_seconds, self.quiet_since = _CALM_SECONDS, now - _CALM_SECONDS
+        self.levels = min(self.levels, levels)

@@ -1,0 +1,171 @@
+"""Packets as the server handles them: opaque bytes with a place in a stream, and the window of recent ones."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from codec.packet import PacketInfo, PacketKind, drop_levels, peek
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Position:
+    """A place in a stream: `epoch` counts encoder runs, `version` is the frame number within."""
+
+    epoch: int
+    version: int
+
+    def to_json(self) -> dict[str, int]:
+        """As in docs/protocol.md."""
+        return {"epoch": self.epoch, "version": self.version}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreamPacket:
+    """One published packet.
+
+    Attributes:
+        number: counts the packets of the stream in this process; a keyframe may share its position with the residual
+            before it, never its number.
+        position: epoch and version of the state after it.
+        info: its header.
+        data: the packet of codec/FORMAT.md.
+    """
+
+    number: int
+    position: Position
+    info: PacketInfo
+    data: bytes
+    _framed: dict[int, bytes] = field(default_factory=dict, repr=False)
+
+    @property
+    def is_key(self) -> bool:
+        """Whether decoding can begin here."""
+        return self.info.kind is PacketKind.KEY
+
+    def follows(self, position: Position) -> bool:
+        """Whether a decoder at `position` can take this packet."""
+        return self.is_key or (self.position.epoch == position.epoch and self.info.from_version == position.version)
+
+    def framed(self, levels: int) -> bytes:
+        """The packet with its coarsest `levels` levels as one websocket frame, made once and shared by all viewers."""
+        levels = min(levels, self.info.level_mask.bit_length())
+        if levels not in self._framed:
+            whole = levels == self.info.level_mask.bit_length()
+            self._framed[levels] = binary_frame(self.data if whole else drop_levels(self.data, levels - 1))
+        return self._framed[levels]
+
+
+def stream_packet(number: int, epoch: int, data: bytes) -> StreamPacket:
+    """`data` as packet `number`; BitstreamError if its header is not valid."""
+    info = peek(data)
+    return StreamPacket(number, Position(epoch, info.to_version), info, data)
+
+
+def binary_frame(data: bytes) -> bytes:
+    """An unmasked, final websocket frame of opcode 2 (RFC 6455 section 5.2)."""
+    size = len(data)
+    if size < 126:
+        return bytes((0x82, size)) + data
+    if size < 1 << 16:
+        return b"\x82\x7e" + size.to_bytes(2, "big") + data
+    return b"\x82\x7f" + size.to_bytes(8, "big") + data
+
+
+class PacketWindow:
+    """The most recent packets of a stream, dropped from the front in whole groups of pictures.
+
+    Args:
+        limit_bytes: sum of packet sizes to keep; the newest group is kept whatever it takes.
+    """
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit = limit_bytes
+        self._packets: list[StreamPacket] = []
+        self._ends: list[int] = []  # running total of bytes up to and with each packet
+        self._dropped_bytes = 0
+
+    @property
+    def packets(self) -> list[StreamPacket]:
+        """All packets kept, oldest first."""
+        return list(self._packets)
+
+    @property
+    def oldest(self) -> StreamPacket | None:
+        """The first packet kept, always a keyframe."""
+        return self._packets[0] if self._packets else None
+
+    @property
+    def newest(self) -> StreamPacket | None:
+        """The last packet."""
+        return self._packets[-1] if self._packets else None
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes kept."""
+        return self._ends[-1] - self._dropped_bytes if self._ends else 0
+
+    def append(self, packet: StreamPacket) -> None:
+        """Add the newest packet.
+
+        Raises:
+            ValueError: it does not follow what is here.
+        """
+        newest = self.newest
+        if newest is None:
+            fits = packet.is_key
+        else:
+            fits = packet.number == newest.number + 1 and packet.follows(newest.position)
+            fits = fits and packet.position >= newest.position
+        if not fits:
+            raise ValueError(f"packet {packet.position} does not apply to the newest state")
+        total = self._ends[-1] if self._ends else self._dropped_bytes
+        self._packets.append(packet)
+        self._ends.append(total + len(packet.data))
+        while self.size_bytes > self._limit and self._drop_oldest_group():
+            pass
+
+    def trim(self, before: Position) -> None:
+        """Drop whole groups that end before `before`; the newest group stays."""
+        while (end := self._group_end()) is not None and self._packets[end].position <= before:
+            self._drop_oldest_group()
+
+    def after(self, number: int) -> StreamPacket | None:
+        """The packet that comes next after packet `number`, if both ends of that step are still here."""
+        index = self._index(number) + 1
+        return self._packets[index] if 0 <= index < len(self._packets) else None
+
+    def bytes_after(self, number: int) -> int:
+        """Bytes of all packets after packet `number`."""
+        if not self._packets:
+            return 0
+        index = max(self._index(number), -1)
+        return self._ends[-1] - (self._ends[index] if index >= 0 else self._dropped_bytes)
+
+    def read(self, first: Position, last: Position) -> list[StreamPacket]:
+        """Packets of positions `first` to `last`, both included."""
+        place: Callable[[StreamPacket], Position] = lambda packet: packet.position  # noqa: E731
+        begin = bisect_left(self._packets, first, key=place)
+        return self._packets[begin : bisect_right(self._packets, last, key=place)]
+
+    def groups(self) -> list[list[StreamPacket]]:
+        """Groups of pictures, each from its keyframe on, oldest first."""
+        starts = [i for i, packet in enumerate(self._packets) if packet.is_key]
+        ends = [*starts[1:], len(self._packets)]
+        return [self._packets[a:b] for a, b in zip(starts, ends, strict=True)]
+
+    def _index(self, number: int) -> int:
+        """Where packet `number` is or would be; below -1 if the packet after it is gone as well."""
+        return number - self._packets[0].number if self._packets else -2
+
+    def _group_end(self) -> int | None:
+        return next((i for i in range(1, len(self._packets)) if self._packets[i].is_key), None)
+
+    def _drop_oldest_group(self) -> bool:
+        end = self._group_end()
+        if end is None:
+            return False
+        self._dropped_bytes = self._ends[end - 1]
+        del self._packets[:end], self._ends[:end]
+        return True

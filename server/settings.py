@@ -1,0 +1,136 @@
+"""Every setting of the server, with its default; docs/operations.md explains them to people who run one."""
+
+from __future__ import annotations
+
+import ipaddress
+import tomllib
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from core.errors import InputError
+
+MEGABYTE = 1_000_000
+
+
+class Limits(BaseModel):
+    """What one peer, one stream or the whole server may take."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    streams: int = Field(default=16, ge=1, description="streams at most")
+    viewers: int = Field(default=1000, ge=1, description="viewers of all streams together")
+    viewers_per_address: int = Field(default=200, ge=1, description="viewers from one network address")
+    connections: int = Field(default=2000, ge=1, description="connections of any kind; further ones get 503")
+    packet_bytes: int = Field(default=16 * 2**20, ge=1024, description="largest packet that is accepted from a worker")
+    message_bytes: int = Field(default=4096, ge=256, description="largest control message")
+    messages_per_second: float = Field(default=50.0, gt=0, description="control messages of a viewer, on average")
+    hello_seconds: float = Field(default=5.0, gt=0, description="time a viewer has to say hello")
+    stuck_seconds: float = Field(default=30.0, gt=0, description="a viewer that takes no byte for so long is closed")
+    viewer_bytes: int = Field(
+        default=256 * 1024, ge=4096, description="socket buffer of a viewer, and how far it may lag"
+    )
+    viewer_lag_seconds: float = Field(
+        default=1.0, gt=0, description="how far a viewer may lag before packets are skipped"
+    )
+    flight_bytes: int = Field(
+        default=2 * MEGABYTE, ge=65536, description="bytes sent but not acknowledged, above a keyframe"
+    )
+    refusals_per_minute: int = Field(default=30, ge=1, description="wrong tokens from one address before it gets 429")
+
+
+class Retention(BaseModel):
+    """What of the past stays, for seeking back and for downloads."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    memory_bytes: int = Field(default=64 * MEGABYTE, ge=MEGABYTE, description="packets of one stream kept in memory")
+    seconds: float = Field(default=3600.0, gt=0, description="age at which recorded groups of pictures are deleted")
+    bytes: int = Field(default=4_000 * MEGABYTE, ge=MEGABYTE, description="recorded bytes of one stream")
+    reserve_fraction: float = Field(default=0.05, ge=0, lt=1, description="part of the disk that recording leaves free")
+
+
+class WorkerSettings(BaseModel):
+    """How workers are watched."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    heartbeat_seconds: float = Field(
+        default=10.0, gt=0, description="a worker silent for so long is killed and restarted"
+    )
+    stall_seconds: float = Field(default=600.0, gt=0, description="so long without progress counts as a hang")
+    memory_bytes: int = Field(
+        default=16_000 * MEGABYTE, gt=0, description="resident memory at which a worker is restarted"
+    )
+    first_delay_seconds: float = Field(
+        default=0.25, gt=0, description="pause before the first restart; doubles each time"
+    )
+    longest_delay_seconds: float = Field(default=15.0, gt=0, description="longest pause between restarts")
+    attempts: int = Field(
+        default=8, ge=1, description="restarts in a row without a packet before the stream has failed"
+    )
+
+
+class Settings(BaseModel):
+    """The whole configuration, from the command line or a TOML file of the same names."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    host: str = Field(default="127.0.0.1", description="address to listen on")
+    port: int = Field(default=8000, ge=0, le=65535, description="port of REST, websocket and page; 0 picks a free one")
+    metrics_host: str = Field(default="127.0.0.1", description="address of the Prometheus metrics")
+    metrics_port: int | None = Field(default=None, ge=0, le=65535, description="port of the metrics; none by default")
+    state: Path | None = Field(
+        default=None, description="folder of recordings and catalogue; nothing is recorded without"
+    )
+    tokens: Path | None = Field(default=None, description="token file; without one everybody may do everything")
+    jwt_key: Path | None = Field(default=None, description="file with the HS256 secret or the Ed25519 public key (PEM)")
+    insecure: bool = Field(default=False, description="allow a public address without tokens")
+    origins: tuple[str, ...] = Field(
+        default=(), description="origins of web pages that may connect besides the server's own"
+    )
+    certificate: Path | None = Field(default=None, description="TLS certificate chain (PEM)")
+    certificate_key: Path | None = Field(default=None, description="TLS private key (PEM)")
+    drain_seconds: float = Field(default=8.0, gt=0, le=10, description="time that viewers get to leave after SIGTERM")
+    limits: Limits = Field(default_factory=Limits)
+    retention: Retention = Field(default_factory=Retention)
+    worker: WorkerSettings = Field(default_factory=WorkerSettings)
+
+    @property
+    def is_public(self) -> bool:
+        """Whether other machines can reach the listening address."""
+        if self.host == "localhost":
+            return False
+        try:
+            return not ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return True
+
+    def check(self) -> None:
+        """Refuse combinations that are not safe.
+
+        Raises:
+            InputError: a public address without tokens, or half a certificate.
+        """
+        if self.is_public and not (self.tokens or self.jwt_key or self.insecure):
+            raise InputError(
+                f"--host {self.host}",
+                "other machines could control this server; give it --tokens FILE, or --insecure if that is meant",
+            )
+        if (self.certificate is None) != (self.certificate_key is None):
+            raise InputError("certificate", "TLS needs both the certificate and its key")
+
+
+def load_settings(path: Path) -> Settings:
+    """Settings from a TOML file.
+
+    Raises:
+        InputError: the file cannot be read, or names or values are wrong.
+    """
+    try:
+        return Settings.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(path, f"cannot be read as TOML ({error})") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error

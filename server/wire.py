@@ -1,0 +1,76 @@
+"""The websocket's lower end: uvicorn's protocol with a write path for frames made once and shared by all viewers.
+
+uvicorn's own path copies every message a viewer's socket does not take at once, so a keyframe would cost its size a
+viewer. Here one `bytes` goes to every transport, and the socket's buffer is bounded so that lag shows up at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from asyncio.transports import BaseTransport
+from typing import Any
+
+from uvicorn.protocols.utils import ClientDisconnected
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+CONNECTION = "streamlod.connection"  # where an endpoint finds its connection in the ASGI scope
+
+
+def websocket_class(send_buffer_bytes: int) -> type[WebSocketsSansIOProtocol]:
+    """The protocol class for uvicorn's ``ws`` option, with kernel buffers of about `send_buffer_bytes`."""
+
+    class ViewerProtocol(WebSocketsSansIOProtocol):
+        """One websocket; also the endpoint's `Connection`."""
+
+        def connection_made(self, transport: BaseTransport) -> None:
+            super().connection_made(transport)
+            raw = transport.get_extra_info("socket")
+            if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
+                # the kernel doubles the value for its bookkeeping
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes // 2)
+                raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+        async def run_asgi(self) -> None:
+            scope: dict[str, Any] = self.scope  # type: ignore[assignment]
+            scope[CONNECTION] = Connection(self)
+            await super().run_asgi()
+
+    return ViewerProtocol
+
+
+class Connection:
+    """What a viewer session needs of its transport."""
+
+    def __init__(self, protocol: WebSocketsSansIOProtocol) -> None:
+        self._protocol = protocol
+
+    @property
+    def unsent_bytes(self) -> int:
+        """Bytes that the kernel has not taken yet."""
+        return self._protocol.transport.get_write_buffer_size()
+
+    async def write(self, frame: bytes, stuck_seconds: float) -> None:
+        """Write a whole websocket frame once earlier ones have drained.
+
+        Raises:
+            TimeoutError: no byte left for `stuck_seconds`.
+            ClientDisconnected: the peer is gone.
+        """
+        loop = asyncio.get_running_loop()
+        left, since = self.unsent_bytes, loop.time()
+        while not self._protocol.writable.is_set():
+            try:
+                await asyncio.wait_for(self._protocol.writable.wait(), min(1.0, stuck_seconds))
+            except TimeoutError:
+                if self.unsent_bytes != left:
+                    left, since = self.unsent_bytes, loop.time()
+                elif loop.time() - since >= stuck_seconds:
+                    raise
+        if self._protocol.disconnected or self._protocol.close_sent:
+            raise ClientDisconnected
+        self._protocol.transport.write(frame)
+
+    def abort(self) -> None:
+        """Cut the connection without waiting for the peer."""
+        self._protocol.transport.abort()

@@ -1,0 +1,194 @@
+"""The process that makes a stream's packets: training, or reading a recorded file. It talks to its supervisor by pipe.
+
+A message is one byte that names it and a body: packet, preview, report, progress, failure, epoch, end, heartbeat.
+Nothing else of the server is here, so that a crash, a leak or a kill costs viewers nothing but a moment.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from multiprocessing.connection import Connection
+from typing import Any
+
+from core.errors import InputError, StreamlodError
+from server.spec import StreamSpec
+
+_LOG = logging.getLogger(__name__)
+HEARTBEAT_SECONDS = 1.0
+
+
+class Tag(IntEnum):
+    """First byte of a message."""
+
+    PACKET = 1  # the packet
+    PREVIEW = 2  # an early keyframe, shown but not recorded
+    REPORT = 3  # JSON: figures of a finished frame
+    PROGRESS = 4  # JSON: fraction, loss, text
+    FAILURE = 5  # JSON: text, fatal
+    EPOCH = 6  # empty: versions begin anew
+    END = 7  # empty: the source has no more frames
+    HEARTBEAT = 8  # empty
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Where a restarted worker goes on.
+
+    Attributes:
+        packets: a keyframe and, where it is older than the state, the residual that leads there.
+        frames: frames of the source that are done.
+    """
+
+    packets: tuple[bytes, ...] = ()
+    frames: int = 0
+
+
+class Sender:
+    """Messages to the supervisor, from several threads."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe, self._lock = pipe, threading.Lock()
+
+    def send(self, tag: Tag, body: bytes | dict[str, Any] = b"") -> None:
+        """Send one message; blocks while the supervisor is behind."""
+        data = body if isinstance(body, bytes) else json.dumps(body).encode()
+        with self._lock:
+            self._pipe.send_bytes(bytes((tag,)) + data)
+
+
+def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection) -> None:
+    """Entry of the process; returns when the source ends, and never raises."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
+    os.nice(5)  # serving comes first
+    sender = Sender(pipe)
+    threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
+    try:
+        if spec.play is not None:
+            play(spec, resume, sender)
+        else:
+            train(spec, resume, sender)
+        sender.send(Tag.END)
+    except StreamlodError as error:
+        sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError)})
+    except (BrokenPipeError, ConnectionResetError):
+        return
+    except Exception as error:
+        _LOG.exception("worker of stream %s", spec.id)
+        sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
+
+
+def train(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
+    """Train the source's frames as they come and send their packets."""
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    from core.data.synthetic import SyntheticSpec
+    from server.pipeline import TrainJob, train_stream
+
+    synthetic = None if spec.synthetic is None else SyntheticSpec(**spec.synthetic)
+    names = ("data", "layout", "train", "test", "views", "frames", "downscale", "preset", "device", "seed", "points",
+             "keyframe_interval")  # fmt: skip
+    job = TrainJob(synthetic=synthetic, **{name: getattr(spec, name) for name in names})
+    if spec.frames is not None and resume.frames >= spec.frames:
+        return
+
+    def tell(progress: Any) -> None:
+        body = {"fraction": float(progress.fraction), "loss": float(progress.loss), "text": str(progress.stage)}
+        sender.send(Tag.PROGRESS, body)
+
+    scene = _decode(resume.packets) if resume.packets else None
+    for encoded in train_stream(job, resume=scene, start=resume.frames, previews=True, on_progress=tell):
+        for packet in encoded.packets:
+            sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
+        if not encoded.preview:
+            sender.send(Tag.REPORT, _plain(encoded.report))
+
+
+def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
+    """Send the packets of a recorded file at the times at which they were filmed."""
+    from codec.packet import PacketKind
+
+    assert spec.play is not None
+    entries = list(_recorded(spec))
+    start = 0
+    if resume.frames:
+        done = min(resume.frames, len(entries)) - 1
+        start = max(n for n in range(done + 1) if entries[n][1].kind is PacketKind.KEY)
+    while True:
+        begin = time.monotonic() - entries[start][1].time_ns / 1e9
+        for number, (_, info, data) in enumerate(_packets(spec, entries)):
+            if number < start:
+                continue
+            time.sleep(max(0.0, begin + info.time_ns / 1e9 - time.monotonic()))
+            sender.send(Tag.PACKET, data)
+            sender.send(Tag.REPORT, {"version": info.to_version, "done": number + 1})
+        if not spec.loop:
+            return
+        time.sleep(_frame_seconds(entries))
+        sender.send(Tag.EPOCH)
+        start = 0
+
+
+def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
+    """Number and entry of each packet of the file that belongs to the chain."""
+    from codec.container import SlodReader
+    from codec.packet import PacketKind, peek
+
+    assert spec.play is not None
+    version = None
+    with SlodReader(spec.play) as reader:
+        for number, entry in enumerate(reader.entries):
+            if entry.kind is PacketKind.KEY:
+                if not peek(reader.read(number)).has_header:
+                    raise InputError(spec.play, "its keyframes are cut into parts, which cannot be streamed")
+            elif entry.kind in (PacketKind.SKIP, PacketKind.CATCH_UP) or entry.from_version != version:
+                continue
+            version = entry.to_version
+            yield number, entry
+    if version is None:
+        raise InputError(spec.play, "it holds no packet")
+
+
+def _packets(spec: StreamSpec, entries: list[tuple[int, Any]]) -> Iterator[tuple[int, Any, bytes]]:
+    from codec.container import SlodReader
+
+    assert spec.play is not None
+    with SlodReader(spec.play) as reader:
+        for number, entry in entries:
+            yield number, entry, reader.read(number)
+
+
+def _frame_seconds(entries: list[tuple[int, Any]]) -> float:
+    """Pause between the last frame and the first one of the next round."""
+    first, last = entries[0][1], entries[-1][1]
+    frames = last.to_version - first.to_version
+    return float(min(1.0, max(0.01, (last.time_ns - first.time_ns) / 1e9 / frames))) if frames else 1.0
+
+
+def _decode(packets: tuple[bytes, ...]) -> Any:
+    from codec.decoder import SceneDecoder
+
+    decoder = SceneDecoder()
+    for packet in packets:
+        decoder.push(packet)
+    return decoder.scene
+
+
+def _plain(report: dict[str, Any]) -> dict[str, Any]:
+    """Figures as JSON has them."""
+    return json.loads(json.dumps(report, default=float))  # type: ignore[no-any-return]
+
+
+def _beat(sender: Sender) -> None:
+    try:
+        while True:
+            sender.send(Tag.HEARTBEAT)
+            time.sleep(HEARTBEAT_SECONDS)
+    except OSError:
+        os._exit(1)  # the supervisor is gone; nobody needs this process
