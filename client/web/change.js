@@ -14,12 +14,12 @@ const BLOCK = 64;
 /** @type {() => Change} */
 export const noChange = () => ({ rows: new Uint32Array(0), position: new Int32Array(0), latent: new Int32Array(0) });
 
-/** @type {(chunk: Uint8Array, level: Level) => Promise<Change>} */
-export async function decodeChange(chunk, level) {
+/** @type {(chunk: Uint8Array, level: Level) => Change} */
+export function decodeChange(chunk, level) {
   const reader = new Reader(chunk, "corrupt_chunk");
   const coding = reader.u8();
   if (coding === 0) {
-    const { rows: count, columns } = await inflateColumns(chunk, 4 + LATENTS, level.count);
+    const { rows: count, columns } = inflateColumns(chunk, 4 + LATENTS, level.count);
     const position = new Int32Array(3 * count), latent = new Int32Array(LATENTS * count);
     for (let i = 0; i < count; i++) {
       for (let j = 0; j < 3; j++) position[3 * i + j] = columns[(1 + j) * count + i];
@@ -37,9 +37,9 @@ export async function decodeChange(chunk, level) {
   return { rows, position, latent };
 }
 
-/** @type {(chunk: Uint8Array, level: Level) => Promise<Uint32Array>} */
-export async function decodeRemoved(chunk, level) {
-  const { rows, columns } = await inflateColumns(chunk, 1, level.count);
+/** @type {(chunk: Uint8Array, level: Level) => Uint32Array} */
+export function decodeRemoved(chunk, level) {
+  const { rows, columns } = inflateColumns(chunk, 1, level.count);
   return ascending(columns, rows, level.count);
 }
 

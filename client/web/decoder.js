@@ -28,16 +28,16 @@ export class SceneDecoder {
 
   /**
    * @param {Uint8Array} bytes - one packet
-   * @returns {Promise<Effect>}
+   * @returns {Effect}
    * @throws {import("./scene.js").BitstreamError}
    */
-  async push(bytes) {
+  push(bytes) {
     const packet = parsePacket(bytes);
     return packet.kind === KEY ? this.#key(packet) : this.#change(packet);
   }
 
-  /** @param {Packet} packet @returns {Promise<Effect>} */
-  async #key(packet) {
+  /** @param {Packet} packet @returns {Effect} */
+  #key(packet) {
     const headerChunk = packet.chunks.get(Chunk.HEADER), weightsChunk = packet.chunks.get(Chunk.WEIGHTS);
     const fresh = headerChunk !== undefined && weightsChunk !== undefined;
     let scene = this.scene;
@@ -48,18 +48,19 @@ export class SceneDecoder {
       must(scene.keyframe === packet.keyframe, "unknown_keyframe", "the packet belongs to another keyframe");
     }
     const { header } = scene;
-    const code = fresh ? "bad_scene_header" : "bad_directory";
-    must(packet.mask >> header.levels === 0, code, "the packet speaks of more levels than the scene has");
+    must(packet.mask >> header.levels === 0, "bad_scene_header", "the packet speaks of more levels than the scene has");
     /** @type {[number, Level][]} */
     const built = [];
-    let anchors = 0;
+    let room = LIMITS.anchors - scene.levels.reduce((sum, level, l) => sum + ((packet.mask >> l) & 1 ? 0 : level.count), 0);
     for (const number of bitsOf(packet.mask)) {
       const geometry = packet.chunks.get((number << 4) | Chunk.GEOMETRY), base = packet.chunks.get((number << 4) | Chunk.BASE);
       const features = header.featureSteps.length;
       let level = emptyLevel(features, header.slots);
-      if (geometry && base) level = await decodeBase(checked(base), await decodeGeometry(checked(geometry)), features, header.slots);
-      anchors += level.count;
-      must(anchors <= LIMITS.anchors, "limit_exceeded", `more than ${LIMITS.anchors} anchors`);
+      if (geometry && base) {
+        const voxel = decodeGeometry(checked(geometry, packet), room);
+        level = decodeBase(checked(base, packet), voxel, features, header.slots);
+      }
+      room -= level.count;
       built.push([number, level]);
     }
     const next = { ...scene, levels: [...scene.levels], versions: [...scene.versions] };
@@ -67,50 +68,43 @@ export class SceneDecoder {
       next.levels[number] = level;
       next.versions[number] = packet.keyframe;
     }
-    this.#limit(next);
     this.scene = next;
     return { packet, scene: fresh, levels: built.map(([level]) => ({ level, rows: null, from: 0 })) };
   }
 
-  /** @param {Packet} packet @returns {Promise<Effect>} */
-  async #change(packet) {
+  /** @param {Packet} packet @returns {Effect} */
+  #change(packet) {
     const { scene } = this;
     must(scene, "no_keyframe", "no keyframe has come yet");
     must(scene.keyframe === packet.keyframe, "unknown_keyframe", "the packet belongs to another keyframe");
+    must(packet.mask >> scene.header.levels === 0, "bad_scene_header", "the packet speaks of more levels than the scene has");
     const levels = bitsOf(packet.mask).filter((level) => scene.versions[level] === packet.fromVersion);
     must(levels.length, "version_mismatch", `no level is at version ${packet.fromVersion}`);
-    must(packet.mask >> scene.header.levels === 0, "bad_directory", "the packet speaks of more levels than the scene has");
     const next = { ...scene, levels: [...scene.levels], versions: [...scene.versions] };
     /** @type {Effect["levels"]} */
     const effects = [];
     for (const number of levels) {
-      const { rows, level } = await changedLevel(packet, number, scene);
+      const room = LIMITS.anchors - next.levels.reduce((sum, { count }) => sum + count, 0);
+      const { rows, level } = changedLevel(packet, number, scene, room);
       effects.push({ level: number, rows, from: scene.levels[number].count });
       next.levels[number] = level;
       next.versions[number] = packet.toVersion;
     }
-    this.#limit(next);
     this.scene = next;
     return { packet, scene: false, levels: effects };
   }
-
-  /** @param {Scene} scene */
-  #limit(scene) {
-    const anchors = scene.levels.reduce((sum, level) => sum + level.count, 0);
-    must(anchors <= LIMITS.anchors, "limit_exceeded", `more than ${LIMITS.anchors} anchors`);
-  }
 }
 
-/** @type {(packet: Packet, number: number, scene: Scene) => Promise<{ rows: Uint32Array, level: Level }>} */
-async function changedLevel(packet, number, scene) {
+/** @type {(packet: Packet, number: number, scene: Scene, room: number) => { rows: Uint32Array, level: Level }} */
+function changedLevel(packet, number, scene, room) {
   const { header } = scene, level = scene.levels[number];
   /** @type {(kind: number) => Uint8Array | undefined} */
   const chunk = (kind) => packet.chunks.get((number << 4) | kind);
   const [changeChunk, removedChunk, addedChunk, hashChunk] =
     [Chunk.CHANGE, Chunk.REMOVED, Chunk.ADDED, Chunk.HASH].map(chunk);
-  const change = changeChunk ? await decodeChange(checked(changeChunk), level) : noChange();
-  const removed = removedChunk ? await decodeRemoved(checked(removedChunk, false), level) : new Uint32Array(0);
-  const added = addedChunk ? await decodeAdded(checked(addedChunk), header.featureSteps.length, header.slots) : null;
+  const change = changeChunk ? decodeChange(checked(changeChunk, packet), level) : noChange();
+  const removed = removedChunk ? decodeRemoved(checked(removedChunk, packet, false), level) : new Uint32Array(0);
+  const added = addedChunk ? decodeAdded(checked(addedChunk, packet), header.featureSteps.length, header.slots, room) : null;
   const next = changeChunk || removedChunk || addedChunk ? changed(level, { ...change, removed, added }) : level;
   if (hashChunk) {
     const reader = new Reader(hashChunk, "corrupt_chunk");
@@ -124,11 +118,11 @@ async function changedLevel(packet, number, scene) {
   return { rows, level: next };
 }
 
-/** A chunk whose coding this decoder knows. @type {(chunk: Uint8Array, coded?: boolean) => Uint8Array} */
-function checked(chunk, coded = true) {
+/** A chunk whose coding may occur there. @type {(chunk: Uint8Array, packet: Packet, coded?: boolean) => Uint8Array} */
+function checked(chunk, { profile }, coded = true) {
   must(chunk.length > 0, "corrupt_chunk", "a chunk is empty");
-  const known = chunk[0] === 0 || (coded && (chunk[0] === 1 || chunk[0] === 4));
-  must(known, "unsupported_profile", `coding ${chunk[0]} is not known here`);
+  const known = chunk[0] === 0 || (coded && profile > 0 && (chunk[0] === 1 || chunk[0] === 4));
+  must(known, "unsupported_profile", `coding ${chunk[0]} cannot occur here`);
   return chunk;
 }
 
@@ -158,8 +152,9 @@ function readScene(headerChunk, weightsChunk, keyframe) {
 function readHeader(chunk) {
   const reader = new Reader(chunk, "bad_scene_header");
   const [levels, slots, features, viewDependent, cameraCount, ...reserved] = reader.take(8);
-  const fits = levels >= 1 && levels <= LIMITS.levels && slots >= 1 && slots <= LIMITS.slots && features >= 1 && features <= LIMITS.features;
-  must(fits && viewDependent <= 1 && reserved.every((x) => x === 0), "bad_scene_header", "the scene header holds impossible sizes");
+  const small = levels <= LIMITS.levels && slots <= LIMITS.slots && features <= LIMITS.features;
+  must(small, "limit_exceeded", "the scene header announces more than this page takes");
+  must(levels >= 1 && slots >= 1 && features >= 1 && viewDependent <= 1 && reserved.every((x) => x === 0), "bad_scene_header", "the scene header holds impossible sizes");
   const origin = reader.f64(3);
   const [rootCell, referenceDistance, fps] = reader.f64(3);
   const background = reader.f32(3);
@@ -188,6 +183,18 @@ function readCamera(reader) {
   const width = reader.u32(), height = reader.u32();
   must(width >= 1 && width <= 65535 && height >= 1 && height <= 65535, "bad_scene_header", "a camera has no size");
   const intrinsics = reader.f64(9), worldToCamera = [...reader.f64(12), 0, 0, 0, 1];
-  reader.f64(5);
+  const distortion = reader.f64(5);
+  const modest = [...intrinsics, ...worldToCamera, ...distortion].every((x) => Math.abs(x) < 1e100);
+  must(modest && intrinsics[0] > 0 && intrinsics[4] > 0 && isRotation(worldToCamera), "bad_scene_header", "a camera is impossible");
   return { name, intrinsics, worldToCamera, width, height };
+}
+
+/** Whether the 3x3 part of a pose is one. @type {(m: number[]) => boolean} */
+function isRotation(m) {
+  const rows = [[m[0], m[1], m[2]], [m[4], m[5], m[6]], [m[8], m[9], m[10]]];
+  const product = (/** @type {number[]} */ a, /** @type {number[]} */ b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const orthonormal = rows.every((a, i) => rows.every((b, j) => Math.abs(product(a, b) - Number(i === j)) <= 1e-3));
+  const [x, y, z] = rows;
+  const across = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+  return orthonormal && product(across, z) > 0;
 }

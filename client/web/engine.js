@@ -63,9 +63,9 @@ export class Engine {
     this.expander = null;
   }
 
-  /** Decode one packet. @param {Uint8Array} bytes @returns {Promise<import("./decoder.js").Effect>} */
-  async push(bytes) {
-    const effect = await this.decoder.push(bytes);
+  /** Decode one packet. @param {Uint8Array} bytes @returns {import("./decoder.js").Effect} */
+  push(bytes) {
+    const effect = this.decoder.push(bytes);
     const scene = /** @type {Scene} */ (this.scene);
     const replaced = effect.levels.some(({ rows }) => rows === null);
     if (!this.expander || replaced) {

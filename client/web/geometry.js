@@ -1,18 +1,18 @@
 /** Voxels of a level as a breadth-first octree, codec/FORMAT.md section 7. */
 
-import { LIMITS, must, Reader } from "./packet.js";
+import { must, Reader } from "./packet.js";
 import { inflateColumns } from "./deflate.js";
 import { BitModels, RansDecoder } from "./rans.js";
 
 const CLASS_OF = [0, 0, 1, 2, 2, 3, 3, 3, 3]; // by number of children
 
-/** @type {(chunk: Uint8Array) => Promise<Int32Array>} [N, 3] */
-export async function decodeGeometry(chunk) {
+/** @type {(chunk: Uint8Array, most: number) => Int32Array} [N, 3], at most `most` */
+export function decodeGeometry(chunk, most) {
   const reader = new Reader(chunk, "corrupt_chunk");
   const coding = reader.u8();
-  if (coding === 0) return differences(await inflateColumns(chunk, 3, LIMITS.anchors));
+  if (coding === 0) return differences(inflateColumns(chunk, 3, most));
   const count = reader.u32();
-  must(count <= LIMITS.anchors, "limit_exceeded", `a level announces ${count} anchors`);
+  must(count <= most, "limit_exceeded", `a level announces ${count} anchors`);
   const minimum = [reader.i32(), reader.i32(), reader.i32()];
   const depth = reader.u8();
   must(depth <= 21 && count > 0, "corrupt_chunk", "an octree announces impossible sizes");
@@ -60,8 +60,7 @@ function differences({ rows, columns }) {
   const voxel = new Int32Array(3 * rows);
   for (let c = 0; c < 3; c++) {
     for (let i = 0, sum = 0; i < rows; i++) {
-      sum += columns[c * rows + i];
-      must(sum === (sum | 0), "overflow", "a voxel leaves the range of int32");
+      sum = (sum + columns[c * rows + i]) | 0; // modulo 2^32
       voxel[3 * i + c] = sum;
     }
   }

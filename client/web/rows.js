@@ -1,7 +1,7 @@
 /** Rows of a level: BASE and ADDED chunks, codec/FORMAT.md sections 8 and 10. */
 
 import { inflateColumns } from "./deflate.js";
-import { LIMITS, must, Reader } from "./packet.js";
+import { must, Reader } from "./packet.js";
 import { decodeColumns, RansDecoder, readScales } from "./rans.js";
 import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
 
@@ -12,11 +12,11 @@ import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
  * @param {Int32Array} voxel - of the level
  * @param {number} features
  * @param {number} slots
- * @returns {Promise<Level>}
+ * @returns {Level}
  */
-export async function decodeBase(chunk, voxel, features, slots) {
+export function decodeBase(chunk, voxel, features, slots) {
   const count = voxel.length / 3;
-  const columns = await decodeRows(chunk, features + 3 * slots + 10, count);
+  const columns = decodeRows(chunk, features + 3 * slots + 10, count, count);
   must(columns.rows === count, "corrupt_chunk", "a level has another number of voxels than of rows");
   const level = emptyLevel(features, slots, count);
   level.voxel.set(voxel);
@@ -25,10 +25,10 @@ export async function decodeBase(chunk, voxel, features, slots) {
   return level;
 }
 
-/** @type {(chunk: Uint8Array, features: number, slots: number) => Promise<Level>} */
-export async function decodeAdded(chunk, features, slots) {
+/** @type {(chunk: Uint8Array, features: number, slots: number, most: number) => Level} */
+export function decodeAdded(chunk, features, slots, most) {
   const channels = features + 3 * slots + 38;
-  const table = await decodeRows(chunk, channels, null);
+  const table = decodeRows(chunk, channels, null, most);
   const level = emptyLevel(features, slots, table.rows);
   fill(level.voxel, 3, table, 0);
   fillBase(level, table, 3, features, slots);
@@ -64,17 +64,18 @@ function fill(column, width, { rows, values, rowStep, channelStep }, first) {
  * @param {Uint8Array} chunk
  * @param {number} channels
  * @param {number | null} count - null where the chunk says it
- * @returns {Promise<Table>}
+ * @param {number} most - rows that are possible
+ * @returns {Table}
  */
-async function decodeRows(chunk, channels, count) {
+function decodeRows(chunk, channels, count, most) {
   const reader = new Reader(chunk, "corrupt_chunk");
   const coding = reader.u8();
   if (coding === 0) {
-    const { rows, columns } = await inflateColumns(chunk, channels, count ?? LIMITS.anchors);
+    const { rows, columns } = inflateColumns(chunk, channels, most);
     return { rows, values: columns, rowStep: 1, channelStep: rows };
   }
   const rows = count ?? reader.u32();
-  must(rows <= LIMITS.anchors, "limit_exceeded", `a chunk announces ${rows} rows`);
+  must(rows <= most, "limit_exceeded", `a chunk announces ${rows} rows`);
   const packed = reader.take(Math.ceil(channels / 4));
   const modes = Array.from({ length: channels }, (_, c) => (packed[c >> 2] >> (2 * (c & 3))) & 3);
   must(!modes.includes(3), "corrupt_chunk", "a channel has an unknown mode");

@@ -34,7 +34,7 @@ async function decode(bytes) {
   engine ??= new Engine(await kernel);
   const start = performance.now();
   try {
-    await engine.push(bytes);
+    engine.push(bytes);
   } catch (error) {
     if (!(error instanceof BitstreamError)) throw error;
     refusals++;

@@ -16,7 +16,7 @@ const log = [];
 for (const { offset, size } of walkRecords(bytes)) {
   let code = "";
   try {
-    await engine.push(bytes.slice(offset, offset + size));
+    engine.push(bytes.slice(offset, offset + size));
   } catch (error) {
     if (!(error instanceof BitstreamError)) throw error;
     code = error.code;
