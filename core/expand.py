@@ -55,7 +55,7 @@ def dequantise(
     feature = level.feature[rows] * header.feature_steps + latent[:, :FEATURE_LATENTS] @ weights.feature_decoder
     offset = level.offset[rows] * header.offset_steps + latent[:, FEATURE_LATENTS:] @ weights.offset_decoder
     scaling = np.clip(level.scaling[rows] * header.scaling_steps, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
-    return feature, offset.reshape(len(rows), -1, 3), scaling
+    return feature, offset.reshape(len(rows), header.gaussians_per_anchor, 3), scaling
 
 
 def expand_rows(
