@@ -15,11 +15,10 @@ from torch import Tensor
 from core.anchors import FEATURE_LATENTS, LATENTS, Scene, empty_level
 from core.arrays import Int32, Int64
 from core.render.backends import Backend
-from core.render.differentiable import rasterise
 from core.residual import LevelResidual, Residual
 from core.train.config import PredictConfig
 from core.train.convert import level_starts
-from core.train.decode import Splats, decode, join
+from core.train.decode import Splats, decode
 from core.train.exposure import Exposure
 from core.train.field import Field
 from core.train.keyframe import Views
@@ -27,6 +26,7 @@ from core.train.losses import photometric_loss
 from core.train.optimiser import RowAdam
 from core.train.rounding import round_through
 from core.train.schedule import ViewOrder
+from core.train.stage import Stage, make_stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,13 +61,19 @@ class ResidualTrainer:
         self._offset_decoder = torch.from_numpy(scene.weights.offset_decoder).to(device)
         steps = torch.from_numpy(scene.header.position_steps).to(device)
         self._position_step = steps[field.level[rows]][:, None]
-        self._static = _static_splats(field, static, self._centres)
         self._latent = torch.zeros(len(rows), LATENTS, device=device, requires_grad=True)
         self._position = torch.zeros(len(rows), 3, device=device, requires_grad=True)
+        self._static = _static_splats(field, static, self._centres)
+        self._stages: dict[int, Stage] = {}
 
     def run(self, config: PredictConfig, backend: Backend, generator: torch.Generator) -> Quanta:
         """Train as configured and round."""
-        views = self._views.usable
+        with torch.no_grad():
+            for number in self._views.usable:
+                self._stages[number] = self._stage(number, self._dynamic_splats(number), backend)
+        views = [number for number in self._views.usable if not self._stages[number].is_empty]
+        if not views:
+            return _nothing(len(self._rows))
         total = max(config.epochs * len(views), config.minimum_steps)
         order, optimiser = ViewOrder(views, generator), RowAdam({"latent": self._latent, "position": self._position})
         losses: list[Tensor] = []
@@ -82,15 +88,19 @@ class ResidualTrainer:
 
     def _loss(self, number: int, config: PredictConfig, backend: Backend) -> Tensor:
         dynamic = self._dynamic_splats(number)
-        splats = join(dynamic, self._static[number])
-        camera = self._views.cameras[number]
-        raster = rasterise(*splats.astuple(), camera, self._background, gradient_rows=len(dynamic), backend=backend)
-        image = raster.image if self._exposure is None else self._exposure.apply(raster.image, number)
-        loss = photometric_loss(image, self._views.targets[number], config.dssim_weight)
+        stage = self._stages[number]
+        if not stage.covers(dynamic):
+            stage = self._stages[number] = self._stage(number, dynamic.detached(), backend)
+        render = stage.render(dynamic, self._background, backend)
+        image = render if self._exposure is None else self._exposure.apply(render, number)
+        loss = photometric_loss(image, self._views.targets[number], config.dssim_weight, stage.region)
         if config.rate_weight:
             bits = torch.log2(1 + self._latent.abs()).sum() + torch.log2(1 + self._position.abs()).sum()
             loss = loss + config.rate_weight * bits / image.numel()
         return loss
+
+    def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
+        return make_stage(self._views.cameras[number], dynamic, self._static[number], self._background, backend)
 
     def _dynamic_splats(self, number: int) -> Splats:
         field, rows = self._field, self._rows
@@ -139,6 +149,10 @@ def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Resi
             )
         )
     return Residual(scene.keyframe, scene.version, version, tuple(levels))
+
+
+def _nothing(anchors: int) -> Quanta:
+    return Quanta(np.zeros((anchors, LATENTS), np.int32), np.zeros((anchors, 3), np.int32), 0, 0.0, 0)
 
 
 def _finite_quanta(values: Tensor) -> Int32:
