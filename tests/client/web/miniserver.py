@@ -41,7 +41,8 @@ class Clip:
     def residual(self, before: int, after: int) -> bytes:
         """From one state to a later one."""
         if (before, after) not in self._made:
-            kind = PacketKind.PREDICTED if after == before + 1 else PacketKind.CATCH_UP if before == 0 else PacketKind.SKIP
+            far = PacketKind.SKIP if before else PacketKind.CATCH_UP
+            kind = PacketKind.PREDICTED if after == before + 1 else far
             change = difference(self.states[before], self.states[after])
             time_ns = after * 33_333_333
             packet = encode_residual(self.states[before], change, kind=kind, time_ns=time_ns, profile=self.profile)
@@ -205,7 +206,12 @@ def serving(app: FastAPI, port: int | None = None) -> Iterator[str]:
     """Serve in a thread; yields the address."""
     port = port or free_port()
     config = uvicorn.Config(
-        app, host="127.0.0.1", port=port, log_level="error", ws="websockets-sansio", ws_per_message_deflate=False,
+        app,
+        host="127.0.0.1",
+        port=port,
+        log_level="error",
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
         timeout_graceful_shutdown=1,
     )
     server = uvicorn.Server(config)

@@ -1,4 +1,4 @@
-"""A scene to look at: two knots of coloured anchors over a floor, one of them turning; sizes by argument, no randomness."""
+"""A scene to look at: two knots of coloured anchors over a floor, one of them turning. No randomness."""
 
 from __future__ import annotations
 

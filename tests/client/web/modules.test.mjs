@@ -1,0 +1,216 @@
+// The page's modules that need no page.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { deflateRawSync } from "node:zlib";
+import * as camera from "../../../client/web/camera.js";
+import { crc32 } from "../../../client/web/checksum.js";
+import { moments, plan } from "../../../client/web/container.js";
+import { inflateColumns } from "../../../client/web/deflate.js";
+import { Session } from "../../../client/web/session.js";
+import { DepthSort, fillQuads } from "../../../client/web/sort.js";
+import { clock, words } from "../../../client/web/states.js";
+import { bin, FREQUENCY, SCALE } from "../../../client/web/tables.js";
+
+const near = (a, b, tolerance = 1e-9) => a.forEach((x, i) => assert.ok(Math.abs(x - b[i]) <= tolerance, `${a} is not ${b}`));
+const POSE = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, shift: [0, 0] };
+const UP = [0, -1, 0];
+
+test("crc32 is that of zlib", () => assert.equal(crc32(new TextEncoder().encode("123456789")), 0xcbf43926));
+
+test("orbiting keeps the target and its distance", () => {
+  const pose = camera.orbit(camera.orbit(POSE, UP, 0.7, 0.4), UP, -0.2, -0.9);
+  near(camera.target(pose), [0, 0, 0], 1e-9);
+  near([Math.hypot(...pose.position)], [3]);
+});
+
+test("positive yaw shows what lies to the right, positive pitch what lies above", () => {
+  const right = camera.look(POSE, UP, 0.3, 0), high = camera.look(POSE, UP, 0, 0.3);
+  assert.ok(right.rotation[6] > 0.2 && high.rotation[7] < -0.2);
+});
+
+test("pitch stops before the pole and leaves the picture level", () => {
+  let pose = POSE;
+  for (let i = 0; i < 100; i++) pose = camera.orbit(pose, UP, 0.05, 0.1);
+  const forward = camera.row(pose.rotation, 2), right = camera.row(pose.rotation, 0);
+  assert.ok(Math.abs(forward[1]) < 0.9999);
+  near([right[1]], [0], 1e-9);
+});
+
+test("a pose survives its text", () => {
+  const pose = camera.pan(camera.orbit(POSE, UP, 0.7, 0.4), 0.1, -0.2);
+  const back = camera.fromText(camera.toText(pose));
+  near(back.rotation, pose.rotation, 1e-3);
+  near(back.position, pose.position, 1e-3);
+  for (const text of [null, "", "1,2,3", "0,0,0,0,0,1,0,0,1,1,1,0,0", "0,0,0,0,0,1,0,1,0,1,-1,0,0", "a,0,0,0,0,1,0,1,0,1,1,0,0"]) {
+    assert.equal(camera.fromText(text), null);
+  }
+});
+
+test("a rig camera's pose has its centre, focal length and principal point", () => {
+  const rig = { name: "a", width: 400, height: 200, intrinsics: [300, 0, 210, 0, 300, 90, 0, 0, 1], worldToCamera: [0, 0, 1, 4, 0, 1, 0, 5, -1, 0, 0, 6, 0, 0, 0, 1] };
+  const pose = camera.fromCamera(rig, 2);
+  near(pose.position, [6, -5, -4]);
+  near([pose.focal, ...pose.shift], [1.5, 0.05, -0.05]);
+});
+
+test("sorted far to near, nothing behind the camera", () => {
+  const count = 5000, splats = new Float32Array(count * 4);
+  for (let i = 0; i < count; i++) splats[4 * i + 2] = ((i * 7919) % count) * (i % 3 ? 0.01 : 30) - 1;
+  const active = Uint32Array.from({ length: count }, (_, i) => i);
+  const order = [...new DepthSort().order(splats, 4, active, count, [0, 0, 1, 0])];
+  const wanted = [...active].filter((i) => splats[4 * i + 2] >= 0.01);
+  assert.equal(order.length, wanted.length);
+  assert.deepEqual([...order].sort((a, b) => a - b), wanted);
+  for (let i = 1; i < order.length; i++) {
+    const far = splats[4 * order[i - 1] + 2], close = splats[4 * order[i] + 2];
+    assert.ok(far >= close * (1 - 2e-6) - 1e-6, `${far} before ${close}`);
+  }
+});
+
+test("two triangles a splat", () => {
+  const quads = new Uint32Array(12);
+  fillQuads(Uint32Array.of(3, 1), quads);
+  assert.deepEqual([...quads], [12, 13, 14, 14, 13, 15, 4, 5, 6, 6, 5, 7]);
+});
+
+test("tables: frequencies fill 4096, bins step where they should", () => {
+  for (let b = 0; b < 31; b++) assert.equal(FREQUENCY.slice(17 * b, 17 * b + 17).reduce((a, x) => a + x), 4096);
+  assert.deepEqual([0, 3, 4, 663, 664, 789, 790].map(bin), [0, 0, 1, 29, 30, 30, bin(395) + 4]);
+  assert.equal(SCALE.length, 192);
+});
+
+test("inflates what zlib deflates, at every level and strategy", () => {
+  const values = Int32Array.from({ length: 3 * 2000 }, (_, i) => (i % 7 ? (i * i) % 23 : i) - 5);
+  const noise = Int32Array.from({ length: 3 * 2000 }, (_, i) => Math.imul(i, 0x9e3779b1));
+  for (const numbers of [values, noise, new Int32Array(0)]) {
+    for (const options of [{ level: 0 }, { level: 1 }, { level: 9 }, { strategy: 4 }, { strategy: 2 }]) {
+      const body = deflateRawSync(new Uint8Array(numbers.buffer), options);
+      const chunk = new Uint8Array(5 + body.length);
+      new DataView(chunk.buffer).setUint32(1, numbers.length / 3, true);
+      chunk.set(body, 5);
+      assert.deepEqual(inflateColumns(chunk, 3, 2000).columns, numbers);
+      if (numbers.length) assert.throws(() => inflateColumns(chunk.slice(0, -1), 3, 2000), { code: "corrupt_chunk" });
+      assert.throws(() => inflateColumns(Uint8Array.of(...chunk, 0), 3, 2000), { code: "corrupt_chunk" });
+    }
+  }
+});
+
+test("inflating any damaged bytes ends in a refusal or in numbers", () => {
+  const body = deflateRawSync(new Uint8Array(Int32Array.from({ length: 300 }, (_, i) => i * i).buffer));
+  const chunk = new Uint8Array(5 + body.length);
+  chunk[1] = 100;
+  for (let i = 0; i < 3000; i++) {
+    chunk.set(body, 5);
+    chunk[5 + ((i * 31) % body.length)] ^= 1 << (i % 8);
+    chunk[5 + ((i * 17) % body.length)] ^= i & 255;
+    try {
+      assert.equal(inflateColumns(chunk, 3, 2000).columns.length, 300);
+    } catch (error) {
+      assert.equal(error.code, "corrupt_chunk");
+    }
+  }
+});
+
+const entry = (kind, keyframe, fromVersion, toVersion, size) => ({ offset: 0, kind, keyframe, fromVersion, toVersion, size, timeMs: toVersion * 10 });
+
+test("the way to a version: parts of the keyframe, then the fewest bytes", () => {
+  const entries = [entry(0, 0, 0, 0, 50), entry(0, 0, 0, 0, 80), entry(1, 0, 0, 1, 10), entry(1, 0, 1, 2, 10), entry(3, 0, 0, 2, 15),
+    entry(1, 0, 2, 3, 10), entry(0, 3, 3, 3, 90), entry(1, 3, 3, 4, 10)];
+  assert.deepEqual(plan(entries, 2, null), [0, 1, 4]);
+  assert.deepEqual(plan(entries, 1, null), [0, 1, 2]);
+  assert.deepEqual(plan(entries, 2, { keyframe: 0, version: 1 }), [3]);
+  assert.deepEqual(plan(entries, 1, { keyframe: 0, version: 2 }), [0, 1, 2]);
+  assert.deepEqual(plan(entries, 4, { keyframe: 0, version: 2 }), [6, 7]);
+  assert.deepEqual(moments(entries).map(({ version }) => version), [0, 1, 2, 3, 4]);
+  assert.throws(() => plan(entries.slice(2), 1, null), { code: "bad_file" });
+});
+
+const welcome = (more = {}) => JSON.stringify({ type: "welcome", version: 1, state: "live", epoch: 1, levels: 3, fps: 30, ack_every: 4,
+  window: { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 9 } }, ...more });
+const event = (name, more = {}) => JSON.stringify({ type: "event", event: name, ...more });
+
+test("session: hello, welcome, packets, acknowledgement every few packets and at least once a second", () => {
+  const session = new Session(0);
+  session.wishes = { levels: 2, kilobytes_per_second: null };
+  assert.deepEqual(session.opened(0), [{ type: "hello", versions: [1], client: "streamlod-web/1.0", start: "live", levels: 2 }]);
+  session.control(welcome());
+  assert.equal(session.status.phase, "waiting");
+  session.arrived(100, 10);
+  assert.deepEqual(session.applied(9, 1, 10), []);
+  assert.equal(session.status.phase, "live");
+  for (let i = 0; i < 2; i++) assert.deepEqual(session.applied(10 + i, 1, 20), []);
+  assert.deepEqual(session.applied(12, 1.234, 20), [{ type: "ack", bytes: 100, epoch: 1, version: 12, decode_ms: 1.23 }]);
+  session.applied(13, 1, 30);
+  assert.equal(session.tick(500).length, 0);
+  assert.equal(session.tick(1000).length, 1);
+});
+
+test("session: silence is a stall, the next frame ends it; an idle stream only waits", () => {
+  const session = new Session(0);
+  session.opened(0);
+  session.control(welcome({ state: "starting", window: null, levels: null, fps: null }));
+  session.control(event("progress", { fraction: 0.4, loss: null, text: "step 400" }));
+  session.tick(60_000);
+  assert.deepEqual([session.status.phase, session.status.fraction], ["waiting", 0.4]);
+  session.control(event("state", { state: "live", detail: "" }));
+  session.applied(1, 1, 60_000);
+  session.arrived(1, 60_000);
+  session.tick(64_000);
+  assert.equal(session.status.phase, "stalled");
+  session.arrived(1, 64_001);
+  session.applied(2, 1, 64_001);
+  assert.equal(session.status.phase, "live");
+});
+
+test("session: seek, pause and the live edge are told apart", () => {
+  const session = new Session(0);
+  session.opened(0);
+  session.control(welcome());
+  session.applied(9, 1, 0);
+  session.control(event("position", { mode: "replay", epoch: 1, version: 3 }));
+  assert.equal(session.status.phase, "behind");
+  session.control(event("position", { mode: "paused", epoch: 1, version: 3 }));
+  assert.equal(session.status.phase, "paused");
+  session.control(event("position", { mode: "live", epoch: 1, version: 9 }));
+  assert.equal(session.status.phase, "live");
+  session.control(event("skipped", { from: 9, to: 14, reason: "congestion" }));
+  assert.equal(session.status.skipped, 4);
+  session.control(event("something new"));
+});
+
+test("session: back-off doubles to 15 s, starts anew after a welcome, and returns to where the viewer was", () => {
+  const session = new Session(0);
+  const waits = Array.from({ length: 8 }, () => session.closed(1006, "", 0, 0.5));
+  assert.deepEqual(waits, [500, 1000, 2000, 4000, 8000, 15000, 15000, 15000]);
+  session.opened(0);
+  session.control(welcome());
+  session.applied(5, 1, 0);
+  session.control(event("position", { mode: "replay", epoch: 1, version: 5 }));
+  assert.equal(session.closed(1001, "", 0, 0.5), 500);
+  assert.deepEqual(session.start, { epoch: 1, version: 5 });
+});
+
+test("session: final close codes are not tried again, a refused packet is at once", () => {
+  for (const [code, phase] of [[4401, "denied"], [4403, "denied"], [4404, "missing"], [4415, "version"], [4400, "failed"], [1009, "failed"]]) {
+    const session = new Session(0);
+    assert.equal(session.closed(code, "why", 0, 0.5), null);
+    assert.deepEqual([session.status.phase, session.status.detail], [phase, "why"]);
+  }
+  const session = new Session(0);
+  assert.equal(session.refuse(), 4400);
+  assert.equal(session.closed(4400, "", 0, 0.5), 0);
+  session.refuse();
+  assert.ok(session.closed(4400, "", 0, 0.5) >= 500);
+});
+
+test("every phase has words, and none stands in the way of a picture without need", () => {
+  const { status } = new Session(0);
+  for (const phase of ["connecting", "waiting", "live", "behind", "paused", "stalled", "reconnecting", "ended", "failed", "version", "denied", "missing"]) {
+    const bare = words({ ...status, phase }, false, 2500), shown = words({ ...status, phase }, true, 2500);
+    assert.ok(bare.chip && shown.chip, phase);
+    assert.equal(shown.card !== null, ["failed", "version", "denied", "missing"].includes(phase), phase);
+  }
+  assert.match(words({ ...status, phase: "reconnecting" }, true, 2500).chip, /3 s/);
+  assert.equal(clock(3690, 30), "2:03");
+  assert.equal(clock(12, null), "12");
+});

@@ -1,0 +1,115 @@
+"""The page's modules outside a browser: types, unit tests, conformance vectors, agreement with the Python decoder."""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.container import SlodWriter
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind
+from core.anchors import Scene
+from core.expand import expand
+from core.residual import difference
+from tests.client.web.conftest import WEB
+from tests.client.web.miniserver import make_clip
+from tests.client.web.scenes import make_scene
+from tests.codec import scenes as codec_scenes
+
+HERE = Path(__file__).parent
+EYE = np.array([0.3, -0.2, -2.0])
+
+
+@pytest.mark.parametrize("name", ["modules", "vectors"])
+def test_node(node: str, name: str) -> None:
+    """The tests written in JavaScript."""
+    done = subprocess.run(
+        [node, "--test", f"{name}.test.mjs"], cwd=HERE, capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-1000:]
+
+
+def test_types() -> None:
+    """JSDoc types, strictly."""
+    compiler = HERE / "node_modules" / ".bin" / "tsc"
+    if not compiler.exists() or shutil.which("node") is None:
+        pytest.skip("the TypeScript compiler is not installed: npm install --prefix tests/client/web")
+    done = subprocess.run(
+        [str(compiler), "--project", "tsconfig.json"],
+        cwd=HERE,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_page_is_small_and_complete(kernel: bytes) -> None:
+    """Under 80 KB compressed, comments and all; every file it refers to is there; nothing comes from elsewhere."""
+    files = {path.name: path.read_bytes() for path in WEB.iterdir() if path.suffix not in (".wat", ".py")}
+    assert sum(len(gzip.compress(content)) for name, content in files.items() if name != "__pycache__") < 80_000
+    for name, content in files.items():
+        if not name.endswith(".wasm"):
+            text = content.decode().replace("http://www.w3.org/2000/svg", "")
+            assert "http://" not in text, name
+            assert "https://" not in text, name
+            assert "node_modules" not in text, name
+
+
+def _walk(first: Scene, profile: int) -> tuple[list[Scene], list[bytes]]:
+    states = make_clip(first, 4).states if len(first.levels[0].feature[0]) == 12 else [first]
+    if len(states) == 1:
+        for index in range(3):
+            states.append((codec_scenes.grow if index == 1 else codec_scenes.move)(states[-1], index))
+    packets = [encode_keyframe(first, time_ns=0, profile=profile)]
+    for before, after in itertools.pairwise(states):
+        change = difference(before, after)
+        packets.append(encode_residual(before, change, kind=PacketKind.PREDICTED, time_ns=1, profile=profile))
+    return states, packets
+
+
+@pytest.mark.parametrize("profile", [0, 1])
+@pytest.mark.parametrize("kind", ["grown", "view dependent", "plain"])
+def test_same_state_and_splats_as_python(node: str, tmp_path: Path, kind: str, profile: int) -> None:
+    """After every packet the digests are Python's; the splats are those of core.expand."""
+    first = codec_scenes.make_scene() if kind == "grown" else make_scene(300, kind == "view dependent")
+    states, packets = _walk(first, profile)
+    file, out = tmp_path / "clip.slod", tmp_path / "out"
+    with SlodWriter(file) as writer:
+        for packet in packets:
+            writer.append(packet)
+    command = [node, str(HERE / "decode.mjs"), str(file), str(out), *map(str, EYE), "16"]
+    subprocess.run(command, check=True, timeout=60)
+    log = json.loads(out.with_suffix(".json").read_text())
+    assert [entry["digests"] for entry in log] == [[level.digest() for level in state.levels] for state in states]
+    assert_same_splats(np.fromfile(out.with_suffix(".bin"), np.float32).reshape(-1, 12), states[-1], EYE)
+
+
+def assert_same_splats(found: np.ndarray, scene: Scene, eye: np.ndarray) -> None:
+    """Records of the page (mean, opacity, covariance, packed colour) against the reference expansion."""
+    cloud = expand(scene, eye)
+    shown = cloud.opacities >= 1 / 255
+    assert len(found) == shown.sum()
+    np.testing.assert_allclose(found[:, :3], cloud.means[shown], atol=1e-5)
+    np.testing.assert_allclose(found[:, 3], cloud.opacities[shown], atol=1e-5)
+    w, x, y, z = (cloud.quaternions[shown] / np.linalg.norm(cloud.quaternions[shown], axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    axes = np.stack([np.stack(row, axis=-1) for row in rows], axis=1) * cloud.scales[shown][:, None, :]
+    covariance = axes @ axes.transpose(0, 2, 1)
+    upper = covariance[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    size = np.trace(covariance, axis1=1, axis2=2)[:, None]
+    np.testing.assert_allclose(found[:, 4:10] / size, upper / size, atol=1e-4)
+    colour = np.ascontiguousarray(found[:, 10:]).view(np.uint16).reshape(-1, 4)[:, :3] / 65535
+    np.testing.assert_allclose(colour, cloud.colours[shown], atol=1e-4)
