@@ -21,7 +21,7 @@ def photometric_sums(
     """
     height, width = image.shape[:2]
     left, top, right, bottom = box
-    workers, unit = numba.get_num_threads(), 1 / image.size
+    workers, unit = min(numba.get_num_threads(), bottom - top), 1 / image.size
     weights = (np.float32((1 - dssim_weight) * unit), np.float32(dssim_weight * unit))
     gradient, sums = np.zeros(image.shape, np.float32), np.zeros((workers, 2))
     flat = (height, width * _CHANNELS)

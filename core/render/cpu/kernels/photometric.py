@@ -247,6 +247,7 @@ def photometric(
     """Sums over a box and gradients in it, as though of the whole picture.
 
     Args:
+        workers: at most one a row of the box.
         x, y: [H,3W] pictures in [0, 1]. left, right: floats of a row, top, bottom: rows of the box; ends exclusive.
         weights: (of a unit of |x - y|, of a unit of 1 - SSIM), float32.
         out: [H,3W] gradient by x, written in the box only.
@@ -255,5 +256,4 @@ def photometric(
     for w in prange(workers):
         first, last = top + (bottom - top) * w // workers, top + (bottom - top) * (w + 1) // workers
         above, below = RADIUS if w == 0 else 0, RADIUS if w == workers - 1 else 0
-        if first < last:
-            sums[w, 0], sums[w, 1] = _band(x, y, left, right, first, last, above, below, weights, out)
+        sums[w, 0], sums[w, 1] = _band(x, y, left, right, first, last, above, below, weights, out)
