@@ -1,0 +1,164 @@
+"""`streamlod demo`: the whole product once, with the commands that a user would type.
+
+A synthetic clip is written, served live, watched by a client from a moving viewpoint and from a held-out camera, and
+measured against the truth; everything is left in one folder.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from core.errors import InputError, StreamlodError
+
+_LOG = logging.getLogger(__name__)
+_POLL_SECONDS = 0.5
+_START_SECONDS = 120.0
+_TRAIN_SECONDS = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class DemoSettings:
+    """What the demo makes.
+
+    Attributes:
+        out: folder of the results.
+        cameras, frames, size: of the synthetic clip.
+        views: training cameras; camera cam00 is held out.
+        host, port: where the server listens.
+        stay: keep serving at the end until Ctrl-C.
+    """
+
+    out: Path = Path("demo-output")
+    cameras: int = 9
+    frames: int = 20
+    size: str = "320x180"
+    views: int = 8
+    host: str = "127.0.0.1"
+    port: int = 8000
+    stay: bool = True
+
+
+def run_demo(settings: DemoSettings) -> None:
+    """Run the demo; progress goes to stderr.
+
+    Raises:
+        StreamlodError: a step failed; the sentence names it.
+    """
+    begin = time.monotonic()
+    settings.out.mkdir(parents=True, exist_ok=True)
+    clip, scene = settings.out / "clip", settings.out / "scene.slod"
+    _step("writing a synthetic clip", "synth", clip, "--cameras", settings.cameras, "--frames", settings.frames,
+          "--size", settings.size, "--overwrite")
+    with _server(settings, clip) as base:
+        live = base.replace("http", "ws", 1) + "/v1/streams/main/live"
+        first = _wait(base, "the first picture", lambda stream: stream["version"] is not None)
+        _LOG.info("first picture after %.0f s", time.monotonic() - begin)
+        _step("watching live, from a moving viewpoint", "view", live, "--orbit", "--frames", settings.frames,
+              "--out", settings.out / "orbit.mp4")
+        _wait(base, "the last frame", lambda stream: stream["state"] == "ended")
+        _download(f"{base}/v1/streams/main/bitstream", scene)
+        _step("measuring the held-out camera", "evaluate", scene, clip, "--test", "cam00",
+              "--json", settings.out / "report.json", "--save-images", settings.out / "held-out")
+        summary = _summary(settings, base, scene, first, time.monotonic() - begin)
+        (settings.out / "summary.md").write_text(summary)
+        sys.stderr.write(summary)
+        if settings.stay:
+            sys.stderr.write(f"\nOpen {base}/ to look around; Ctrl-C ends.\n")
+            _sleep_until_interrupted()
+
+
+def _step(what: str, *arguments: object) -> None:
+    _LOG.info("%s", what)
+    command = [sys.executable, "-m", "server.cli", *map(str, arguments)]
+    result = subprocess.run(command, check=False)
+    if result.returncode:
+        raise InputError(f"demo, {what}", f"`streamlod {' '.join(map(str, arguments))}` failed; its message is above")
+
+
+@contextmanager
+def _server(settings: DemoSettings, clip: Path) -> Iterator[str]:
+    """A running `streamlod serve` over the clip; yields its address and stops it in the end."""
+    log = (settings.out / "server.log").open("w")
+    command = [sys.executable, "-m", "server.cli", "serve", "--data", str(clip), "--preset", "live",
+               "--views", str(settings.views), "--test", "cam00", "--host", settings.host, "--port", str(settings.port),
+               "--state-dir", str(settings.out / "state")]
+    _LOG.info("starting the server")
+    process = subprocess.Popen(command, stderr=log, stdout=log)
+    base = f"http://{settings.host}:{settings.port}"
+    try:
+        limit = time.monotonic() + _START_SECONDS
+        while not _answers(f"{base}/healthz"):
+            if process.poll() is not None:
+                last = (settings.out / "server.log").read_text().strip().splitlines()[-1:]
+                raise InputError("demo", f"the server did not start: {' '.join(last) or 'see server.log'}")
+            if time.monotonic() > limit:
+                raise InputError("demo", f"the server did not answer within {_START_SECONDS:.0f} s; see server.log")
+            time.sleep(_POLL_SECONDS)
+        yield base
+    finally:
+        process.terminate()
+        try:
+            process.wait(15)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        log.close()
+
+
+def _answers(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=2):
+            return True
+    except OSError:
+        return False
+
+
+def _get(url: str) -> Any:
+    with urllib.request.urlopen(url, timeout=10) as answer:
+        return json.load(answer)
+
+
+def _wait(base: str, what: str, done: Any) -> dict[str, Any]:
+    """Poll the stream until `done(stream)`; its progress is logged."""
+    limit, told = time.monotonic() + _TRAIN_SECONDS, ""
+    while time.monotonic() < limit:
+        stream: dict[str, Any] = _get(f"{base}/v1/streams/main")
+        if stream["state"] == "failed":
+            raise InputError("demo", f"training failed: {stream['detail']}")
+        if done(stream):
+            return stream
+        progress = stream.get("progress") or {}
+        text = f"waiting for {what}: {stream['state']}, {100 * (progress.get('fraction') or 0):.0f} % of the first frame"
+        if stream["version"] is not None:
+            text = f"waiting for {what}: frame {stream['version']}"
+        if text != told:
+            _LOG.info(text)
+            told = text
+        time.sleep(_POLL_SECONDS)
+    raise InputError("demo", f"gave up waiting for {what} after {_TRAIN_SECONDS:.0f} s")
+
+
+def _download(url: str, path: Path) -> None:
+    temporary = path.with_name(path.name + ".part")
+    with urllib.request.urlopen(url, timeout=60) as answer:
+        temporary.write_bytes(answer.read())
+    temporary.replace(path)
+
+
+def _sleep_until_interrupted() -> None:
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        pass
