@@ -94,7 +94,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 def read_points(folder: Path) -> PointCloud:
-    """The points of a sparse model; those with coordinates that are not finite are left out.
+    """The points of a sparse model; those whose coordinates float32 cannot hold are left out.
 
     Raises:
         InputError: missing or damaged file.
@@ -102,7 +102,7 @@ def read_points(folder: Path) -> PointCloud:
     path = _file(folder, "points3D")
     rows = list(_points_bin(path) if path.suffix == ".bin" else _points_txt(path))
     table = np.array(rows, np.float64).reshape(-1, 6)
-    table = table[np.isfinite(table.astype(np.float32)).all(axis=1)]
+    table = table[(np.abs(table) < np.finfo(np.float32).max).all(axis=1)]
     return PointCloud(table[:, :3].astype(np.float32), np.clip(table[:, 3:] / 255, 0, 1).astype(np.float32))
 
 

@@ -18,7 +18,7 @@ from core.errors import InputError
 
 _BORDER_SAMPLES = 65
 _ZOOM_LIMIT = 4.0  # a lens that needs more than this to fill a picture is not described by five coefficients
-_ITERATIONS = 300
+_ITERATIONS = 30
 _ROUND_TRIP = 1e-6  # on the plane z = 1, far below a pixel
 
 
@@ -141,10 +141,26 @@ def distort(points: Float64, coefficients: Float64) -> Float64:
 
 
 def undistort(points: Float64, coefficients: Float64) -> Float64:
-    """The inverse of `distort`, by fixed-point iteration; NaN for points that it does not find."""
+    """The inverse of `distort`, by Newton's method; NaN where the lens shows no ray, or shows it twice."""
     ideal = points.copy()
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         for _ in range(_ITERATIONS):
-            ideal = ideal + (points - distort(ideal, coefficients))
-        missed = ~(np.abs(distort(ideal, coefficients) - points).max(axis=1) < _ROUND_TRIP)
-    return np.where(missed[:, None], np.nan, ideal)
+            miss = points - distort(ideal, coefficients)
+            a, b, d = _slopes(ideal, coefficients)
+            steps = np.stack([d * miss[:, 0] - b * miss[:, 1], a * miss[:, 1] - b * miss[:, 0]], axis=1)
+            ideal = ideal + steps / (a * d - b * b)[:, None]
+        found = np.abs(distort(ideal, coefficients) - points).max(axis=1) < _ROUND_TRIP
+        a, b, d = _slopes(ideal, coefficients)
+        # both slopes positive: on the near side of the circle at which a barrel lens folds back
+        return np.where((found & (a * d > b * b) & (a + d > 0))[:, None], ideal, np.nan)
+
+
+def _slopes(points: Float64, coefficients: Float64) -> tuple[Float64, Float64, Float64]:
+    """The derivative of `distort` at each point, a symmetric matrix (a b; b d)."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = points.T
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    slope = 2 * (k1 + square * (2 * k2 + square * 3 * k3))
+    b = x * y * slope + 2 * p1 * x + 2 * p2 * y
+    return radial + x * x * slope + 2 * p1 * y + 6 * p2 * x, b, radial + y * y * slope + 6 * p1 * y + 2 * p2 * x

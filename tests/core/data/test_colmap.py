@@ -1,0 +1,221 @@
+"""COLMAP models in binary and text, with pictures of one instant and of many."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.camera import Camera
+from core.data import open_dataset
+from core.data.colmap_model import read_model, read_points
+from core.errors import InputError
+from tests.core.data.writers import (
+    COLMAP_MODELS,
+    picture,
+    read_back,
+    rig,
+    write_colmap_binary,
+    write_colmap_text,
+    write_picture,
+)
+
+NAMES = ("cam00", "cam02", "cam10")
+POINTS = np.array([[0.5, -1, 2, 255, 128, 0], [1, 2, 3, 10, 20, 30]])
+Writer = Callable[..., None]
+both_formats = pytest.mark.parametrize("write", [write_colmap_binary, write_colmap_text], ids=["binary", "text"])
+
+
+def _one_instant(folder: Path, write: Writer, images: str = "images") -> tuple[Camera, ...]:
+    """In the model's file, cameras are not in the order of their names."""
+    cameras = rig(NAMES)
+    entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in cameras]
+    write(folder / "sparse" / "0", entries[::-1], POINTS)
+    for index, name in enumerate(NAMES):
+        write_picture(folder / images / f"{name}.png", picture(index, 0))
+    return cameras
+
+
+@both_formats
+def test_one_instant(tmp_path: Path, write: Writer) -> None:
+    cameras = _one_instant(tmp_path, write)
+    dataset = open_dataset(tmp_path)
+    assert (dataset.layout, dataset.names, dataset.frame_count, dataset.skipped) == ("colmap", NAMES, 1, ())
+    for found, wanted in zip(dataset.cameras, cameras, strict=True):
+        np.testing.assert_allclose(found.intrinsics, wanted.intrinsics)
+        np.testing.assert_allclose(found.world_to_camera, wanted.world_to_camera, atol=1e-12)
+    (frame,) = dataset.frames()
+    np.testing.assert_array_equal(frame.images, [picture(index, 0) for index in range(3)])
+    cloud = dataset.points()
+    assert cloud is not None
+    np.testing.assert_allclose(cloud.positions, POINTS[:, :3])
+    np.testing.assert_allclose(cloud.colours, POINTS[:, 3:] / 255, atol=1e-6)
+
+
+@both_formats
+@pytest.mark.parametrize("model", COLMAP_MODELS)
+def test_every_camera_model(tmp_path: Path, write: Writer, model: str) -> None:
+    kept = {"SIMPLE_RADIAL": 1, "RADIAL": 2, "OPENCV": 4}.get(model, 0)
+    distortion = np.array([0.01, -0.02, 0.003, -0.004, 0]) * (np.arange(5) < kept)
+    camera = replace(rig(["a"])[0], distortion=distortion)
+    write(tmp_path, [("a.png", camera, model)], POINTS)
+    read = read_model(tmp_path)
+    found = read.camera_of(read.images[0], "a")
+    np.testing.assert_allclose(found.distortion, distortion)
+    np.testing.assert_allclose(found.intrinsics, camera.intrinsics)
+
+
+def test_reduced_pictures_scale_the_calibration(tmp_path: Path) -> None:
+    large = rig(NAMES, (192, 128))
+    write_colmap_binary(tmp_path / "sparse", [(f"{c.name}.png", c, "PINHOLE") for c in large], POINTS)
+    for index, name in enumerate(NAMES):
+        write_picture(tmp_path / "images_2" / f"{name}.png", picture(index, 0))
+    dataset = open_dataset(tmp_path)
+    np.testing.assert_allclose(dataset.cameras[0].intrinsics[:2], large[0].intrinsics[:2] / 2)
+
+
+def test_missing_pictures_are_skipped_counted_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _one_instant(tmp_path, write_colmap_binary)
+    (tmp_path / "images" / "cam02.png").unlink()
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset(tmp_path)
+    assert (dataset.names, dataset.skipped) == (("cam00", "cam10"), ("cam02.png",))
+    assert "1 pictures of the model are missing: cam02.png" in caplog.text
+
+
+@pytest.mark.parametrize("layout", ["frame{:06d}/images", "frame{:06d}", "colmap_{}/images"])
+def test_a_folder_an_instant(tmp_path: Path, layout: str) -> None:
+    for t in range(11):  # more than ten: sorted as numbers
+        folder = tmp_path / layout.format(t)
+        for index, name in enumerate(NAMES):
+            write_picture(folder / f"{name}.png", picture(index, t))
+    entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in rig(NAMES)]
+    write_colmap_binary(tmp_path / layout.format(0).split("/")[0] / "sparse" / "0", entries, POINTS)
+    (tmp_path / layout.format(4) / "cam02.png").unlink()
+    dataset = open_dataset(tmp_path)
+    assert (dataset.frame_count, dataset.names) == (11, NAMES)
+    for frame in dataset.frames(2):
+        assert frame.present.tolist() == [True, frame.index != 4, True]
+        for index in np.flatnonzero(frame.present):
+            assert read_back(frame.images[index]) == (index, frame.index)
+        assert frame.images[~frame.present].sum() == 0
+
+
+def test_a_folder_frames_beside_the_model(tmp_path: Path) -> None:
+    entries = [(f"{camera.name}.jpg", camera, "PINHOLE") for camera in rig(NAMES)]  # the pictures are .png
+    write_colmap_text(tmp_path / "sparse" / "0", entries, POINTS)
+    for t in range(3):
+        for index, name in enumerate(NAMES):
+            write_picture(tmp_path / "frames" / f"{t:04d}" / f"{name}.png", picture(index, t))
+    dataset = open_dataset(tmp_path)
+    assert [read_back(frame.images[2]) for frame in dataset.frames()] == [(2, 0), (2, 1), (2, 2)]
+
+
+@pytest.mark.parametrize("stem", ["cameras", "images"])
+def test_a_binary_model_cut_at_any_byte_is_refused(tmp_path: Path, stem: str) -> None:
+    write_colmap_binary(tmp_path, [(f"{c.name}.png", c, "OPENCV") for c in rig(NAMES[:2])], POINTS)
+    path = tmp_path / f"{stem}.bin"
+    data = path.read_bytes()
+    for size in range(len(data)):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError, match=rf"{stem}\.bin: "):
+            read_model(tmp_path)
+
+
+def test_points_cut_at_any_byte_are_refused(tmp_path: Path) -> None:
+    write_colmap_binary(tmp_path, [], POINTS)
+    path = tmp_path / "points3D.bin"
+    data = path.read_bytes()
+    for size in range(len(data)):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError, match=r"points3D\.bin: "):
+            read_points(tmp_path)
+
+
+@pytest.mark.parametrize("stem", ["cameras", "images", "points3D"])
+def test_counts_are_not_believed(tmp_path: Path, stem: str) -> None:
+    write_colmap_binary(tmp_path, [("a.png", rig(["a"])[0], "PINHOLE")], POINTS)
+    path = tmp_path / f"{stem}.bin"
+    path.write_bytes(struct.pack("<Q", 2**62) + path.read_bytes()[8:])
+    with pytest.raises(InputError, match="claims 4611686018427387904 records"):
+        read_points(tmp_path) if stem == "points3D" else read_model(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("cameras.txt", "PINHOLE", "FULL_OPENCV", r"cameras\.txt: camera model FULL_OPENCV is not supported"),
+        ("cameras.txt", "80.0", "eighty", r"cameras\.txt: line 2: "),
+        ("cameras.txt", "80.0", "", r"cameras\.txt: line 2: PINHOLE has 4 parameters, not 2"),
+        ("cameras.txt", "80.0", "-80.0", "camera a: focal length must be positive"),
+        ("cameras.txt", "80.0", "nan", "camera a: its intrinsics"),
+        ("cameras.txt", "\n1 ", "\n9 ", "image a.png: was taken by camera 1, which does not exist"),
+        ("images.txt", " a.png", "", r"images\.txt: line 2: the picture's name is missing"),
+        (
+            "images.txt",
+            "\n1 ",
+            "\n1 7 0 0 0 0 0 4 1 a.png\n\n# ",
+            r"images\.txt: image a\.png: its quaternion has length",
+        ),
+        ("images.txt", "\n1 ", "\n1 nan ", r"images\.txt: "),
+    ],
+)
+def test_faults_in_text_models_are_named(tmp_path: Path, file: str, old: str, new: str, message: str) -> None:
+    write_colmap_text(tmp_path / "sparse", [("a.png", rig(["a"])[0], "PINHOLE")], POINTS)
+    write_picture(tmp_path / "images" / "a.png", picture(0, 0))
+    path = tmp_path / "sparse" / file
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=message):
+        open_dataset(tmp_path)
+
+
+def test_names_that_lead_out_of_the_folder_are_not_followed(tmp_path: Path) -> None:
+    write_picture(tmp_path / "secret.png", picture(0, 0))
+    write_picture(tmp_path / "data" / "images" / "b.png", picture(0, 0))
+    entries = [("../../secret.png", rig(["a"])[0], "PINHOLE"), ("b.png", rig(["b"])[0], "PINHOLE")]
+    write_colmap_binary(tmp_path / "data" / "sparse", entries, POINTS)
+    assert open_dataset(tmp_path / "data").names == ("b",)
+
+
+def test_points_that_are_not_finite_are_left_out(tmp_path: Path) -> None:
+    write_colmap_binary(tmp_path, [], np.concatenate([POINTS, [[np.nan, 0, 0, 0, 0, 0], [1e300, 0, 0, 0, 0, 0]]]))
+    assert len(read_points(tmp_path)) == 2
+    write_colmap_binary(tmp_path, [], POINTS[:0])
+    assert len(read_points(tmp_path)) == 0
+
+
+def test_flame_steak(real_data: Path) -> None:
+    """Real N3DV pictures: where COLMAP's points project, the pictures have the points' colours."""
+    dataset = open_dataset(real_data / "flame_steak_frame0", downscale=2)
+    assert dataset.names == tuple(f"cam{number:02d}" for number in range(21))
+    assert {(camera.width, camera.height) for camera in dataset.cameras} == {(672, 504)}
+    cloud = dataset.points()
+    assert cloud is not None
+    assert len(cloud) == 7298
+    (frame,) = dataset.select(["cam00", "cam07", "cam20"]).frames()
+    for camera, image in zip(dataset.select(["cam00", "cam07", "cam20"]).cameras, frame.images, strict=True):
+        points = cloud.positions @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        pixels = points @ camera.intrinsics.T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        inside = (points[:, 2] > 0) & (pixels > 0).all(axis=1) & (pixels < [672, 504]).all(axis=1)
+        assert inside.mean() > 0.5
+        seen = image[pixels[inside, 1].astype(int), pixels[inside, 0].astype(int)] / 255
+        assert np.median(np.abs(seen - cloud.colours[inside])) < 0.08
+        assert np.median(np.abs(seen[::-1] - cloud.colours[inside])) > 0.14  # what chance would give
+
+
+def test_flame_steak_distorted_model(real_data: Path) -> None:
+    """The OPENCV model of the same rig has the same poses, up to what undistorting leaves alone."""
+    folder = real_data / "flame_steak_frame0"
+    straight, bent = read_model(folder / "sparse" / "0"), read_model(folder / "distorted" / "sparse" / "0")
+    assert {camera.model for camera in bent.cameras.values()} == {"OPENCV"}
+    poses = {image.name: image.world_to_camera for image in straight.images}
+    for image in bent.images:
+        np.testing.assert_allclose(image.world_to_camera, poses[image.name], atol=1e-9)
+        assert bent.camera_of(image, "a").has_distortion

@@ -1,0 +1,235 @@
+"""Detection of layouts, and files that are not what they should be: one sentence that names file and fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from core.data import LAYOUTS, open_dataset
+from core.errors import InputError
+from tests.core.data.writers import (
+    llff_rows,
+    picture,
+    rig,
+    write_caliscope,
+    write_colmap_binary,
+    write_picture,
+    write_transforms,
+    write_video,
+    write_video_clip,
+)
+
+NAMES = ("cam00", "cam01", "cam02")
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    folder = tmp_path / "clip"
+    write_video_clip(folder, NAMES, frames=6)
+    return folder
+
+
+def _mixed(folder: Path) -> None:
+    """A folder that is an N3DV clip and a COLMAP data set at once."""
+    write_video_clip(folder, NAMES, frames=2)
+    write_colmap_binary(
+        folder / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in rig(NAMES)], np.zeros((0, 6))
+    )
+    for index, name in enumerate(NAMES):
+        write_picture(folder / "images" / f"{name}.png", picture(index, 0))
+
+
+def test_the_layout_is_detected_and_can_be_overridden(tmp_path: Path) -> None:
+    _mixed(tmp_path)
+    assert open_dataset(tmp_path).layout == "n3dv"
+    assert open_dataset(tmp_path, layout="colmap").layout == "colmap"
+    write_transforms(tmp_path, [f"images/{name}.png" for name in NAMES], rig(NAMES))
+    assert open_dataset(str(tmp_path)).layout == "transforms"
+    write_caliscope(tmp_path / "c", rig(["cam_0"]), [[True]])
+    assert open_dataset(tmp_path / "c").layout == "caliscope"
+    with pytest.raises(InputError, match="holds no video called like cam_0"):
+        open_dataset(tmp_path, layout="meetroom")
+    with pytest.raises(ValueError, match=f"layout must be one of {', '.join(LAYOUTS)}"):
+        open_dataset(tmp_path, layout="video")
+
+
+@pytest.mark.parametrize("downscale", [0, 0.5, -2, float("nan"), 1000])
+def test_downscale_is_checked(clip: Path, downscale: float) -> None:
+    with pytest.raises(ValueError, match="downscale must lie between"):
+        open_dataset(clip, downscale=downscale)
+
+
+def test_cameras_that_do_not_exist(clip: Path) -> None:
+    with pytest.raises(InputError, match=r"clip: has no camera 'cam07'; it has cam00, cam01, cam02"):
+        open_dataset(clip, cameras=["cam07"])
+    with pytest.raises(InputError, match="each only once"):
+        open_dataset(clip, cameras=["cam00", "cam00"])
+    with pytest.raises(InputError, match="at least one camera"):
+        open_dataset(clip, cameras=[])
+
+
+def test_folders_that_hold_nothing_usable(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere: does not exist"):
+        open_dataset(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="is an empty folder"):
+        open_dataset(tmp_path)
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(InputError, match=r"notes\.txt: is not a folder"):
+        open_dataset(tmp_path / "notes.txt")
+    with pytest.raises(InputError, match="is not a recording in a known layout; it needs"):
+        open_dataset(tmp_path)
+    np.save(tmp_path / "poses_bounds.npy", llff_rows(rig(NAMES)))
+    with pytest.raises(InputError, match=r"holds no video called like cam00\.mp4"):
+        open_dataset(tmp_path)
+
+
+def _row(change: Callable[[np.ndarray], None]) -> np.ndarray:
+    rows = llff_rows(rig(NAMES))
+    change(rows)
+    return rows
+
+
+def _set(row: int, column: int, value: float) -> Callable[[np.ndarray], None]:
+    return lambda rows: rows.__setitem__((row, column), value)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((3, 16)), r"must have shape Nx17, a row for each camera, not 3x16"),
+        (np.zeros(17), r"must have shape Nx17, a row for each camera, not 17"),
+        (np.zeros(()), r"not a single number"),
+        (np.zeros((0, 17)), r"has 0 rows, but there are 3 videos \(cam00, cam01, cam02\)"),
+        (llff_rows(rig(NAMES))[:2], r"has 2 rows, but there are 3 videos"),
+        (_row(_set(1, 3, np.nan)), r"camera cam01: row 1 holds numbers that are not finite"),
+        (_row(_set(2, 16, np.inf)), r"camera cam02: row 2 holds numbers that are not finite"),
+        (_row(_set(1, 0, 3.0)), r"camera cam01: its pose does not hold a rotation"),
+        (_row(_set(1, 14, 0.0)), r"camera cam01: focal length must be positive"),
+        (_row(_set(1, 14, -5.0)), r"camera cam01: focal length must be positive"),
+        (_row(_set(1, 4, 0.0)), r"camera cam01: picture size 96x0 is not possible"),
+        (_row(_set(0, 15, -1.0)), r"its depth bounds: run from -1 to 9"),
+        (np.array([["a"] * 17] * 3), r"does not hold an array of plain numbers"),
+        (np.array([[None] * 17] * 3), r"does not hold an array of plain numbers"),
+    ],
+)
+def test_faults_in_poses_bounds(clip: Path, array: np.ndarray, message: str) -> None:
+    np.save(clip / "poses_bounds.npy", array)
+    with pytest.raises(InputError, match=rf"poses_bounds\.npy: .*{message}"):
+        open_dataset(clip)
+
+
+def test_poses_that_do_not_fit_the_video(clip: Path) -> None:
+    np.save(clip / "poses_bounds.npy", _row(_set(1, 4, 96.0)))
+    with pytest.raises(InputError, match=r"cam01\.mp4: has 96x64 pixels, which does not fit the calibration's 96x96"):
+        open_dataset(clip)
+
+
+def test_poses_bounds_cut_at_any_byte_is_refused(clip: Path) -> None:
+    path = clip / "poses_bounds.npy"
+    data = path.read_bytes()
+    for size in range(0, len(data), 7):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError, match=r"poses_bounds\.npy: "):
+            open_dataset(clip)
+
+
+def test_a_pickle_is_not_run(clip: Path, tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple[object, ...]:
+            return (Path.touch, (tmp_path / "sprung",))
+
+    trap = np.empty(1, object)
+    trap[0] = Trap()
+    np.save(clip / "poses_bounds.npy", trap, allow_pickle=True)
+    with pytest.raises(InputError, match=r"poses_bounds\.npy: does not hold an array of plain numbers"):
+        open_dataset(clip)
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_an_array_that_claims_more_than_its_file_holds(clip: Path) -> None:
+    path = clip / "poses_bounds.npy"
+    path.write_bytes(path.read_bytes().replace(b"(3, 17), }  ", b"(9999999999, 17), }")[:200])
+    with pytest.raises(InputError, match=r"poses_bounds\.npy: "):
+        open_dataset(clip)
+
+
+def test_a_missing_video_leaves_rows_over(clip: Path) -> None:
+    (clip / "cam01.mp4").unlink()
+    with pytest.raises(InputError, match=r"poses_bounds\.npy: .*has 3 rows, but there are 2 videos \(cam00, cam02\)"):
+        open_dataset(clip)
+
+
+def test_videos_of_different_length_or_rate_or_size(clip: Path) -> None:
+    write_video(clip / "cam02.mp4", [picture(2, t) for t in range(5)])
+    with pytest.raises(InputError, match=r"cam02\.mp4: holds 5 pictures, but cam00\.mp4 6; .*cut them to 5"):
+        open_dataset(clip)
+    write_video(clip / "cam02.mp4", [picture(2, t) for t in range(6)], fps=25)
+    with pytest.raises(InputError, match=r"cam02\.mp4: runs at 25 pictures a second, but cam00\.mp4 at 30"):
+        open_dataset(clip)
+    write_video(clip / "cam02.mp4", [picture(2, t, (48, 32)) for t in range(6)])
+    with pytest.raises(InputError, match=r"clip: camera cam02 has pictures of 48x32, but cam00 of 96x64"):
+        open_dataset(clip)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"not a video at all" * 50, b"#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:1/a.ts\n"]
+)
+def test_a_file_that_is_not_a_video(clip: Path, content: bytes) -> None:
+    (clip / "cam01.mp4").write_bytes(content)
+    with pytest.raises(InputError, match=r"cam01\.mp4: "):
+        open_dataset(clip)
+
+
+def test_a_file_with_sound_only(clip: Path) -> None:
+    with av.open(str(clip / "cam01.mp4"), "w") as container:
+        stream = container.add_stream("aac", rate=8000)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        frame.sample_rate = 8000
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    with pytest.raises(InputError, match=r"cam01\.mp4: holds no pictures, only other streams"):
+        open_dataset(clip)
+
+
+@pytest.mark.parametrize("movflags", ["", "faststart"])
+def test_a_video_cut_short_is_refused_or_names_the_file_while_reading(tmp_path: Path, movflags: str) -> None:
+    """Index at the end: nothing can be opened. Index in front: the last pictures lie beyond the end."""
+    write_video_clip(tmp_path, ("cam00",), frames=1)
+    path = tmp_path / "cam00.mp4"
+    noise = np.random.default_rng(0).integers(0, 256, (6, 64, 96, 3), np.uint8)
+    with av.open(str(path), "w", options={"movflags": movflags} if movflags else {}) as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.height, stream.width, stream.pix_fmt = 64, 96, "yuv420p"
+        for image in noise:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode(None))
+    data = path.read_bytes()
+    assert len(list(open_dataset(tmp_path).frames())) == 6
+    for size in range(0, len(data) - 1, len(data) // 12):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError, match=r"cam00\.mp4: "):
+            list(open_dataset(tmp_path).frames())
+
+
+def test_damage_inside_a_video_names_the_file_or_yields_every_frame(clip: Path) -> None:
+    path = clip / "cam01.mp4"
+    data = bytearray(path.read_bytes())
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        damaged = data.copy()
+        for at in rng.integers(0, len(data), 4):
+            damaged[at] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        assert _frames_or_none(clip) in (6, None)
+
+
+def _frames_or_none(folder: Path) -> int | None:
+    """How many frames the folder yields, or none when it is refused in the documented way."""
+    try:
+        return len(list(open_dataset(folder).frames()))
+    except InputError:
+        return None

@@ -1,0 +1,141 @@
+"""transforms.json of nerfstudio and instant-ngp."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.data import open_dataset
+from core.data.transforms import opengl_pose
+from core.errors import InputError
+from tests.core.data.writers import picture, read_back, rig, write_picture, write_transforms, write_video
+
+NAMES = ("cam00", "cam02", "cam10")
+FILES = tuple(f"images/{name}.png" for name in NAMES)
+
+
+def _write(folder: Path, **extra: object) -> None:
+    write_transforms(folder, FILES[::-1], rig(NAMES)[::-1], **extra)
+    for index, file in enumerate(FILES):
+        write_picture(folder / file, picture(index, 0))
+
+
+def _edit(folder: Path, **changes: object) -> None:
+    """Change the settings of the first frame listed, which is cam10; None removes one."""
+    path = folder / "transforms.json"
+    value: dict[str, Any] = json.loads(path.read_text())
+    for key, change in changes.items():
+        value["frames"][0].pop(key, None)
+        if change is not None:
+            value["frames"][0][key] = change
+    path.write_text(json.dumps(value))
+
+
+def test_cameras_and_pictures(tmp_path: Path) -> None:
+    _write(tmp_path)
+    for path in (tmp_path, tmp_path / "transforms.json"):
+        dataset = open_dataset(path)
+        assert (dataset.layout, dataset.names, dataset.frame_count) == ("transforms", NAMES, 1)
+    for found, wanted in zip(dataset.cameras, rig(NAMES), strict=True):
+        np.testing.assert_allclose(found.intrinsics, wanted.intrinsics)
+        np.testing.assert_allclose(found.world_to_camera, wanted.world_to_camera, atol=1e-12)
+    (frame,) = dataset.frames()
+    assert [read_back(image) for image in frame.images] == [(0, 0), (1, 0), (2, 0)]
+
+
+def test_opengl_axes_by_hand() -> None:
+    matrix = np.eye(4)
+    matrix[:3, 3] = [0, 0, 5]  # stands at z = 5 and looks along -z with +y up
+    pose = opengl_pose(matrix)
+    np.testing.assert_allclose(pose @ [1, 0, 0, 1], [1, 0, 5, 1])
+    np.testing.assert_allclose(pose @ [0, 1, 0, 1], [0, -1, 5, 1])
+
+
+def test_missing_files_are_skipped_counted_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _write(tmp_path)
+    (tmp_path / FILES[1]).unlink()
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset(tmp_path)
+    assert (dataset.names, dataset.skipped) == (("cam00", "cam10"), (FILES[1],))
+    assert "1 of 3 listed files are missing: images/cam02.png" in caplog.text
+
+
+def test_angle_of_view_and_names_without_suffix(tmp_path: Path) -> None:
+    angle = 2 * math.atan(96 / 2 / 80)
+    matrix = np.eye(4).tolist()
+    frames = [{"file_path": "./train/r_0", "transform_matrix": matrix}]
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
+    write_picture(tmp_path / "train" / "r_0.png", picture(0, 0))
+    (camera,) = open_dataset(tmp_path).cameras
+    assert camera.name == "r_0"
+    np.testing.assert_allclose(camera.intrinsics, [[80, 0, 48], [0, 80, 32], [0, 0, 1]])
+
+
+def test_distortion_and_reduced_pictures(tmp_path: Path) -> None:
+    large = tuple(replace(c, distortion=np.array([0.01, 0, 0, 0.001, 0])) for c in rig(NAMES, (192, 128)))
+    write_transforms(tmp_path, FILES, large, camera_model="OPENCV")
+    for index, file in enumerate(FILES):
+        write_picture(tmp_path / file, picture(index, 0))
+    for raw, wanted in zip(open_dataset(tmp_path).recording.cameras, large, strict=True):
+        np.testing.assert_allclose(raw.intrinsics[:2], wanted.intrinsics[:2] / 2)
+        np.testing.assert_array_equal(raw.distortion, wanted.distortion)
+
+
+def test_videos(tmp_path: Path) -> None:
+    for index, name in enumerate(NAMES):
+        write_video(tmp_path / f"{name}.mp4", [picture(index, t) for t in range(4)])
+    write_transforms(tmp_path, [f"{name}.mp4" for name in NAMES], rig(NAMES))
+    dataset = open_dataset(tmp_path)
+    assert dataset.frame_count == 4
+    assert [read_back(frame.images[1]) for frame in dataset.frames(1, 3)] == [(1, 1), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fl_x": 0}, "camera cam10: focal length must be positive"),
+        ({"fl_x": "wide"}, "fl_x must be a number, not 'wide'"),
+        ({"fl_x": None, "fl_y": None}, "its focal length is missing"),
+        ({"w": math.nan}, "picture size nanx64 is not possible"),
+        ({"w": 300}, "does not fit the calibration's 300x64"),
+        ({"transform_matrix": [[1, 2], [3, 4]]}, "transform_matrix of cam10 must be numbers of shape 4x4"),
+        ({"transform_matrix": None}, "transform_matrix of cam10 must be"),
+        ({"transform_matrix": (2 * np.eye(4)).tolist()}, "camera cam10: its pose does not hold a rotation"),
+        ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "camera cam10: its pose does not hold a rotation"),
+        ({"transform_matrix": (np.nan * np.eye(4)).tolist()}, "camera cam10: its pose holds numbers that are not"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "lens model OPENCV_FISHEYE is not supported"),
+        ({"file_path": "../other.png"}, "leads out of the folder"),
+        ({"file_path": "/etc/passwd"}, "leads out of the folder"),
+        ({"file_path": 7}, "each frame needs a 'file_path'"),
+        ({"file_path": FILES[0]}, "holds two cameras called"),
+        ({"time": 0.5}, "lists several instants"),
+    ],
+)
+def test_faults_are_named(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    _write(tmp_path)
+    _edit(tmp_path, **changes)
+    with pytest.raises(InputError, match=message):
+        open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is not valid JSON"),
+        ("[]", "must hold a JSON object"),
+        ("{}", "'frames' must be a list"),
+        ('{"frames": []}', "lists 0 files"),
+        ("[" * 100_000, "is not valid JSON"),
+    ],
+)
+def test_files_that_are_not_transforms(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "transforms.json").write_text(text)
+    with pytest.raises(InputError, match=rf"transforms\.json: {message}"):
+        open_dataset(tmp_path)
