@@ -1,0 +1,20 @@
+"""A synthetic living room, filmed by a rig of cameras: pictures and the exact truth about them.
+
+A small ray caster of our own: analytic shapes (`parts`, `room`, `movers`), compiled casting and lighting (`geometry`)
+and textures (`textures`), put together a camera at a time (`render`), offered as a data set or as files (`clip`).
+"""
+
+from core.data.synthetic.clip import open_synthetic, write_clip
+from core.data.synthetic.render import GroundTruth, is_dynamic, render_frame, render_image
+from core.data.synthetic.spec import SyntheticSpec, cameras
+
+__all__ = [
+    "GroundTruth",
+    "SyntheticSpec",
+    "cameras",
+    "is_dynamic",
+    "open_synthetic",
+    "render_frame",
+    "render_image",
+    "write_clip",
+]

@@ -1,0 +1,217 @@
+"""Pictures and ground truth of the synthetic scene, one camera at a time."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from core.arrays import Bool, Float32, Float64, Int32, UInt8
+from core.camera import Camera
+from core.data.synthetic.geometry import cast, distances, light
+from core.data.synthetic.movers import movers
+from core.data.synthetic.parts import Scene, assemble
+from core.data.synthetic.room import AMBIENT, LAMPS, furniture
+from core.data.synthetic.spec import SyntheticSpec, cameras, exposures
+from core.data.synthetic.textures import paint
+
+_BAND = 24  # rows of pixels that one thread renders at a time
+_MOVED = 2e-4  # metres a frame below which a surface counts as still
+_SAMPLES = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
+_CENTRE = np.array([[0.5, 0.5]])
+_BRIGHTNESS = 1.55  # of the film curve 1 - exp(-x)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundTruth:
+    """One camera's picture at one instant, and what is true of each pixel's centre.
+
+    Attributes:
+        image: [H,W,3] uint8 RGB.
+        depth: [H,W] float32 metres along the camera's z axis.
+        motion: [H,W,3] float32 metres that the surface point moved in the world since the frame before.
+        moving: [H,W] bool, the surface moved.
+        mirror: [H,W] bool, the surface reflects: its picture may change although it stands still.
+    """
+
+    image: UInt8
+    depth: Float32
+    motion: Float32
+    moving: Bool
+    mirror: Bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hits:
+    """What N rays met: distance [N], part [N], local point and normal [N,3], world point and normal [N,3]."""
+
+    distance: Float64
+    part: Int32
+    point: Float64
+    normal: Float64
+    world_point: Float64
+    world_normal: Float64
+
+
+@lru_cache(maxsize=8)
+def scene_at(spec: SyntheticSpec, index: int) -> Scene:
+    """All parts at frame `index`; the order of parts is the same at every frame."""
+    generator = np.random.default_rng(spec.seed)
+    phase = float(generator.uniform()) if spec.seed else 0.0
+    return assemble(furniture(generator) + movers(spec.time_of(index), spec.cycle, phase))
+
+
+def render_frame(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTruth:
+    """The picture of one camera at frame `index`, with its ground truth; the same for the same arguments.
+
+    Raises:
+        ValueError: `index` or `camera_index` lies outside the clip.
+    """
+    _check(spec, index)
+    if not 0 <= camera_index < spec.cameras:
+        raise ValueError(f"camera {camera_index} is outside the rig of {spec.cameras}")
+    camera = cameras(spec)[camera_index]
+    scene, before = scene_at(spec, index), scene_at(spec, max(index - 1, 0))
+    bands = [(top, min(top + _BAND, spec.height)) for top in range(0, spec.height, _BAND)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        colour = np.concatenate(list(pool.map(lambda rows: _colour(scene, camera, *rows), bands)))
+        truth = list(pool.map(lambda rows: _truth(scene, before, camera, *rows), bands))
+    depth, motion, mirror = (np.concatenate(column) for column in zip(*truth, strict=True))
+    image = develop(colour, spec, index, camera_index)
+    return GroundTruth(image, depth, motion, np.linalg.norm(motion, axis=2) > _MOVED, mirror)
+
+
+def render_image(spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
+    """The picture of `render_frame` alone, [H,W,3] uint8."""
+    _check(spec, index)
+    camera, scene = cameras(spec)[camera_index], scene_at(spec, index)
+    bands = [(top, min(top + _BAND, spec.height)) for top in range(0, spec.height, _BAND)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        colour = np.concatenate(list(pool.map(lambda rows: _colour(scene, camera, *rows), bands)))
+    return develop(colour, spec, index, camera_index)
+
+
+def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
+    """What the camera makes of linear light [H,W,3]: exposure, film curve, gamma 2, noise, 8 bits."""
+    exposed = radiance * (_BRIGHTNESS * exposures(spec)[camera_index])
+    levels = 255.0 * np.sqrt(1.0 - np.exp(-exposed))
+    if spec.noise > 0:
+        generator = np.random.default_rng([spec.seed, camera_index, index])
+        levels += spec.noise * generator.standard_normal(levels.shape, dtype=np.float32)
+    return np.asarray(np.clip(np.round(levels), 0, 255), np.uint8)
+
+
+def is_dynamic(spec: SyntheticSpec, points: Float32 | Float64, index: int, *, tolerance: float = 0.03) -> Bool:
+    """[N] bool: which world `points` [N,3] lie within `tolerance` metres of a surface that moves in the step to `index`.
+
+    Both ends of the step count: where a moving surface is at frame `index`, and where it was at `index` - 1. Nothing
+    moves in the step to frame 0.
+    """
+    _check(spec, index)
+    found = np.zeros(len(points), np.bool_)
+    if index == 0:
+        return found
+    positions = np.ascontiguousarray(points, np.float64)
+    now, before = scene_at(spec, index), scene_at(spec, index - 1)
+    away = np.empty(len(positions))
+    for part in np.flatnonzero(_changed(now, before)):
+        for here, there in ((now, before), (before, now)):
+            distances(positions, here.solid, part, away)
+            near = np.flatnonzero(np.abs(away) < tolerance)
+            found[near] |= np.linalg.norm(_carry(positions[near], part, here, there), axis=1) > _MOVED
+    return found
+
+
+def depth_bounds(spec: SyntheticSpec) -> tuple[float, float]:
+    """Nearest and farthest depth that any camera sees at frame 0, with a margin, in metres."""
+    depths = []
+    for camera in cameras(spec):
+        small = camera.scaled(64, 36)
+        scene = scene_at(spec, 0)
+        depths.append(_truth(scene, scene, small, 0, small.height)[0])
+    return 0.8 * float(np.min(depths)), 1.1 * float(np.max(depths))
+
+
+def _check(spec: SyntheticSpec, index: int) -> None:
+    if not 0 <= index < spec.frames:
+        raise ValueError(f"frame {index} is outside the clip of {spec.frames}")
+
+
+def _changed(now: Scene, before: Scene) -> Bool:
+    """[P] which parts have another pose."""
+    turned = (now.solid.rotation != before.solid.rotation).any(axis=(1, 2))
+    return np.asarray(turned | (now.solid.translation != before.solid.translation).any(axis=1), np.bool_)
+
+
+def _carry(points: Float64, part: int, now: Scene, before: Scene) -> Float64:
+    """[N,3] how far world `points` that ride on `part` moved from `before` to `now`."""
+    local = (points - now.solid.translation[part]) @ now.solid.rotation[part]
+    return np.asarray(points - (local @ before.solid.rotation[part].T + before.solid.translation[part]), np.float64)
+
+
+def _rays(camera: Camera, top: int, bottom: int, offsets: Float64) -> tuple[Float64, Float64]:
+    """Origins and unit directions [rows * W * S, 3], the S samples of a pixel side by side."""
+    y, x, sample = np.meshgrid(np.arange(top, bottom), np.arange(camera.width), np.arange(len(offsets)), indexing="ij")
+    pixels = np.stack([x + offsets[sample, 0], y + offsets[sample, 1], np.ones(x.shape)], axis=-1).reshape(-1, 3)
+    directions = pixels @ np.linalg.inv(camera.intrinsics).T @ camera.world_to_camera[:3, :3]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.broadcast_to(camera.centre, directions.shape), directions
+
+
+def _hits(scene: Scene, origins: Float64, directions: Float64) -> _Hits:
+    count = len(origins)
+    distance, part = np.empty(count), np.empty(count, np.int32)
+    point, normal = np.empty((count, 3)), np.empty((count, 3))
+    origins = np.ascontiguousarray(origins)
+    cast(origins, directions, scene.solid, distance, part, point, normal)
+    world_normal = np.einsum("nij,nj->ni", scene.solid.rotation[part], normal)
+    return _Hits(distance, part, point, normal, origins + distance[:, None] * directions, world_normal)
+
+
+def _radiance(scene: Scene, hits: _Hits, directions: Float64, footprint: Float64, group: int) -> Float64:
+    """[N,3] light from surfaces without their mirror reflections."""
+    albedo, radiance = np.empty((len(directions), 4)), np.empty((len(directions), 3))
+    paint(hits.part, hits.point, hits.normal, footprint, scene.solid.size, scene.material, scene.tint, scene.seed, albedo)
+    light(hits.world_point, hits.world_normal, hits.part, -directions, albedo, scene.solid, LAMPS, AMBIENT, group, radiance)
+    return radiance
+
+
+def _colour(scene: Scene, camera: Camera, top: int, bottom: int) -> Float64:
+    """[rows,W,3] linear light of a band of rows, four samples a pixel and one mirror reflection."""
+    origins, directions = _rays(camera, top, bottom, _SAMPLES)
+    hits = _hits(scene, origins, directions)
+    angle = 0.5 / float(camera.intrinsics[0, 0])
+    radiance = _radiance(scene, hits, directions, angle * hits.distance, len(_SAMPLES))
+    shiny = np.flatnonzero(scene.mirror[hits.part] > 0)
+    if len(shiny):
+        normal, incoming = hits.world_normal[shiny], directions[shiny]
+        facing = np.einsum("ni,ni->n", incoming, normal)[:, None]
+        bounced = incoming - 2.0 * facing * normal
+        bounced /= np.linalg.norm(bounced, axis=1, keepdims=True)
+        seen = _hits(scene, hits.world_point[shiny] + 1e-4 * normal, bounced)
+        path = hits.distance[shiny] + seen.distance
+        share = scene.mirror[hits.part[shiny], None]
+        share = share + (1.0 - share) * np.clip(1.0 + facing, 0.0, 1.0) ** 5  # Schlick's Fresnel term
+        reflected = _radiance(scene, seen, bounced, 2.0 * angle * path, 1)
+        radiance[shiny] += share * (reflected - radiance[shiny] * (scene.mirror[hits.part[shiny], None] > 0.5))
+    return np.asarray(radiance.reshape(bottom - top, camera.width, len(_SAMPLES), 3).mean(axis=2), np.float64)
+
+
+def _truth(scene: Scene, before: Scene, camera: Camera, top: int, bottom: int) -> tuple[Float32, Float32, Bool]:
+    """Depth, motion and mirror mask of a band of rows, at the pixels' centres."""
+    origins, directions = _rays(camera, top, bottom, _CENTRE)
+    hits = _hits(scene, origins, directions)
+    motion = np.zeros(hits.world_point.shape, np.float32)
+    for part in np.flatnonzero(_changed(scene, before)):
+        rows = np.flatnonzero(hits.part == part)
+        motion[rows] = _carry(hits.world_point[rows], part, scene, before)
+    shape = (bottom - top, camera.width)
+    depth = hits.distance * (directions @ camera.world_to_camera[2, :3])
+    return (
+        depth.reshape(shape).astype(np.float32),
+        motion.reshape(*shape, 3),
+        (scene.mirror[hits.part] > 0).reshape(shape),
+    )
