@@ -130,15 +130,18 @@ class ArrayUnpickler(pickle.Unpickler):
         if (module, name) in (("numpy.core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "_reconstruct")):
             return _empty_array
         if (module, name) == ("numpy", "ndarray"):
-            return np.ndarray
+            return _ARRAY
         if (module, name) == ("numpy", "dtype"):
             return _float_dtype
         raise pickle.UnpicklingError(f"it asks for {module}.{name}, which arrays do not need")
 
 
+_ARRAY = object()  # stands for numpy.ndarray, so that a pickle cannot call it and ask for memory
+
+
 def _empty_array(kind: object, shape: object, code: object) -> np.ndarray[Any, Any]:
     """What numpy's own function does for arrays; their contents follow as a state, which checks its length."""
-    if kind is not np.ndarray or shape != (0,):
+    if kind is not _ARRAY or shape != (0,):
         raise pickle.UnpicklingError("it holds an array that does not start out empty")
     return np.empty(0, np.uint8)
 
