@@ -1,0 +1,182 @@
+"""What `streamlod view | evaluate | info | export` do; each returns the text to print."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from client.connection import Wishes
+from client.evaluation import FrameScore, evaluate_file
+from client.inspection import describe_file
+from client.recording import decode_frames, decode_version, versions
+from client.viewing import record_stream
+from client.viewpoints import Path3D, camera_named, orbit, read_poses
+from codec.export import FORMATS, bake, write_snapshot
+from core.anchors import Scene, SceneHeader
+from core.arrays import Float64
+from core.errors import InputError
+
+AVERAGE = "average"
+TOKEN_VARIABLE = "STREAMLOD_TOKEN"
+
+
+def info(scene: Path) -> str:
+    """What is inside a `.slod` file."""
+    return describe_file(scene)
+
+
+def view(
+    url: str,
+    out: Path,
+    camera: str | None = None,
+    orbiting: bool = False,
+    pose: Path | None = None,
+    frames: int | None = None,
+    levels: int | None = None,
+) -> str:
+    """Record a live stream from a camera of the rig (the first by default), on an orbit, or from poses of a file.
+
+    A token is taken from the environment variable STREAMLOD_TOKEN.
+    """
+    if sum((camera is not None, orbiting, pose is not None)) > 1:
+        raise InputError("view", "--camera, --orbit and --pose exclude each other")
+    if frames is not None and frames < 1:
+        raise InputError("--frames", f"must be at least 1, not {frames}")
+
+    def viewpoint(header: SceneHeader) -> Path3D:
+        if orbiting:
+            return orbit(header, frames)
+        if pose is not None:
+            return read_poses(pose, header)
+        if camera is None and not header.cameras:
+            raise InputError("view", "the scene has no cameras; give --pose")
+        chosen = camera_named(header, camera or header.cameras[0].name)
+        return lambda number: chosen
+
+    if pose is not None and not pose.is_file():
+        raise InputError(pose, "does not exist")
+    wishes = Wishes(token=os.environ.get(TOKEN_VARIABLE), levels=levels)
+    with tqdm(total=frames, unit="picture", desc="view") as bar:
+
+        def tell(text: str) -> None:
+            if text.startswith("picture"):
+                bar.update()
+            bar.set_postfix_str(text)
+
+        count = asyncio.run(record_stream(url, out, viewpoint, frames, wishes, tell))
+    return f"{count} pictures in {out}"
+
+
+def evaluate(
+    scene: Path,
+    data: Path,
+    test: tuple[str, ...],
+    report: Path | None = None,
+    images: Path | None = None,
+    layout: str | None = None,
+) -> str:
+    """Measure a file against held-out cameras; the report goes to `report` as JSON."""
+    if not test:
+        raise InputError("--test", "name at least one held-out camera, for example --test cam00")
+    with tqdm(unit="frame", desc="evaluate") as bar:
+
+        def tell(score: FrameScore) -> None:
+            bar.set_postfix_str(f"{score.psnr:.2f} dB")
+            bar.update()
+
+        figures = evaluate_file(scene, data, test, images, layout, tell)
+    if report is not None:
+        _write_text(report, json.dumps(figures, indent=1))
+    return _summary(figures["mean"], figures["frames"])
+
+
+def export(
+    scene: Path, frame: int, viewpoint: str, file_format: str, out: Path | None = None, sequence: bool = False
+) -> str:
+    """Write frame `frame` (or, as a sequence, it and all later ones) as plain Gaussians.
+
+    Args:
+        viewpoint: a camera's name, at which view-dependent colour is frozen, or "average" over the rig.
+        out: the file, or the folder of a sequence; beside the scene by default.
+    """
+    if file_format not in FORMATS:
+        raise InputError("--format", f"{file_format} is not one of {', '.join(FORMATS)}")
+    if not sequence:
+        path = out or scene.with_name(f"{scene.stem}-{frame:05d}.{file_format}")
+        state = decode_version(scene, _existing(scene, frame))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return _snapshot(path, state, viewpoint, file_format)
+    folder = out or scene.with_name(f"{scene.stem}-{file_format}")
+    _existing(scene, frame)
+    folder.mkdir(parents=True, exist_ok=True)
+    count = 0
+    for decoded in tqdm(decode_frames(scene), unit="frame", desc="export"):
+        version = decoded.scene.version
+        if version >= frame:
+            _snapshot(folder / f"frame_{version:05d}.{file_format}", decoded.scene, viewpoint, file_format)
+            count += 1
+    return f"{count} snapshots in {folder}, colours {_origin(viewpoint)}"
+
+
+def _existing(scene: Path, frame: int) -> int:
+    held = versions(scene)
+    if frame not in held:
+        found = f"frames {held[0]} to {held[-1]}" if held else "no frame"
+        raise InputError(scene, f"has no frame {frame}; it holds {found}")
+    return frame
+
+
+def _snapshot(path: Path, scene: Scene, viewpoint: str, file_format: str) -> str:
+    cloud = bake(scene, _viewpoints(scene, viewpoint))
+    comment = f"streamlod frame {scene.version}, colours {_origin(viewpoint)}".encode("ascii", "replace").decode()
+    size = write_snapshot(path, cloud, file_format, comment)
+    return f"{path}: {len(cloud)} Gaussians, {size / 1000:.1f} KB, colours {_origin(viewpoint)}"
+
+
+def _viewpoints(scene: Scene, viewpoint: str) -> Float64:
+    if viewpoint != AVERAGE:
+        return camera_named(scene.header, viewpoint).centre[None]
+    if not scene.header.cameras:
+        raise InputError("--view", "the scene has no cameras to average over")
+    return np.stack([camera.centre for camera in scene.header.cameras])
+
+
+def _origin(viewpoint: str) -> str:
+    return "averaged over the rig's cameras" if viewpoint == AVERAGE else f"as seen from {viewpoint}"
+
+
+def _summary(mean: dict[str, Any], frames: int) -> str:
+    rows: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+        ("PSNR", "psnr", lambda x: f"{x:.2f} dB"),
+        ("PSNR, exposure fitted", "psnr_fitted", lambda x: f"{x:.2f} dB"),
+        ("SSIM", "ssim", lambda x: f"{x:.4f}"),
+        ("LPIPS", "lpips", lambda x: f"{x:.4f}"),
+        ("keyframe", "keyframe_kilobytes", lambda x: f"{x:.1f} KB"),
+        ("predicted packet", "predicted_kilobytes", lambda x: f"{x:.2f} KB"),
+        ("largest predicted packet", "largest_predicted_kilobytes", lambda x: f"{x:.2f} KB"),
+        ("first frame", "first_frame_seconds", lambda x: f"{x:.1f} s"),
+        ("later frames", "train_seconds", lambda x: f"{x:.2f} s"),
+        ("rendering", "render_fps", lambda x: f"{x:.1f} fps"),
+    )
+    lines = [f"{frames} frames, means:"]
+    lines += [f"  {label:26s}{form(mean[key]) if mean[key] is not None else 'unknown'}" for label, key, form in rows]
+    return "\n".join(lines)
+
+
+def _write_text(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text + "\n", encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)

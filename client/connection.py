@@ -1,0 +1,146 @@
+"""The websocket: connect, say hello, hand messages to `Playback`, connect again when the connection breaks."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+import time
+from collections.abc import AsyncGenerator
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
+
+from client.events import Disconnected, Event
+from client.playback import Playback
+from codec.limits import DEFAULT_LIMITS
+from core.errors import InputError, SessionError
+
+_log = logging.getLogger(__name__)
+
+SUBPROTOCOL = "streamlod.v1"
+_FIRST_DELAY = 0.5
+_LONGEST_DELAY = 15.0
+_OPEN_SECONDS = 10.0
+_DONE = 1000
+_FINAL_CODES = frozenset({1009, 4400, 4401, 4403, 4404, 4415})
+_REFUSED = {401: "it needs a token", 403: "the token lacks the right", 404: "there is no such stream"}
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What to ask the server for.
+
+    Attributes:
+        token: bearer token, where the server wants one.
+        start: position (epoch, version) to replay from; the live edge by default.
+        levels: how many levels, coarse ones first; all by default.
+    """
+
+    token: str | None = None
+    start: tuple[int, int] | None = None
+    levels: int | None = None
+
+
+async def watch(url: str, wishes: Wishes = Wishes(), attempts: int = 8) -> AsyncGenerator[Event, None]:
+    """The events of a stream, over as many connections as it takes; ends when the server says that it is over.
+
+    After a break a live viewer joins at the live edge again; one that replays goes on where it stopped.
+
+    Args:
+        attempts: failures in a row after which to give up. The very first connection has to succeed at once.
+
+    Raises:
+        InputError: not a websocket address, or nobody answers there.
+        SessionError: the server refuses us, or breaks the protocol twice in a row.
+    """
+    if urlsplit(url).scheme not in {"ws", "wss"}:
+        raise InputError(url, "is not a websocket address; it looks like ws://HOST:PORT/v1/streams/main/live")
+    failures, ever, start = 0, False, wishes.start
+    while True:
+        playback = Playback()
+        try:
+            async with _open(url, wishes) as socket:
+                await socket.send(playback.hello(start, wishes.levels))
+                async for event in _session(socket, playback):
+                    failures, ever = 0, True
+                    yield event
+            return
+        except (OSError, WebSocketException, SessionError) as error:
+            if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == _DONE:
+                return
+            reason = _reason(url, error, repeated=failures > 0)
+        failures += 1
+        if not ever or failures > attempts:
+            raise InputError(url, f"cannot be reached ({reason}); is the server running?")
+        if playback.mode == "replay" and playback.position is not None:
+            start = playback.position
+        delay = back_off(failures - 1)
+        _log.warning("%s: %s; connecting again in %.1f s", url, reason, delay)
+        yield Disconnected(reason, delay)
+        await asyncio.sleep(delay)
+
+
+def _reason(url: str, error: Exception, repeated: bool) -> str:
+    """Why a connection ended, where another attempt makes sense; raises where it does not."""
+    match error:
+        case InvalidStatus() if error.response.status_code < 500:
+            status = error.response.status_code
+            detail = _REFUSED.get(status, "it does not want this connection")
+            raise InputError(url, f"the server answered {status}: {detail}") from error
+        case InvalidURI():
+            raise InputError(url, "is not a websocket address") from error
+        case ConnectionClosed(rcvd=close) if close is not None:
+            text = f"{close.reason or 'the connection broke'} [{close.code}]"
+            if close.code in _FINAL_CODES:
+                raise SessionError(close.code, f"the server closed the connection: {close.reason}") from error
+            return text
+        case SessionError() if repeated:
+            raise error
+        case OSError(strerror=str(text)):
+            return text
+    return str(error) or "no answer"
+
+
+def back_off(failures: int) -> float:
+    """Seconds to wait after `failures` earlier ones: 0.5 * 2^n, at most 15, of which a random half to whole."""
+    return min(_LONGEST_DELAY, _FIRST_DELAY * 2.0 ** min(failures, 10)) * random.uniform(0.5, 1.0)
+
+
+def _open(url: str, wishes: Wishes) -> connect:
+    headers = {"Authorization": f"Bearer {wishes.token}"} if wishes.token else None
+    return connect(
+        url,
+        subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
+        additional_headers=headers,
+        compression=None,
+        max_size=DEFAULT_LIMITS.packet_bytes,
+        open_timeout=_OPEN_SECONDS,
+    )
+
+
+async def _session(socket: ClientConnection, playback: Playback) -> AsyncGenerator[Event, None]:
+    """The events of one connection; a fault of the server closes it with the fault's code."""
+    try:
+        while True:
+            try:
+                async with asyncio.timeout(1.0):
+                    message = await socket.recv()
+            except TimeoutError:
+                message = None
+            now = time.monotonic()
+            events: list[Event] = []
+            if isinstance(message, bytes):
+                events = playback.receive_packet(message, now)
+            elif message is not None:
+                events = playback.receive_text(message)
+            acknowledgement = playback.acknowledgement(now)
+            if acknowledgement is not None:
+                await socket.send(acknowledgement)
+            for event in events:
+                yield event
+    except SessionError as error:
+        await socket.close(error.close_code, error.detail[:120])
+        raise

@@ -1,0 +1,54 @@
+"""What a viewer session tells its user."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from codec.packet import PacketInfo
+from core.anchors import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome:
+    """The server accepted us. `state` as in `Notice`; `levels` and `fps` are None before the first keyframe."""
+
+    stream: str
+    state: str
+    epoch: int
+    levels: int | None
+    fps: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NewScene:
+    """A packet was applied.
+
+    Attributes:
+        scene: the state now.
+        levels: how many levels, coarse ones first, are at the scene's version; the others must not be drawn.
+        info: the packet.
+    """
+
+    scene: Scene
+    levels: int
+    info: PacketInfo
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """An event of docs/protocol.md: state, progress, epoch, position, levels, skipped, caught_up or window."""
+
+    name: str
+    fields: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Disconnected:
+    """The connection broke; another attempt follows after `delay_seconds`."""
+
+    reason: str
+    delay_seconds: float
+
+
+Event = Welcome | NewScene | Notice | Disconnected

@@ -1,0 +1,92 @@
+"""What a `.slod` file holds, for people."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from client.recording import require_whole
+from codec.container import SlodReader
+from codec.decoder import SceneDecoder
+from codec.packet import PacketInfo, PacketKind, peek
+from core.anchors import Scene
+from core.errors import BitstreamError, InputError
+
+
+def describe_file(path: Path) -> str:
+    """A report of several lines.
+
+    Raises:
+        InputError: the file is cut, damaged or empty; names it.
+    """
+    try:
+        with SlodReader(path) as reader:
+            require_whole(path, reader)
+            infos = [peek(packet) for packet in reader.packets()]
+            scene = _first_scene(reader)
+    except BitstreamError as error:
+        raise InputError(path, f"is damaged: {error}") from error
+    if scene is None:
+        raise InputError(path, "holds no keyframe")
+    size = path.stat().st_size
+    return "\n".join([*_file_lines(path, size, infos), "", *_scene_lines(scene), "", *_size_lines(infos)])
+
+
+def _first_scene(reader: SlodReader) -> Scene | None:
+    """The first keyframe's state, all its parts together."""
+    decoder = SceneDecoder()
+    for number, entry in enumerate(reader.entries):
+        if entry.kind is not PacketKind.KEY or entry.keyframe != reader.entries[0].keyframe:
+            break
+        decoder.push(reader.read(number))
+    return decoder.scene
+
+
+def _file_lines(path: Path, size: int, infos: list[PacketInfo]) -> list[str]:
+    seconds = (max(info.time_ns for info in infos) - min(info.time_ns for info in infos)) / 1e9
+    first, last = min(info.to_version for info in infos), max(info.to_version for info in infos)
+    profiles = ", ".join(str(profile) for profile in sorted({info.profile for info in infos}))
+    return [
+        f"{path}: {size / 1000:.1f} KB, {len(infos)} packets, profile {profiles}",
+        f"frames {first} to {last}, {seconds:.2f} s from the first to the last",
+    ]
+
+
+def _scene_lines(scene: Scene) -> list[str]:
+    header = scene.header
+    view = "view-dependent" if header.view_dependent else "the same from all views"
+    lines = [
+        f"scene: {scene.anchor_count} anchors of {header.gaussians_per_anchor} Gaussians, {view}, {header.fps:g} fps",
+        f"cameras: {', '.join(f'{c.name} {c.width}x{c.height}' for c in header.cameras) or 'none'}",
+        "",
+        "level  anchors  cell",
+    ]
+    for number, level in enumerate(scene.levels):
+        lines.append(f"{number:5d}  {int(level.alive.sum()):7d}  {header.octree.cell(number):.4g}")
+    return lines
+
+
+def _size_lines(infos: list[PacketInfo]) -> list[str]:
+    lines = ["packets     count      KB   KB each  largest"]
+    for kind in PacketKind:
+        sizes = [info.size_bytes for info in infos if info.kind is kind]
+        if sizes:
+            total, mean, largest = sum(sizes) / 1000, sum(sizes) / len(sizes) / 1000, max(sizes) / 1000
+            name = kind.name.lower().replace("_", "-")
+            lines.append(f"{name:10s}  {len(sizes):5d}  {total:6.1f}  {mean:8.2f}  {largest:7.2f}")
+    lines += ["", "bytes by level       key    others"]
+    by_level: dict[bool, Counter[int]] = {True: Counter(), False: Counter()}
+    by_chunk: dict[bool, Counter[str]] = {True: Counter(), False: Counter()}
+    for info in infos:
+        is_key = info.kind is PacketKind.KEY
+        by_level[is_key].update(dict(enumerate(info.level_bytes)))
+        by_chunk[is_key].update(info.chunk_bytes)
+    lines += _table(sorted(by_level[True] | by_level[False]), by_level[True], by_level[False])
+    lines += ["", "bytes by chunk       key    others"]
+    return lines + _table(sorted(by_chunk[True] | by_chunk[False]), by_chunk[True], by_chunk[False])
+
+
+def _table(names: Iterable[Any], key: Counter[Any], others: Counter[Any]) -> list[str]:
+    return [f"{name!s:14s} {key[name]:9d} {others[name]:9d}" for name in names]

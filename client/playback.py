@@ -1,0 +1,143 @@
+"""The viewer's side of docs/protocol.md without a socket: messages in, events out, messages to send."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from client.events import Event, NewScene, Notice, Welcome
+from codec.decoder import SceneDecoder
+from codec.limits import DEFAULT_LIMITS, Limits
+from core.errors import BitstreamError, SessionError
+
+PROTOCOL_VERSION = 1
+BAD_MESSAGE = 4400
+_ACK_SECONDS = 1.0
+_TEXT_BYTES = 65536  # of a control message from the server
+_EVENTS = frozenset({"state", "progress", "epoch", "position", "levels", "skipped", "caught_up", "window"})
+
+
+class Playback:
+    """One connection's state: the decoder, the newest scene, and what has to be acknowledged.
+
+    Args:
+        limits: of the decoder.
+
+    Attributes:
+        position: (epoch, version) of the newest scene, or None.
+        mode: "live", "replay" or "paused".
+    """
+
+    def __init__(self, limits: Limits = DEFAULT_LIMITS) -> None:
+        self._decoder = SceneDecoder(limits)
+        self._epoch = 0
+        self._ack_every = 1
+        self._bytes = 0
+        self._unacknowledged = 0
+        self._acknowledged_at = 0.0
+        self._welcomed = False
+        self.position: tuple[int, int] | None = None
+        self.mode = "live"
+
+    def hello(self, start: tuple[int, int] | None = None, levels: int | None = None) -> str:
+        """The first message. `start` is a position (epoch, version) to replay from; the live edge by default."""
+        message: dict[str, Any] = {"type": "hello", "versions": [PROTOCOL_VERSION], "client": "streamlod/0.1"}
+        message["start"] = "live" if start is None else {"epoch": start[0], "version": start[1]}
+        if levels is not None:
+            message["levels"] = levels
+        return json.dumps(message)
+
+    def receive_text(self, text: str) -> list[Event]:
+        """A control message.
+
+        Raises:
+            SessionError: it is not one.
+        """
+        message = _object(text)
+        kind = message["type"]
+        if kind == "welcome":
+            return [self._welcome(message)]
+        if kind != "event" or message.get("event") not in _EVENTS:
+            return []
+        name = message["event"]
+        fields = {key: value for key, value in message.items() if key not in {"type", "event"}}
+        if name == "epoch":
+            self._epoch = _whole(message, "epoch")
+        elif name == "position":
+            self.mode = str(message.get("mode", "live"))
+        return [Notice(name, fields)]
+
+    def receive_packet(self, packet: bytes, now: float) -> list[Event]:
+        """A packet.
+
+        Args:
+            now: seconds of a clock that never goes back.
+
+        Raises:
+            SessionError: a packet before the welcome, or one that the decoder refuses: something was lost.
+        """
+        if not self._welcomed:
+            raise SessionError(BAD_MESSAGE, "a packet came before the welcome")
+        if self._unacknowledged == 0:
+            self._acknowledged_at = max(self._acknowledged_at, now - _ACK_SECONDS / 2)
+        self._bytes += len(packet)
+        self._unacknowledged += 1
+        try:
+            info = self._decoder.push(packet)
+        except BitstreamError as error:
+            raise SessionError(BAD_MESSAGE, f"packet refused: {error}"[:120]) from error
+        scene = self._decoder.scene
+        if scene is None:
+            return []
+        self.position = (self._epoch, scene.version)
+        return [NewScene(scene, self._current_levels(scene.version), info)]
+
+    def acknowledgement(self, now: float) -> str | None:
+        """The ack message if one is due."""
+        waited = now - self._acknowledged_at >= _ACK_SECONDS
+        if self._unacknowledged == 0 or not (waited or self._unacknowledged >= self._ack_every):
+            return None
+        self._unacknowledged, self._acknowledged_at = 0, now
+        message: dict[str, Any] = {"type": "ack", "bytes": self._bytes}
+        if self.position is not None:
+            message["epoch"], message["version"] = self.position
+        return json.dumps(message)
+
+    def _welcome(self, message: dict[str, Any]) -> Welcome:
+        if message.get("version") != PROTOCOL_VERSION:
+            raise SessionError(4415, f"the server speaks protocol version {message.get('version')!r}, not 1")
+        self._welcomed = True
+        self._epoch = _whole(message, "epoch")
+        self._ack_every = max(1, _whole(message, "ack_every"))
+        levels, fps = message.get("levels"), message.get("fps")
+        return Welcome(
+            str(message.get("stream", "")),
+            str(message.get("state", "")),
+            self._epoch,
+            levels if isinstance(levels, int) else None,
+            float(fps) if isinstance(fps, int | float) else None,
+        )
+
+    def _current_levels(self, version: int) -> int:
+        """Levels at `version` before the first one that lags or is absent."""
+        lagging = (number for number, held in enumerate(self._decoder.versions) if held != version)
+        return next(lagging, len(self._decoder.versions))
+
+
+def _object(text: str) -> dict[str, Any]:
+    if len(text) > _TEXT_BYTES:
+        raise SessionError(1009, f"a control message of {len(text)} characters is too long")
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SessionError(BAD_MESSAGE, "a text message is not JSON") from error
+    if not isinstance(message, dict) or not isinstance(message.get("type"), str):
+        raise SessionError(BAD_MESSAGE, "a text message is not an object with a type")
+    return message
+
+
+def _whole(message: dict[str, Any], key: str) -> int:
+    value = message.get(key)
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise SessionError(BAD_MESSAGE, f"{key} of a {message['type']} message is not a whole number")
+    return value

@@ -1,0 +1,115 @@
+"""Pictures to files that appear when they are complete."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from core.arrays import UInt8
+from core.errors import InputError
+
+_QUALITY = "18"  # x264's constant rate factor: visually near lossless
+
+
+class Recorder(Protocol):
+    """Takes pictures one after the other; leaving the context completes the recording, or drops it on an error."""
+
+    count: int
+
+    def add(self, picture: UInt8) -> None:
+        """Append a picture [H,W,3] RGB."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def open_recorder(out: Path, fps: float) -> Recorder:
+    """An MP4 file where `out` ends in .mp4, otherwise a folder of numbered PNGs.
+
+    Raises:
+        InputError: the place cannot be written to.
+    """
+    try:
+        (out.parent if out.suffix == ".mp4" else out).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(out, f"cannot be written ({error.strerror})") from error
+    return _Mp4(out, fps) if out.suffix == ".mp4" else _PngFolder(out)
+
+
+def write_png(path: Path, picture: UInt8) -> None:
+    """One picture [H,W,3] RGB, under a temporary name first."""
+    import cv2
+
+    done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
+    if not done:
+        raise InputError(path, "the picture could not be encoded as PNG")
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.write_bytes(data.tobytes())
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+class _PngFolder(AbstractContextManager["_PngFolder"]):
+    """00000.png, 00001.png, ...; each is complete once it has its name."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.count = 0
+
+    def add(self, picture: UInt8) -> None:
+        write_png(self._folder / f"{self.count:05d}.png", picture)
+        self.count += 1
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
+class _Mp4(AbstractContextManager["_Mp4"]):
+    """H.264 in MP4, 4:2:0; odd sizes lose their last row or column."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self._path, self._rate = path, Fraction(fps).limit_denominator(1001)
+        self._temporary = path.with_name(f".{path.stem}.part.mp4")
+        self._container: Any = None
+        self._stream: Any = None
+        self.count = 0
+
+    def add(self, picture: UInt8) -> None:
+        import av
+
+        height, width = picture.shape[0] & ~1, picture.shape[1] & ~1
+        if self._container is None:
+            self._container = av.open(str(self._temporary), "w", options={"movflags": "faststart"})
+            self._stream = self._container.add_stream("libx264", rate=self._rate, options={"crf": _QUALITY})
+            self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
+        if (height, width) != (self._stream.height, self._stream.width):
+            raise InputError(self._path, "pictures changed their size; record each size into its own file")
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture[:height, :width]), format="rgb24")
+        self._container.mux(self._stream.encode(frame))
+        self.count += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._container is None:
+            return
+        try:
+            if kind is None:
+                self._container.mux(self._stream.encode(None))
+        finally:
+            self._container.close()
+            if kind is None:
+                self._temporary.replace(self._path)
+            self._temporary.unlink(missing_ok=True)

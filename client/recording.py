@@ -1,0 +1,106 @@
+"""`.slod` files, decoded frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from codec.container import Entry, SlodReader
+from codec.decoder import SceneDecoder
+from codec.packet import PacketKind
+from core.anchors import Scene
+from core.errors import BitstreamError, InputError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedFrame:
+    """One decoded instant of a file.
+
+    Attributes:
+        scene: the state.
+        time_ns: presentation time.
+        key_bytes, predicted_bytes: sizes of the packets that led here from the frame before.
+    """
+
+    scene: Scene
+    time_ns: int
+    key_bytes: int
+    predicted_bytes: int
+
+
+def require_whole(path: Path, reader: SlodReader) -> None:
+    """Refuse a file that was cut, or is still being written."""
+    if reader.torn or reader.records_end == path.stat().st_size:
+        complete = len(reader.entries)
+        raise InputError(path, f"is cut short: {complete} complete packets and no index; copy or record it again")
+
+
+def decode_frames(path: Path) -> Iterator[RecordedFrame]:
+    """All frames of the file, in order, decoded from its bytes alone.
+
+    Of several versions of one instant (early keyframes of a live recording) the last is meant.
+
+    Raises:
+        InputError: the file cannot be opened, is cut or damaged; names it.
+    """
+    try:
+        with SlodReader(path) as reader:
+            require_whole(path, reader)
+            yield from _decode(reader)
+    except BitstreamError as error:
+        raise InputError(path, f"is damaged: {error}") from error
+
+
+def _decode(reader: SlodReader) -> Iterator[RecordedFrame]:
+    decoder = SceneDecoder()
+    for time_ns, same_time in groupby(enumerate(reader.entries), lambda pair: pair[1].time_ns):
+        key_bytes = predicted_bytes = 0
+        for number, entry in same_time:
+            if _is_detour(entry, decoder):
+                continue
+            if entry.kind is PacketKind.KEY and (decoder.scene is None or entry.to_version > decoder.scene.version):
+                key_bytes = predicted_bytes = 0  # an early keyframe is replaced by a better one
+            decoder.push(reader.read(number))
+            if entry.kind is PacketKind.KEY:
+                key_bytes += entry.size_bytes
+            else:
+                predicted_bytes += entry.size_bytes
+        if decoder.scene is not None and key_bytes + predicted_bytes:
+            yield RecordedFrame(decoder.scene, time_ns, key_bytes, predicted_bytes)
+
+
+def _is_detour(entry: Entry, decoder: SceneDecoder) -> bool:
+    """Whether the packet only helps to seek: it leads to a version that the packets before it reached."""
+    reached = decoder.scene is not None and entry.to_version <= decoder.scene.version
+    return entry.kind is not PacketKind.KEY and entry.kind is not PacketKind.PREDICTED and reached
+
+
+def decode_version(path: Path, version: int) -> Scene:
+    """The state at `version`, by the shortest way.
+
+    Raises:
+        InputError: the file is cut or damaged, or does not reach the version.
+    """
+    try:
+        with SlodReader(path) as reader:
+            require_whole(path, reader)
+            decoder = SceneDecoder()
+            for number in reader.plan(version):
+                decoder.push(reader.read(number))
+    except BitstreamError as error:
+        raise InputError(path, f"is damaged: {error}") from error
+    if decoder.scene is None:
+        raise InputError(path, "it holds no packet")
+    return decoder.scene
+
+
+def versions(path: Path) -> tuple[int, ...]:
+    """The versions that the file shows, ascending."""
+    try:
+        with SlodReader(path) as reader:
+            require_whole(path, reader)
+            return tuple(sorted({entry.to_version for entry in reader.entries}))
+    except BitstreamError as error:
+        raise InputError(path, f"is damaged: {error}") from error

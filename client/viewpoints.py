@@ -1,0 +1,127 @@
+"""Where to look from: a camera of the rig, an orbit around what the rig looks at, or poses from a file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.anchors import SceneHeader
+from core.arrays import Float64
+from core.camera import Camera, look_at, pinhole
+from core.errors import InputError
+
+Path3D = Callable[[int], Camera]  # picture number to camera
+_POSE_FILE_BYTES = 16_000_000
+_LARGEST_SIDE = 8192
+_ORBIT_PICTURES = 90  # pictures of one turn where their number is not known
+
+
+def camera_named(header: SceneHeader, name: str) -> Camera:
+    """The rig's camera `name`; InputError lists those there are."""
+    for camera in header.cameras:
+        if camera.name == name:
+            return camera.undistorted()
+    names = ", ".join(camera.name for camera in header.cameras) or "none"
+    raise InputError(f"camera {name}", f"the scene does not have it; its cameras are: {names}")
+
+
+def orbit(header: SceneHeader, pictures: int | None = None) -> Path3D:
+    """One turn on an ellipse inside the rig, looking at the point that its cameras look at.
+
+    Args:
+        pictures: number of pictures of a turn.
+
+    Raises:
+        InputError: the scene has no cameras.
+    """
+    if not header.cameras:
+        raise InputError("--orbit", "the scene has no cameras to orbit among; give --pose")
+    centres = np.stack([camera.centre for camera in header.cameras])
+    forwards = np.stack([camera.world_to_camera[2, :3] for camera in header.cameras])
+    middle = centres.mean(axis=0)
+    focus = focus_point(centres, forwards, header.reference_distance)
+    nearest = header.cameras[int(np.linalg.norm(centres - middle, axis=1).argmin())].undistorted()
+    down = np.mean([camera.world_to_camera[1, :3] for camera in header.cameras], axis=0)
+    reach = max(float(np.linalg.norm(focus - middle)), 1e-6)
+    axes = nearest.world_to_camera[:2, :3]
+    spread = np.abs((centres - middle) @ axes.T).max(axis=0)
+    radii = np.clip(0.6 * spread, 0.05 * reach, 0.5 * reach)
+    turn = pictures or _ORBIT_PICTURES
+
+    def at(number: int) -> Camera:
+        angle = 2 * math.pi * number / turn
+        eye = middle + radii[0] * math.cos(angle) * axes[0] + radii[1] * math.sin(angle) * axes[1]
+        return replace(nearest, name="orbit", world_to_camera=look_at(eye, focus, -down))
+
+    return at
+
+
+def focus_point(centres: Float64, forwards: Float64, fallback_distance: float) -> Float64:
+    """[3] point nearest to all optical axes, in the least squares sense.
+
+    Where the axes are parallel, or meet behind the cameras, a point ahead of their middle at `fallback_distance`.
+    """
+    middle, ahead = centres.mean(axis=0), forwards.mean(axis=0)
+    across = np.eye(3) - forwards[:, :, None] * forwards[:, None, :]
+    matrix = across.sum(axis=0)
+    if np.linalg.cond(matrix) < 1e6:
+        point = np.linalg.solve(matrix, (across @ centres[:, :, None]).sum(axis=0)[:, 0])
+        if (point - middle) @ ahead > 0:
+            return np.asarray(point, np.float64)
+    return np.asarray(middle + fallback_distance * ahead / max(float(np.linalg.norm(ahead)), 1e-9), np.float64)
+
+
+def read_poses(path: Path, header: SceneHeader) -> Path3D:
+    """Cameras of a JSON file; the last one stays when there are more pictures than poses.
+
+    The file holds one object or a list of them: ``{"world_to_camera": 3x4 or 4x4 rows, "width": W, "height": H,
+    "focal": [fx, fy], "principal": [cx, cy]}``. All but the pose may be left out; the rig's first camera has the rest.
+
+    Raises:
+        InputError: the file cannot be read, or is not like that.
+    """
+    try:
+        if path.stat().st_size > _POSE_FILE_BYTES:
+            raise InputError(path, f"is larger than {_POSE_FILE_BYTES // 1_000_000} MB")
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, f"is not JSON ({error})") from error
+    entries = value if isinstance(value, list) else [value]
+    cameras = [_pose(path, number, entry, header) for number, entry in enumerate(entries)]
+    if not cameras:
+        raise InputError(path, "holds no pose")
+    return lambda number: cameras[min(number, len(cameras) - 1)]
+
+
+def _pose(path: Path, number: int, entry: Any, header: SceneHeader) -> Camera:
+    if not isinstance(entry, dict) or "world_to_camera" not in entry:
+        raise InputError(path, f"pose {number} has no world_to_camera")
+    if not header.cameras and not {"width", "height", "focal"} <= entry.keys():
+        raise InputError(path, f"pose {number} needs width, height and focal, because the scene has no camera")
+    model = header.cameras[0] if header.cameras else None
+    try:
+        width = int(entry.get("width", model.width if model else 0))
+        height = int(entry.get("height", model.height if model else 0))
+        if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
+            raise InputError(path, f"pose {number}: picture size {width}x{height} is not between 1 and {_LARGEST_SIDE}")
+        scaled = model.scaled(width, height).intrinsics if model else np.eye(3)
+        focal = np.asarray(entry.get("focal", (scaled[0, 0], scaled[1, 1])), np.float64).reshape(2)
+        centre = (scaled[0, 2], scaled[1, 2]) if model else (width / 2, height / 2)
+        principal = np.asarray(entry.get("principal", centre), np.float64).reshape(2)
+        pose = np.asarray(entry["world_to_camera"], np.float64)
+        if pose.shape not in {(3, 4), (4, 4)}:
+            raise InputError(path, f"pose {number}: world_to_camera must be 3x4 or 4x4")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(path, f"pose {number}: {error}") from error
+    try:
+        return pinhole("pose", (focal[0], focal[1]), (principal[0], principal[1]), (width, height), pose)
+    except InputError as error:
+        raise InputError(path, f"pose {number}: {error.fault}") from error
