@@ -1,0 +1,88 @@
+"""Depth of every view by plane sweep with the known poses (Collins 1996), without training and without features.
+
+Each view is compared with its nearest neighbours, warped as if all they saw lay on a plane at one inverse depth after
+another. The cost of a plane at a pixel is half of one minus the zero-mean normalised cross-correlation of 5x5 windows,
+which does not mind gain and offset between cameras, plus the window's mean colour difference, clamped; of the
+neighbours the best two are averaged, since the others may be occluded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import Float32, Float64
+from core.camera import Camera
+from core.initialise.sweep_kernel import cost_volume
+from core.initialise.views import Views
+
+_NEIGHBOURS, _BEST = 4, 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthMap:
+    """Depth along the optical axis of one view.
+
+    Attributes:
+        camera: of the map's size.
+        depth: [H,W] float32, world units, > 0.
+        cost: [H,W] float32, 0 where the match is perfect, 2 where there is none.
+    """
+
+    camera: Camera
+    depth: Float32
+    cost: Float32
+
+
+def sweep_views(
+    views: Views, bounds: tuple[float, float], planes: int = 96, progress: Callable[[float], None] | None = None
+) -> list[DepthMap]:
+    """Depth of every view.
+
+    Args:
+        bounds: (near, far) depth in world units.
+        planes: inverse depths tried, evenly spaced between the bounds.
+        progress: called with the fraction done.
+    """
+    inverse = np.linspace(1 / bounds[1], 1 / bounds[0], planes)
+    width, height = views.size
+    volume = np.empty((planes, height, width), np.float32)
+    maps = []
+    for index, camera in enumerate(views.cameras):
+        sources = neighbours(views, index)
+        pairs = [_pair_geometry(camera, views.cameras[source]) for source in sources]
+        rays, shifts = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+        best = min(_BEST, len(sources))
+        cost_volume(views.images[index], views.images[sources], rays, shifts, inverse, best, volume)
+        depth, cost = _minimum(volume, inverse)
+        maps.append(DepthMap(camera, depth, cost))
+        if progress is not None:
+            progress((index + 1) / len(views))
+    return maps
+
+
+def neighbours(views: Views, index: int) -> list[int]:
+    """The views nearest to view `index`, nearest first."""
+    centres = np.stack([camera.centre for camera in views.cameras])
+    distance = np.linalg.norm(centres - centres[index], axis=1)
+    return [int(i) for i in np.argsort(distance, kind="stable") if i != index][:_NEIGHBOURS]
+
+
+def _pair_geometry(reference: Camera, source: Camera) -> tuple[Float64, Float64]:
+    """([3,3], [3]): what takes a pixel of `reference`, and its inverse depth, to the homogeneous pixel of `source`."""
+    relative = source.world_to_camera @ np.linalg.inv(reference.world_to_camera)
+    rays = source.intrinsics @ relative[:3, :3] @ np.linalg.inv(reference.intrinsics)
+    return rays, source.intrinsics @ relative[:3, 3]
+
+
+def _minimum(volume: Float32, inverse: Float64) -> tuple[Float32, Float32]:
+    """([H,W] depth, [H,W] cost) of the best plane, between planes by the parabola through three costs."""
+    plane = volume.argmin(axis=0)[None]
+    cost = np.take_along_axis(volume, plane, axis=0)[0]
+    middle = np.clip(plane, 1, len(inverse) - 2)
+    before, here, after = (np.take_along_axis(volume, middle + step, axis=0)[0] for step in (-1, 0, 1))
+    shift = np.clip(0.5 * (before - after) / np.maximum(before - 2 * here + after, 1e-6), -0.5, 0.5)
+    best = inverse[0] + (middle[0] + shift) * (inverse[1] - inverse[0])
+    return np.asarray(1 / best, np.float32), cost
