@@ -1,5 +1,6 @@
 /** The session on a websocket: opens it, keeps order, connects again. */
 
+import { KEY } from "./packet.js";
 import { PROTOCOL, Session } from "./session.js";
 
 const TICK_MS = 250;
@@ -7,7 +8,7 @@ const TICK_MS = 250;
 /**
  * @typedef {object} Handlers
  * @property {(bytes: Uint8Array) => Promise<{ version: number, ms: number } | null>} packet - null where it was refused
- * @property {(effect: { position: boolean, keyframeFollows: boolean }) => void} control
+ * @property {(version: number | null) => void} hold - show no picture before this version is reached; null: show what there is
  * @property {() => void} status
  */
 
@@ -22,6 +23,10 @@ export class Connection {
     this.queue = [];
     this.busy = false;
     this.ended = false;
+    this.frozen = false; // paused: packets that are still on their way are not applied
+    this.adrift = false; // after a jump or a pause: packets that do not fit belong to where we were
+    /** @type {number | null} version at which to pause */
+    this.stopAt = null;
     /** @type {WebSocket | null} */
     this.socket = null;
     this.retry = 0;
@@ -30,6 +35,10 @@ export class Connection {
   }
 
   #open() {
+    const { mode, position } = this.session.status;
+    this.adrift = true;
+    this.frozen = false;
+    this.stopAt = mode === "paused" && position ? position.version : null;
     const socket = new WebSocket(this.url, this.protocols);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => this.send(this.session.opened(performance.now()));
@@ -49,18 +58,45 @@ export class Connection {
     this.busy = true;
     for (let item; (item = this.queue.shift()) !== undefined; ) {
       const socket = this.socket;
-      if (typeof item === "string") {
-        const effect = this.session.control(item);
-        this.handlers.control(effect);
-      } else {
+      if (typeof item === "string") this.#control(item);
+      else if (this.#wanted(item)) {
         const applied = await this.handlers.packet(item);
         if (socket !== this.socket) continue;
         if (applied) this.send(this.session.applied(applied.version, applied.ms, performance.now()));
         else this.#refuse();
+        this.#stop();
       }
       this.handlers.status();
     }
     this.busy = false;
+  }
+
+  /** @param {string} text */
+  #control(text) {
+    const told = this.session.control(text);
+    if (this.session.status.phase === "version") this.close();
+    if (!told) return;
+    if (told.clamped && this.stopAt !== null) this.stopAt = told.version;
+    if (told.mode !== "live") this.handlers.hold(null);
+    this.#stop();
+  }
+
+  /** Whether a packet belongs to where the viewer is now. @param {Uint8Array} packet */
+  #wanted(packet) {
+    if (this.frozen) return false;
+    if (this.adrift && packet[6] !== KEY && fromVersion(packet) !== this.session.status.position?.version) return false;
+    this.adrift = false;
+    return true;
+  }
+
+  /** Pause where that was asked for. */
+  #stop() {
+    const { mode, position } = this.session.status;
+    if (this.stopAt === null || !position) return;
+    if (position.version !== this.stopAt && !(mode === "live" && position.version > this.stopAt)) return;
+    this.stopAt = null;
+    this.#transmit([{ type: "pause" }]);
+    this.frozen = true;
   }
 
   /** A packet did not fit: leave and come again. */
@@ -87,8 +123,22 @@ export class Connection {
     if (this.session.status.phase !== before) this.handlers.status();
   }
 
-  /** @param {object[]} messages */
+  /** Commands of the protocol; a seek with `stop` pauses on arrival. @param {any[]} messages */
   send(messages) {
+    for (const { stop, ...message } of messages) {
+      if (message.type === "seek" || message.type === "play") {
+        this.frozen = false;
+        this.adrift = true;
+        this.stopAt = stop ? message.to.version : null;
+      }
+      if (message.type === "pause") this.frozen = true;
+      if (message.type === "seek") this.handlers.hold(message.to === "live" ? (this.session.status.window?.newest.version ?? null) : message.to.version);
+      this.#transmit([message]);
+    }
+  }
+
+  /** @param {object[]} messages */
+  #transmit(messages) {
     if (this.socket?.readyState !== WebSocket.OPEN) return;
     for (const message of messages) this.socket.send(JSON.stringify(message));
   }
@@ -108,3 +158,6 @@ export class Connection {
     this.socket = null;
   }
 }
+
+/** @type {(packet: Uint8Array) => number} without checks: -1 where there is none */
+const fromVersion = (packet) => (packet.length < 16 ? -1 : new DataView(packet.buffer, packet.byteOffset).getUint32(12, true));

@@ -71,18 +71,17 @@ export class Session {
   /**
    * A control message came.
    * @param {string} text
-   * @returns {{ position: boolean, keyframeFollows: boolean }} whether a position event asks to drop what waits
+   * @returns {{ mode: "live" | "replay" | "paused", version: number, clamped: boolean } | null} what a position event says
    */
   control(text) {
     const message = JSON.parse(text);
     const { status } = this;
-    const effect = { position: false, keyframeFollows: false };
     const name = message.type === "event" ? message.event : message.type;
     switch (name) {
       case "welcome":
         if (message.version !== VERSION) {
           status.phase = "version";
-          return effect;
+          break;
         }
         this.attempts = 0;
         this.epoch = message.epoch ?? 0;
@@ -99,13 +98,11 @@ export class Session {
         break;
       case "epoch":
         this.epoch = message.epoch;
-        effect.keyframeFollows = true;
         break;
       case "position":
         status.mode = message.mode;
-        effect.position = true;
         this.#settle();
-        break;
+        return { mode: message.mode, version: message.version, clamped: message.clamped === true };
       case "levels":
         status.sentLevels = message.levels;
         break;
@@ -120,7 +117,7 @@ export class Session {
         status.window = { oldest: message.oldest, newest: message.newest };
         break;
     }
-    return effect;
+    return null;
   }
 
   /** @type {(state: string, detail: string) => void} */

@@ -25,9 +25,6 @@ export class Timeline {
     this.speed = 1;
     this.dragging = false;
     this.lastSeek = 0;
-    /** @type {number | null} a version to show and stop at */
-    this.stopAt = null;
-    this.loops = 0;
     button("t-live").hidden = recording;
     button("t-speed").hidden = !recording;
     button("t-play").onclick = () => this.toggle();
@@ -73,28 +70,21 @@ export class Timeline {
   seek(version) {
     const to = this.at(version);
     if (!to) return;
-    this.stopAt = this.paused && !this.recording ? to.version : null;
-    this.send([{ type: "seek", to }]);
+    this.send([{ type: "seek", to, stop: this.paused }]);
   }
 
   live() {
-    this.stopAt = null;
-    this.send([{ type: "seek", to: "live" }, { type: "play" }]);
+    this.send([{ type: "seek", to: "live" }]);
   }
 
   toggle() {
-    this.stopAt = null;
     this.send([{ type: this.paused || this.status?.phase === "ended" ? "play" : "pause" }]);
   }
 
   /** @param {number} by - frames */
   step(by) {
-    const version = this.version;
-    if (!this.paused) this.send([{ type: "pause" }]);
-    const to = this.at(version + by);
-    if (!to) return;
-    this.stopAt = this.recording ? null : to.version;
-    this.send([{ type: "seek", to }]);
+    const to = this.at(this.version + by);
+    if (to) this.send([...(this.recording ? [{ type: "pause" }] : []), { type: "seek", to, stop: true }]);
   }
 
   /** @param {boolean} on */
@@ -128,10 +118,6 @@ export class Timeline {
     this.bar.hidden = !status.window;
     if (!status.window) return;
     const atEdge = status.mode === "live" && !this.recording;
-    if (this.stopAt !== null && status.position && status.position.version >= this.stopAt && status.mode !== "paused") {
-      this.stopAt = null;
-      this.send([{ type: "pause" }]);
-    }
     if (this.loop && !this.recording && before?.mode === "replay" && atEdge) this.seek(this.oldest);
     setIcon("t-play", status.mode === "paused" || status.phase === "ended" ? "play" : "pause");
     button("t-play").setAttribute("aria-label", status.mode === "paused" ? "Play" : "Pause");

@@ -15,6 +15,8 @@ const kernel = fetch(new URL("kernel.wasm", import.meta.url))
   .then((answer) => (answer.ok ? answer.arrayBuffer() : Promise.reject(new Error("kernel.wasm is missing"))))
   .then(loadKernel);
 
+const LONGEST_HOLD_MS = 1500;
+
 /** @type {Engine | null} */
 let engine = null;
 /** @type {Connection | Recording | null} */
@@ -25,6 +27,8 @@ let drawn = { keyframe: -1, generation: -1 };
 let scheduled = false;
 let refusals = 0;
 let decodeMs = 0;
+/** @type {number | null} */
+let held = null;
 
 /** @type {(message: FromWorker, transfer?: Transferable[]) => void} */
 const tell = (message, transfer = []) => self.postMessage(message, { transfer });
@@ -42,8 +46,10 @@ async function decode(bytes) {
     return null;
   }
   decodeMs = performance.now() - start;
+  const version = versionOf(/** @type {any} */ (engine.scene));
+  if (version === held) held = null;
   schedule();
-  return { version: versionOf(/** @type {any} */ (engine.scene)), ms: decodeMs };
+  return { version, ms: decodeMs };
 }
 
 /** Make a picture soon: after the messages that wait, so that the newest view wins. */
@@ -61,7 +67,7 @@ channel.port1.onmessage = () => {
 
 function picture() {
   const scene = engine?.scene;
-  if (!engine || !scene) return;
+  if (!engine || !scene || held !== null) return;
   if (scene.keyframe !== drawn.keyframe || drawn.generation < 0) {
     drawn = { keyframe: scene.keyframe, generation: engine.generation };
     const { cameras, background, fps, levels, viewDependent } = scene.header;
@@ -80,7 +86,16 @@ function status() {
   if (source) tell({ type: "status", status: { ...source.session.status }, refusals, now: performance.now() });
 }
 
-const handlers = { packet: decode, control: () => undefined, status };
+let holdTimer = 0;
+/** Keep the picture until `version` is reached, for a while at most. @param {number | null} version */
+function hold(version) {
+  clearTimeout(holdTimer);
+  held = version;
+  if (version === null) schedule();
+  else holdTimer = self.setTimeout(() => hold(null), LONGEST_HOLD_MS);
+}
+
+const handlers = { packet: decode, hold, status };
 
 /** @param {MessageEvent<ToWorker>} event */
 self.onmessage = async ({ data: message }) => {

@@ -1,0 +1,269 @@
+"""The page in a real headless Chromium, against a small server: pictures, state, faults, time."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.container import SlodWriter
+from core.anchors import Scene
+from core.camera import Camera
+from core.expand import expand
+from core.render import cpu
+from tests.client.web.miniserver import Behaviour, Clip, create_app, free_port, make_clip, serving
+from tests.client.web.scenes import make_scene
+from tests.client.web.test_modules import assert_same_splats
+
+pytestmark = pytest.mark.browser
+
+WAIT = {"timeout": 15_000}
+CAPTURE = """async () => {
+  const bytes = new Uint8Array(await (await streamlod.captureFrame()).arrayBuffer());
+  return btoa(Array.from(bytes, (x) => String.fromCharCode(x)).join(""));
+}"""
+INSPECT = """async () => {
+  const state = await streamlod.inspect();
+  return state && { ...state, splats: Array.from(new Uint32Array(state.splats.buffer)) };
+}"""
+
+
+class Console:
+    """What the page complained about; must stay empty."""
+
+    def __init__(self, page: Any) -> None:
+        self.lines: list[str] = []
+        page.on("console", lambda message: self.lines.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: self.lines.append(f"error: {error}"))
+
+    def forgive(self, text: str) -> None:
+        """Forget lines with `text`, which the browser itself writes."""
+        self.lines = [line for line in self.lines if text not in line]
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    """Forty frames of a small scene."""
+    return make_clip(make_scene(400), 40)
+
+
+@pytest.fixture
+def page(chromium: Any) -> Iterator[Any]:
+    """A page of the rig's picture size whose console must stay empty."""
+    context = chromium.new_context(viewport={"width": 320, "height": 240}, reduced_motion="reduce")
+    page = context.new_page()
+    page.complaints = Console(page)
+    yield page
+    context.close()
+    assert page.complaints.lines == []
+
+
+def shows(page: Any, condition: str) -> None:
+    """Wait until `condition` over the state `s` holds."""
+    try:
+        page.wait_for_function(f"() => {{ const s = window.streamlod?.state; return s && ({condition}); }}", **WAIT)
+    except Exception as error:
+        raise AssertionError(f"never {condition}: {page.evaluate('window.streamlod?.state')}") from error
+
+
+def picture(page: Any) -> np.ndarray:
+    """[H,W,3] float64 in [0, 1]: what is on the canvas."""
+    image = Image.open(io.BytesIO(base64.b64decode(page.evaluate(CAPTURE)))).convert("RGB")
+    return np.asarray(image, np.float64) / 255
+
+
+def reference(scene: Scene, camera: Camera) -> np.ndarray:
+    """The CPU rasteriser's picture of the same instant and view."""
+    rendered = cpu.render(expand(scene, camera.centre), camera, scene.header.background)
+    return np.asarray(rendered.image, np.float64)
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    """In decibels."""
+    return float(-10 * np.log10(np.mean((a - np.clip(b, 0, 1)) ** 2)))
+
+
+def test_same_picture_splats_and_state_as_python(page: Any, clip: Clip) -> None:
+    """The picture of every rig camera, the splats and the integer state are those of the Python side."""
+    with serving(create_app(clip, Behaviour(newest=7))) as url:
+        page.goto(f"{url}/?ui=0")
+        shows(page, "s.version === 7")
+        scene = clip.states[7]
+        for number in (0, 2, 4):
+            camera = scene.header.cameras[number]
+            page.evaluate(f"streamlod.setCamera({number})")
+            page.wait_for_timeout(400)
+            assert psnr(picture(page), reference(scene, camera)) >= 35
+        state = page.evaluate(INSPECT)
+    assert state["digests"] == [level.digest() for level in scene.levels]
+    splats = np.array(state["splats"], np.uint32).view(np.float32).reshape(-1, 12)
+    assert_same_splats(splats, scene, scene.header.cameras[4].centre)
+
+
+def test_seek_pause_step_and_the_way_back(page: Any, clip: Clip) -> None:
+    """A frame that is asked for is the frame that is shown, to the bit."""
+    with serving(create_app(clip, Behaviour(fps=60))) as url:
+        page.goto(url)
+        shows(page, "s.version === 39")
+        page.evaluate("streamlod.pause()")
+        shows(page, "s.phase === 'paused'")
+        for target in (12, 30, 5):
+            page.evaluate(f"streamlod.seek({target})")
+            shows(page, f"s.version === {target} && s.phase === 'paused'")
+            digests = page.evaluate(INSPECT)["digests"]
+            assert digests == [level.digest() for level in clip.states[target].levels]
+        page.keyboard.press(".")
+        shows(page, "s.version === 6 && s.phase === 'paused'")
+        page.keyboard.press(",")
+        shows(page, "s.version === 5 && s.phase === 'paused'")
+        page.keyboard.press(" ")
+        shows(page, "s.version > 6 && s.mode === 'replay'")
+        page.keyboard.press("End")
+        shows(page, "s.version === 39 && s.phase === 'live'")
+
+
+def test_corrupt_packet_is_refused_and_mended(page: Any, clip: Clip) -> None:
+    """A damaged packet changes nothing; the page asks anew and is right again."""
+    behaviour = Behaviour(fps=60, corrupt={9}, newest=8)
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(url)
+        shows(page, "s.version === 8")
+        page.evaluate("window.refused = []; streamlod.on('refused', (r) => refused.push(r.code)); 0")
+        behaviour.newest = 9
+        shows(page, "s.version === 9")
+        behaviour.newest = 14
+        shows(page, "s.version === 14 && s.phase === 'live'")
+        assert page.evaluate("refused") == ["bad_checksum"]
+        assert len(behaviour.hellos) == 2
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[14].levels]
+
+
+def test_reconnects_after_the_server_restarts(page: Any, clip: Clip) -> None:
+    """The last picture stays while the server is away, then it goes on."""
+    port = free_port()
+    with serving(create_app(clip, Behaviour(newest=5)), port) as url:
+        page.goto(url)
+        shows(page, "s.version === 5")
+    shows(page, "s.phase === 'reconnecting'")
+    assert page.locator("#card").is_hidden()
+    with serving(create_app(clip, Behaviour(newest=9, fps=60)), port):
+        shows(page, "s.version === 9 && s.phase === 'live'")
+    page.complaints.forgive("WebSocket connection to")
+
+
+def test_recording_plays_without_a_server(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """A .slod file over Range requests: plays, steps back, ends; the state is exact."""
+    with SlodWriter(tmp_path / "clip.slod") as writer:
+        writer.append(clip.key())
+        for version in range(1, 30):
+            writer.append(clip.residual(version - 1, version))
+    with serving(create_app(clip, Behaviour(), tmp_path)) as url:
+        page.goto(f"{url}/?src=files/clip.slod")
+        shows(page, "s.version === 29 && s.phase === 'ended'")
+        page.evaluate("streamlod.seek(11)")
+        shows(page, "s.version === 11 && s.phase === 'paused'")
+        page.keyboard.press(",")
+        shows(page, "s.version === 10")
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[10].levels]
+        page.evaluate("streamlod.loop(true); streamlod.play()")
+        shows(page, "s.version < 10 && s.phase === 'behind'")
+
+
+def test_orbit_keys_and_focus(page: Any, clip: Clip) -> None:
+    """Dragging orbits around the target; keys walk; double-click turns to a surface; R comes back."""
+    with serving(create_app(clip, Behaviour(newest=3))) as url:
+        page.goto(url)
+        shows(page, "s.version === 3")
+        page.wait_for_timeout(200)
+        poses = [page.evaluate("streamlod.state.camera")]
+        page.mouse.move(160, 120)
+        page.mouse.down()
+        page.mouse.move(220, 130, steps=4)
+        page.mouse.up()
+        poses.append(page.evaluate("streamlod.state.camera"))
+        page.keyboard.down("w")
+        page.wait_for_timeout(300)
+        page.keyboard.up("w")
+        poses.append(page.evaluate("streamlod.state.camera"))
+        page.mouse.dblclick(160, 150)
+        page.wait_for_function("(before) => streamlod.state.camera !== before", arg=poses[-1], **WAIT)
+        poses.append(page.evaluate("streamlod.state.camera"))
+        page.mouse.wheel(0, 200)
+        page.wait_for_function("(before) => streamlod.state.camera !== before", arg=poses[-1], **WAIT)
+        assert len(set(poses)) == len(poses)
+        page.keyboard.press("r")
+        page.wait_for_function("(home) => streamlod.state.camera === home", arg=poses[0], **WAIT)
+
+
+COUNT_OBJECTS = """
+window.objects = {};
+for (const name of ["Texture", "Buffer", "Program", "VertexArray", "Shader"]) {
+  for (const [verb, step] of [["create", 1], ["delete", -1]]) {
+    const old = WebGL2RenderingContext.prototype[verb + name];
+    WebGL2RenderingContext.prototype[verb + name] = function (...all) {
+      objects[name] = (objects[name] ?? 0) + step;
+      return old.apply(this, all);
+    };
+  }
+}
+"""
+
+
+def test_frees_the_graphics_card(page: Any, clip: Clip) -> None:
+    """Frames create no objects, and destroy() deletes all."""
+    page.add_init_script(COUNT_OBJECTS)
+    with serving(create_app(clip, Behaviour(fps=60))) as url:
+        page.goto(url)
+        shows(page, "s.version >= 1")
+        before = page.evaluate("({ ...objects })")
+        shows(page, "s.version >= 30")
+        assert page.evaluate("({ ...objects })") == before
+        page.evaluate("streamlod.destroy()")
+        assert set(page.evaluate("Object.values(objects)")) == {0}
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "title"),
+    [
+        (Behaviour(state="starting", progress=(0.4, "step 400 of 1000")), "Training the first frame"),
+        (Behaviour(state="idle"), "Waiting for the first frame"),
+        (Behaviour(version=2), "This page is out of date"),
+        (Behaviour(close=(4401, "token missing")), "You may not watch this stream"),
+        (Behaviour(close=(4404, "no stream main")), "No such stream"),
+    ],
+    ids=["training", "idle", "version", "token", "missing"],
+)
+def test_says_what_is_going_on(page: Any, clip: Clip, behaviour: Behaviour, title: str) -> None:
+    """A card explains why there is no picture."""
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(url)
+        page.locator("#card-title", has_text=title).wait_for(**WAIT)
+
+
+def test_says_when_there_is_no_webgl(page: Any, clip: Clip) -> None:
+    """No WebGL2, no exception."""
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    with serving(create_app(clip, Behaviour())) as url:
+        page.goto(url)
+        page.locator("#card-title", has_text="This browser cannot show the scene").wait_for(**WAIT)
+
+
+def test_embedding_page_hears_and_commands(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """An iframe tells its state and obeys seek."""
+    with serving(create_app(clip, Behaviour(newest=8), tmp_path)) as url:
+        (tmp_path / "host.html").write_text(
+            "<link rel=icon href=/favicon.svg><script>heard = {}; addEventListener('message', (e) => "
+            "heard[e.data.streamlod === 'event' ? e.data.event : 'answer'] = e.data)</script>"
+            f"<iframe src='{url}/?embed=1&ui=0' width=300 height=200></iframe>"
+        )
+        page.goto(f"{url}/files/host.html")
+        page.wait_for_function("heard.picture?.state.version === 8", **WAIT)
+        command = {"streamlod": "seek", "id": 5, "arguments": [2]}
+        page.evaluate("(command) => frames[0].postMessage(command, '*')", command)
+        page.wait_for_function("heard.answer?.id === 5 && heard.status?.state.position.version >= 2", **WAIT)
