@@ -19,6 +19,7 @@ from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
 _RULES = {"near_plane": 0.01, "far_plane": 1e10, "eps2d": 0.3, "rasterize_mode": "classic", "packed": True}
+_OPACITY_MAX = 2.0
 _NEEDED = {*_RULES, "backgrounds", "absgrad"}
 
 
@@ -47,6 +48,7 @@ def rasterise_cuda(
     if count == 0:  # gsplat's kernels want at least one Gaussian
         return _empty(means, camera, background, tile_mask, base)
     pose, intrinsics = _on_device(camera, means.device)
+    parameters[3] = parameters[3].clamp(max=_OPACITY_MAX)
     images, alphas, meta = rasterization(
         *parameters,
         viewmats=pose[None],

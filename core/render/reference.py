@@ -13,6 +13,7 @@ from core.render.raster import Probe, Raster
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.999
+OPACITY_MAX = 2.0
 TRANSMITTANCE_MIN = 1e-4
 NEAR, FAR = 0.01, 1e10
 LOW_PASS = 0.3
@@ -100,6 +101,7 @@ def blend(
     dx = columns.repeat(height)[:, None] - mean[None, :, 0]
     dy = rows.repeat_interleave(width)[:, None] - mean[None, :, 1]
     sigma = (0.5 * (yy * dx * dx + xx * dy * dy) - xy * dx * dy) / determinant
+    opacity = opacity + (opacity.clamp(max=OPACITY_MAX) - opacity).detach()  # its gradient goes on as though unclamped
     alpha = (opacity * torch.exp(-sigma)).clamp(max=ALPHA_MAX)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
     after = torch.cumprod(1 - alpha, 1)
@@ -118,9 +120,16 @@ def _visible(
     mean, covariance, z = project(means, quaternions, scales, camera)
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     determinant = xx * yy - xy * xy
-    total = mean.sum(-1) + determinant + colours.sum(-1) + opacities
-    good = (z > NEAR) & (z < FAR) & (opacities >= ALPHA_MIN) & (determinant > 1e-12) & (total.abs() < FINITE)
-    reach = (2 * torch.log(opacities.clamp(max=1e6) * 255)).clamp(min=0)
+    total = mean.sum(-1) + determinant + colours.sum(-1)
+    good = (
+        (z > NEAR)
+        & (z < FAR)
+        & (opacities >= ALPHA_MIN)
+        & (opacities < FINITE)
+        & (determinant > 1e-12)
+        & (total.abs() < FINITE)
+    )
+    reach = (2 * torch.log(opacities.clamp(max=OPACITY_MAX) * 255)).clamp(min=0)
     extent = torch.sqrt(reach[:, None] * torch.stack([xx, yy], -1))
     size = mean.new_tensor([camera.width, camera.height])
     first = torch.ceil((mean - extent - 0.5).clamp(min=0))

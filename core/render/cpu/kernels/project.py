@@ -22,6 +22,7 @@ from core.render.cpu.kernels.inline.constants import (
     LOW_PASS,
     NEAR,
     ONE,
+    OPACITY_MAX,
     SERIAL,
     TILE_HEIGHT,
     TILE_WIDTH,
@@ -39,12 +40,11 @@ from core.render.cpu.kernels.inline.geometry import (
 
 _INVISIBLE = np.float32(-1)
 _SMALLEST = np.float32(1e-12)
-_BRIGHTEST = np.float32(1e6)  # opacities beyond 1 are allowed; this only keeps the logarithm finite
 _ALPHA_LEVELS = np.float32(255)
 
 
 @njit(**SERIAL)
-def project_rows(
+def project_rows(  # noqa: PLR0915 - one formula, in one place
     start: int,
     stop: int,
     means: Float32,
@@ -66,8 +66,9 @@ def project_rows(
         depths[i] = _INVISIBLE
         x, y, z = to_camera(camera, means[i, 0], means[i, 1], means[i, 2])
         opacity = opacities[i]
-        if not (z > NEAR) or not (z < FAR) or not (opacity >= ALPHA_MIN):
+        if not (z > NEAR) or not (z < FAR) or not (opacity >= ALPHA_MIN) or not (opacity < FINITE):
             continue
+        opacity = min(opacity, OPACITY_MAX)
         inverse_z = ONE / z
         mean_x = camera[FOCAL_X] * x * inverse_z + camera[CENTRE_X]
         mean_y = camera[FOCAL_Y] * y * inverse_z + camera[CENTRE_Y]
@@ -89,12 +90,12 @@ def project_rows(
         determinant = m0 * m0 + m1 * m1 + m2 * m2 + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
         xx += LOW_PASS
         yy += LOW_PASS
-        total = mean_x + mean_y + determinant + colours[i, 0] + colours[i, 1] + colours[i, 2] + opacity
+        total = mean_x + mean_y + determinant + colours[i, 0] + colours[i, 1] + colours[i, 2]
         if not (determinant > _SMALLEST) or not (abs(total) < FINITE):
             continue
 
         # Box of the ellipse where alpha falls to 1/255: sigma = cut.
-        cut = math.log(min(opacity, _BRIGHTEST) * _ALPHA_LEVELS)
+        cut = math.log(opacity * _ALPHA_LEVELS)
         extent_x, extent_y = math.sqrt(TWO * cut * xx), math.sqrt(TWO * cut * yy)
         left, right = mean_x - extent_x - HALF, mean_x + extent_x - HALF
         top, bottom = mean_y - extent_y - HALF, mean_y + extent_y - HALF

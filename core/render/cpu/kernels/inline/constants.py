@@ -11,6 +11,7 @@ from core.render import tiles
 # The image model, gsplat's rules: every backend and the reference follow them.
 ALPHA_MIN = np.float32(1 / 255)  # weaker contributions are skipped
 ALPHA_MAX = np.float32(0.999)
+OPACITY_MAX = np.float32(2)  # dropout may scale opacities up to this; stronger ones count as this
 TRANSMITTANCE_MIN = np.float32(1e-4)  # a pixel is finished before it would fall to this
 NEAR = np.float32(0.01)  # world units
 FAR = np.float32(1e10)
