@@ -1,0 +1,341 @@
+"""The command `streamlod`. Options are declared here; what they do is loaded when it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import signal
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from core.errors import BackendUnavailable, InputError, StreamlodError
+
+FAULT = 2  # exit code of everything that we refuse
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="streamlod",
+    help="Live free-viewpoint video: train a scene frame by frame from synchronised cameras, stream it, watch it.",
+    epilog="--debug (tracebacks) and --verbose (more log) may stand anywhere. Try `streamlod demo` first.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+class Device(StrEnum):
+    """Where to compute."""
+
+    auto = "auto"
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+class SnapshotFormat(StrEnum):
+    """Of exported snapshots."""
+
+    ply = "ply"
+    spz = "spz"
+
+
+SlodFile = Annotated[Path, typer.Argument(metavar="FILE.slod", help="A recorded bitstream.")]
+Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recording; its layout is detected.")]
+Layout = Annotated[
+    str | None, typer.Option(help="Layout, if detection is wrong: n3dv, meetroom, colmap, transforms or caliscope.")
+]
+Test = Annotated[str, typer.Option(metavar="cam00[,...]", help="Held-out cameras, never trained on.")]
+DeviceOption = Annotated[Device, typer.Option(help="auto takes a CUDA device where there is one.")]
+Views = Annotated[int | None, typer.Option(min=1, help="So many training cameras, evenly spread over the rest.")]
+Preset = Annotated[str, typer.Option(help="live, balanced, quality or paper.")]
+Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
+Frames = Annotated[int | None, typer.Option(min=1, help="At most so many frames.")]
+Downscale = Annotated[float, typer.Option(min=1, help="Make pictures so many times smaller.")]
+
+
+@app.command()
+def synth(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; must not exist, or be empty.")],
+    cameras: Annotated[int, typer.Option(min=1, help="Number of cameras.")] = 13,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
+    size: Annotated[str, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = "480x270",
+    seed: Seed = 0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
+) -> None:
+    """Write a synthetic clip in the N3DV layout (camNN.mp4 and poses_bounds.npy), with its ground truth beside it."""
+    _call("server.commands:synth", out, cameras, frames, size, seed, overwrite)
+
+
+@app.command()
+def train(
+    data: Data,
+    out: Annotated[Path, typer.Option(metavar="FILE.slod", help="Bitstream to write.")],
+    views: Views = None,
+    train: Annotated[str, typer.Option(metavar="cam01,cam02", help="Training cameras by name.")] = "",
+    test: Test = "",
+    frames: Frames = None,
+    downscale: Downscale = 1.0,
+    preset: Preset = "balanced",
+    device: DeviceOption = Device.auto,
+    seed: Seed = 0,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the figures here.")] = None,
+    trace: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the stages as a Chrome trace.")] = None,
+    layout: Layout = None,
+) -> None:
+    """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
+    _require_folder(data)
+    job = _load("server.pipeline:TrainJob")(
+        data=data,
+        layout=layout,
+        train=_names(train),
+        test=_names(test),
+        views=views,
+        frames=frames,
+        downscale=downscale,
+        preset=preset,
+        device=device.value,
+        seed=seed,
+    )
+    _call("server.commands:train", job, out, json, trace)
+
+
+@app.command()
+def evaluate(
+    scene: SlodFile,
+    data: Data,
+    test: Test,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the report here.")] = None,
+    save_images: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write truth, rendering and difference side by side.")
+    ] = None,
+    layout: Layout = None,
+) -> None:
+    """Decode a file, render the held-out cameras, and measure quality, size and speed."""
+    _require_folder(data)
+    _call("client.commands:evaluate", scene, data, _names(test), json, save_images, layout)
+
+
+@app.command()
+def serve(
+    data: Annotated[Path | None, typer.Option(metavar="DATA", help="Train this recording live.")] = None,
+    play: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Stream a recorded file instead.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")] = None,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free one.  [default: 8000]")] = None,
+    device: DeviceOption = Device.auto,
+    preset: Preset = "live",
+    views: Views = None,
+    train: Annotated[str, typer.Option(metavar="cam01,cam02", help="Training cameras by name.")] = "",
+    test: Test = "",
+    frames: Frames = None,
+    downscale: Downscale = 1.0,
+    seed: Seed = 0,
+    layout: Layout = None,
+    loop: Annotated[bool, typer.Option(help="Begin a played file again at its end.")] = True,
+    state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
+    config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,
+    tokens: Annotated[Path | None, typer.Option(metavar="FILE", help="Token file: who may do what.")] = None,
+    metrics_port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port of Prometheus metrics.")] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="Allow a public address without tokens.")] = False,
+) -> None:
+    """Run the service: REST, live websocket and the viewer page. Without --data and --play, streams come by REST."""
+    given = {
+        "host": host,
+        "port": port,
+        "state": state_dir,
+        "tokens": tokens,
+        "metrics_port": metrics_port,
+        "insecure": insecure or None,
+    }
+    chosen = {name: value for name, value in given.items() if value is not None}
+    loaded = _load("server.settings:load_settings")(config) if config is not None else None
+    settings = _load("server.settings:Settings")(**({} if loaded is None else loaded.model_dump()) | chosen)
+    streams: tuple[Any, ...] = ()
+    if data is not None or play is not None:
+        spec = _load("server.spec:StreamSpec")(
+            data=data,
+            play=play,
+            loop=loop,
+            layout=layout,
+            train=_names(train),
+            test=_names(test),
+            views=views,
+            frames=frames,
+            downscale=downscale,
+            preset=preset,
+            device=device.value,
+            seed=seed,
+        )
+        streams = (spec,)
+    _call("server.commands:serve", settings, streams)
+
+
+@app.command()
+def view(
+    url: Annotated[str, typer.Argument(metavar="ws://HOST:PORT/v1/streams/ID/live", help="A live stream.")],
+    out: Annotated[Path, typer.Option(metavar="DIR|FILE.mp4", help="Folder of PNGs, or a video.")],
+    camera: Annotated[str | None, typer.Option(metavar="cam00", help="Stand at a camera of the rig.")] = None,
+    orbit: Annotated[bool, typer.Option("--orbit", help="Circle inside the rig.")] = False,
+    pose: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Stand at poses of a file.")] = None,
+    frames: Frames = None,
+    levels: Annotated[int | None, typer.Option(min=1, help="Ask for so many levels only.")] = None,
+) -> None:
+    """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
+    _call("client.commands:view", url, out, camera, orbit, pose, frames, levels)
+
+
+@app.command()
+def info(scene: SlodFile) -> None:
+    """Say what is inside a file, with sizes by level and kind of chunk."""
+    _call("client.commands:info", scene)
+
+
+@app.command()
+def export(
+    scene: SlodFile,
+    frame: Annotated[int, typer.Option(min=0, help="Frame number.")] = 0,
+    view: Annotated[
+        str, typer.Option(metavar="cam00|average", help="Where view-dependent colour is frozen.")
+    ] = "average",
+    format: Annotated[SnapshotFormat, typer.Option(help="File format.")] = SnapshotFormat.ply,
+    out: Annotated[Path | None, typer.Option(help="File, or folder of a sequence.")] = None,
+    sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,
+) -> None:
+    """Write a snapshot as plain 3D Gaussians that other viewers and editors read."""
+    _call("client.commands:export", scene, frame, view, format.value, out, sequence)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def bench(
+    context: typer.Context,
+    name: Annotated[str | None, typer.Argument(help="Which; without a name they are listed.")] = None,
+) -> None:
+    """Run a benchmark of the source checkout; further arguments are its own."""
+    _call("server.commands:bench", name, context.args)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("demo-output"),
+    cameras: Annotated[int | None, typer.Option(min=2, help="Cameras of the clip.")] = None,
+    frames: Frames = None,
+    size: Annotated[str | None, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = None,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port of the server.  [default: 8000]")] = None,
+) -> None:
+    """Make a clip, train it live, serve it, watch it, measure it; serves on until Ctrl-C unless DEMO_EXIT=1."""
+    given = {"out": out, "cameras": cameras, "frames": frames, "size": size, "port": port}
+    stay = os.environ.get("DEMO_EXIT", "") not in {"1", "true", "yes"}
+    settings = _load("server.demo:DemoSettings")(**{k: v for k, v in given.items() if v is not None}, stay=stay)
+    logging.getLogger().setLevel(min(logging.getLogger().level, logging.INFO))
+    _call("server.demo:run_demo", settings)
+
+
+@app.command()
+def study(
+    data: Data,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("study-output"),
+) -> None:
+    """Measure what each part of the method is worth, by leaving it out."""
+    _require_folder(data)
+    _call("core.evaluate.study:run_study", data, out)
+
+
+@app.command()
+def tradeoff(
+    data: Data,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("tradeoff-output"),
+) -> None:
+    """Sweep time, size and quality against each other."""
+    _require_folder(data)
+    _call("core.evaluate.tradeoff:run_tradeoff", data, out)
+
+
+@app.command()
+def warm() -> None:
+    """Compile the kernels now, so that the first frame does not wait for it."""
+    _call("server.commands:warm")
+
+
+def main() -> NoReturn:
+    """Entry point: one sentence and exit code 2 for everything refused."""
+    arguments = [argument for argument in sys.argv[1:] if argument not in {"--debug", "--verbose"}]
+    debug, verbose = "--debug" in sys.argv, "--verbose" in sys.argv
+    _configure_logging(verbose or debug)
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = app(args=arguments, standalone_mode=False)
+    except KeyboardInterrupt:
+        sys.stderr.write("\ninterrupted\n")
+        code = INTERRUPTED
+    except Exception as error:
+        if debug and not hasattr(error, "exit_code"):
+            raise
+        code = _explain(error)
+    raise SystemExit(code or 0)
+
+
+def _explain(error: Exception) -> int:
+    """Write what went wrong; returns the exit code. Faults of our own keep their traceback."""
+    if hasattr(error, "exit_code") and hasattr(error, "show"):  # wrong usage: typer knows how to say it
+        error.show()
+        return int(error.exit_code)
+    if isinstance(error, StreamlodError | OSError | ModuleNotFoundError):
+        sys.stderr.write(f"streamlod: {' '.join(_sentence(error).split())}\n")
+        return FAULT
+    if type(error).__name__ == "Abort":
+        sys.stderr.write("\ninterrupted\n")
+        return INTERRUPTED
+    raise error
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, ModuleNotFoundError):
+        remedy = "install it, for example with pip install 'streamlod[train,serve]'"
+        return str(BackendUnavailable(f"the module {error.name}", remedy))
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
+def _configure_logging(verbose: bool) -> None:
+    level = logging.DEBUG if verbose else logging.INFO
+    logging.basicConfig(
+        stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
+    )
+    for name in ("core", "codec", "server", "client"):
+        logging.getLogger(name).setLevel(level)
+
+
+def _terminate(_: int, __: Any) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _load(target: str) -> Any:
+    """The object ``module:name``, imported only now: what stands behind the commands is heavy."""
+    module, name = target.split(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _call(target: str, *arguments: Any) -> None:
+    text = _load(target)(*arguments)
+    if text:
+        typer.echo(text)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _require_folder(path: Path) -> None:
+    """Say so at once, before anything heavy is loaded."""
+    if not path.exists():
+        raise InputError(path, "does not exist")
+
+
+if __name__ == "__main__":
+    main()

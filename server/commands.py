@@ -1,0 +1,165 @@
+"""What `streamlod synth | train | serve | bench | warm` do; each returns the text to print."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import pkgutil
+import re
+import runpy
+import shutil
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from core.errors import BackendUnavailable, InputError
+
+if TYPE_CHECKING:
+    from core.train import Progress
+    from server.pipeline import EncodedFrame, TrainJob
+    from server.settings import Settings
+    from server.spec import StreamSpec
+
+_BENCHES = "tests.bench"
+_SUFFIX = "_bench"
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """(width, height) of ``480x270``; InputError for anything else."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None:
+        raise InputError("--size", f"{text!r} is not WIDTHxHEIGHT, for example 480x270")
+    return int(match[1]), int(match[2])
+
+
+def synth(folder: Path, cameras: int, frames: int, size: str, seed: int, overwrite: bool) -> str:
+    """Write a synthetic clip."""
+    width, height = picture_size(size)
+    from core.data.synthetic import SyntheticSpec, write_clip
+
+    spec = SyntheticSpec(cameras=cameras, frames=frames, width=width, height=height, seed=seed)
+    if overwrite and (folder / "ground_truth" / "spec.json").is_file():  # nothing but our own clips
+        shutil.rmtree(folder)
+    with tqdm(total=100, unit="%", desc="synth") as bar:
+        write_clip(spec, folder, lambda fraction: _set(bar, 100 * fraction))
+    return f"{folder}: {cameras} cameras, {frames} frames of {size}"
+
+
+def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:
+    """Train a clip into a `.slod` file, with figures beside it."""
+    from server.pipeline import train_clip
+
+    for path in (out, figures, trace):
+        if path is not None:
+            _prepare(path)
+    encoded: list[EncodedFrame] = []
+    with tqdm(total=100, unit="%", desc="first frame") as first, tqdm(unit="frame", desc="frames") as later:
+
+        def on_progress(progress: Progress) -> None:
+            _set(first, 100 * progress.fraction)
+
+        def on_frame(frame: EncodedFrame) -> None:
+            encoded.append(frame)
+            _set(first, 100)
+            later.update()
+
+        train_clip(job, out, on_frame, on_progress=on_progress)
+    sidecar = json.loads(out.with_name(out.name + ".json").read_text(encoding="utf-8"))
+    if figures is not None:
+        _write_json(figures, sidecar)
+    if trace is not None:
+        _write_json(trace, _trace_events(encoded))
+    first_frame, later_frames = sidecar.get("first_frame_seconds"), sidecar.get("train_seconds")
+    spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
+    spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""
+    return f"{out}: {len(encoded)} frames, {out.stat().st_size / 1000:.1f} KB, {spent}"
+
+
+def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
+    """Serve until told to stop."""
+    from server.run import serve as run
+
+    for stream in streams:
+        for path in (stream.data, stream.play):
+            if path is not None and not path.exists():
+                raise InputError(path, "does not exist")
+    with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end
+        run(settings, streams)
+    return ""
+
+
+def bench(name: str | None, arguments: list[str]) -> str:
+    """Run a benchmark of the source checkout, or list them."""
+    names = _benches()
+    if name is None:
+        return "benchmarks: " + ", ".join(names)
+    if name not in names:
+        raise InputError(f"bench {name}", f"is not a benchmark; there are: {', '.join(names)}")
+    module = f"{_BENCHES}.{name.replace('-', '_')}{_SUFFIX}"
+    before = sys.argv
+    sys.argv = [module, *arguments]
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    finally:
+        sys.argv = before
+    return ""
+
+
+def warm() -> str:
+    """Compile the kernels now rather than at first use."""
+    from core.render.cpu import warm as compile_kernels
+
+    compile_kernels()
+    return "ready"
+
+
+def _benches() -> list[str]:
+    with suppress(ModuleNotFoundError):
+        spec = importlib.util.find_spec(_BENCHES)
+        if spec is not None and spec.submodule_search_locations:
+            modules = pkgutil.iter_modules(spec.submodule_search_locations)
+            found = [module.name for module in modules if module.name.endswith(_SUFFIX)]
+            return sorted(name.removesuffix(_SUFFIX).replace("_", "-") for name in found)
+    raise BackendUnavailable("the benchmark suite", "it comes with a source checkout: run it there")
+
+
+def _prepare(path: Path) -> None:
+    """Refuse a place that cannot be written before any work is done."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    if path.is_dir():
+        raise InputError(path, "is a folder; name a file")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(path, "cannot be written (no permission for the folder)")
+
+
+def _write_json(path: Path, value: Any) -> None:
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _trace_events(frames: list[EncodedFrame]) -> dict[str, Any]:
+    """The stages of all frames, one after the other, in the trace event format that Perfetto and Chrome open."""
+    events, at = [], 0.0
+    for frame in frames:
+        for stage, seconds in frame.report.get("seconds", {}).items():
+            event = {"name": stage, "ph": "X", "pid": 1, "tid": 1, "ts": at * 1e6, "dur": seconds * 1e6}
+            events.append({**event, "args": {"frame": frame.version}})
+            at += seconds
+    return {"traceEvents": events, "displayTimeUnit": "ms"}
+
+
+def _set(bar: tqdm[Any], value: float) -> None:
+    bar.update(max(0, round(value) - bar.n))
