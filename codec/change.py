@@ -10,17 +10,21 @@ from codec import kernels
 from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, scale_of, words_of
 from core.anchors import LATENTS
 from core.arrays import Int32, Int64
-from core.entropy_model import HIGHEST_SCALE, SCALES
+from core.entropy_model import SCALES
+
+_SCALE_MASK, _NOT_PREDICTED = 127, 128  # of the position scale's byte
 
 
 def encode(voxel: Int32, rows: Int64, position: Int64, latent: Int64) -> bytes | None:
     """The chunk, or None if a number is too large for it; arguments as in `codec.chunks.encode_change`."""
-    errors = kernels.position_errors(voxel[rows].astype(np.int64), position, _salt())
+    errors, plain = kernels.position_errors(voxel[rows].astype(np.int64), position, _salt()), 0
+    if np.log2(1.0 + np.abs(position)).sum() < np.log2(1.0 + np.abs(errors)).sum():
+        errors, plain = position, _NOT_PREDICTED
     if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= kernels.VALUE_LIMIT:
         return None
     changed = np.zeros(len(voxel), np.uint8)
     changed[rows] = 1
-    position_scale = scale_of(float(np.abs(errors).mean()) if len(errors) else 0.0)
+    position_scale = min(scale_of(float(np.abs(errors).mean()) if len(errors) else 0.0), _SCALE_MASK)
     side, scale = encode_scales(latent)
 
     def model_pass(items: kernels.Array) -> int:
@@ -29,17 +33,17 @@ def encode(voxel: Int32, rows: Int64, position: Int64, latent: Int64) -> bytes |
         return kernels.columns_items(latent, scale, items, count)
 
     lanes, words = encode_items(model_pass, len(voxel) + 2 * (errors.size + latent.size))
-    return bytes([lanes, position_scale]) + side + words
+    return bytes([lanes, position_scale | plain]) + side + words
 
 
 def decode(data: bytes, voxel: Int32) -> tuple[Int64, Int32, Int32]:
     """Rows [n], position [n,3] and latent [n,24]; BitstreamError `corrupt_chunk`."""
-    if len(data) < 2 or data[1] > HIGHEST_SCALE:
-        raise corrupt("a change has no position scale of the table")
+    if len(data) < 2:
+        raise corrupt("a change ends before its position scale")
     scale, at = decode_scales(data, 2, LATENTS)
-    position_scale = SCALES[data[1]]
+    predicted = not data[1] & _NOT_PREDICTED
     sound, rows, position, latent = kernels.decode_change(
-        words_of(data, at), data[0], voxel, position_scale, scale, _salt()
+        words_of(data, at), data[0], voxel, SCALES[data[1] & _SCALE_MASK], predicted, scale, _salt()
     )
     if not sound:
         raise corrupt("an entropy-coded chunk does not end as it must")

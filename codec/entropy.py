@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 
 from codec import kernels
 from core.arrays import Int64
-from core.entropy_model import HIGHEST_SCALE, SCALES
+from core.entropy_model import HIGHEST_SCALE, MAGNITUDE_UNIT, SCALES
 from core.errors import BitstreamError
 
 Array = NDArray[Any]
 
-FEW_ITEMS = 3000  # below, one lane saves 12 bytes that matter more than speed
+FEW_ITEMS = 8000  # below, one lane saves 12 bytes that matter more than speed
 _STEPS = 4  # of a scale, between neighbouring nibbles: half an octave
 _NIBBLES = 15
+_SHARED_MARK = 192  # from here on the first byte is one scale for all channels
+_SHARED_FIRST, _SHARED_LAST = 16, 79
 
 
 def corrupt(detail: str) -> BitstreamError:
@@ -53,23 +55,29 @@ def scale_of(mean: float) -> int:
 
 
 def encode_scales(values: Array) -> tuple[bytes, Int64]:
-    """Side fields of FORMAT.md section 6.3 for `values` [rows, C], and each channel's scale in 1/256."""
+    """Side fields of FORMAT.md section 6.3 for `values` [rows, C], and each channel's scale in 1/256.
+
+    Where channels differ little or rows are few, all channels share one scale.
+    """
     means = np.abs(values).mean(axis=0) if len(values) else np.zeros(values.shape[1])
-    used = means > 0
-    wanted = np.array([scale_of(mean) for mean in means])
-    lowest = int(wanted[used].min(initial=HIGHEST_SCALE))
-    base = int(np.clip(lowest, wanted.max(initial=0) - _STEPS * (_NIBBLES - 1), HIGHEST_SCALE))
-    base = max(min(base, HIGHEST_SCALE), 0)
-    nibbles = np.clip((wanted - base + _STEPS // 2) // _STEPS, 0, _NIBBLES - 1) + 1
-    nibbles = np.minimum(nibbles, (HIGHEST_SCALE - base) // _STEPS + 1)
-    nibbles[~used] = 0
+    wanted = np.array([scale_of(mean) for mean in means], np.int64)
+    base = int(wanted[means > 0].min(initial=HIGHEST_SCALE))
+    base = max(base, int(wanted.max(initial=0)) - _STEPS * (_NIBBLES - 1), 0)
+    nibbles = np.minimum((np.maximum(wanted - base, 0) + _STEPS // 2) // _STEPS, (HIGHEST_SCALE - base) // _STEPS) + 1
+    nibbles = np.where(means > 0, np.minimum(nibbles, _NIBBLES), 0)
+    apart = _scales(base, nibbles)
+    shared_index = int(np.clip(scale_of(float(means.mean())), _SHARED_FIRST, _SHARED_LAST))
+    shared = np.full(len(means), SCALES[shared_index])
+    if len(values) * (_row_bits(means, shared) - _row_bits(means, apart)) < 4 * len(means):
+        return bytes([_SHARED_MARK + shared_index - _SHARED_FIRST]), shared
     padded = np.append(nibbles, [0] * (len(nibbles) % 2)).astype(np.uint8)
-    packed = (padded[0::2] | padded[1::2] << 4).tobytes()
-    return bytes([base]) + packed, _scales(base, nibbles)
+    return bytes([base]) + bytes((padded[0::2] | padded[1::2] << 4).tolist()), apart
 
 
 def decode_scales(data: bytes, at: int, channels: int) -> tuple[Int64, int]:
     """Each channel's scale in 1/256, and where the side fields end."""
+    if len(data) > at and data[at] >= _SHARED_MARK:
+        return np.full(channels, SCALES[data[at] - _SHARED_MARK + _SHARED_FIRST]), at + 1
     end = at + 1 + (channels + 1) // 2
     if len(data) < end:
         raise corrupt("a chunk ends inside its scales")
@@ -81,6 +89,13 @@ def decode_scales(data: bytes, at: int, channels: int) -> tuple[Int64, int]:
     if nibbles.any() and data[at] + _STEPS * (int(nibbles.max()) - 1) > HIGHEST_SCALE:
         raise corrupt("a scale lies beyond the table")
     return _scales(data[at], nibbles), end
+
+
+def _row_bits(means: Array, scale: Int64) -> float:
+    """About the bits of a row whose channels have mean magnitudes `means`, coded with `scale` (0: not coded)."""
+    expected = np.maximum(scale / MAGNITUDE_UNIT, 1 / 64)
+    bits = np.log2(1 + expected) + means * np.log2(1 + 1 / expected)
+    return float(bits[scale > 0].sum())
 
 
 def _scales(base: int, nibbles: Int64) -> Int64:

@@ -26,7 +26,8 @@ BLOCK = 64
 BLOCK_MODELS, ROW_MODELS = 4, 8
 OCTREE_MODELS = 16 * 256
 _TOP_BIN = BINS - 1
-_MOST_SHIFT = 30
+_MOST_BIN = 120  # a shift of 23 bits, so that no sum of magnitudes asks for more than a value has
+_MOST_WIDTH = 30  # bits of an escape
 
 _STARTS: Int64 = np.concatenate([np.zeros((BINS, 1), np.int64), np.cumsum(FREQUENCIES, axis=1)[:, :-1]], axis=1)
 _SYMBOL_OF = np.concatenate([np.repeat(np.arange(SYMBOLS), row) for row in FREQUENCIES]).astype(np.uint8)
@@ -89,7 +90,7 @@ def _adapt(model: Array, bit: int) -> None:
 
 @compiled
 def _put_value(items: Array, n: int, value: int, b: int) -> int:
-    b = max(b, 0)
+    b = min(max(b, 0), _MOST_BIN)
     shift = 0
     if b > _TOP_BIN:
         shift = (b - _TOP_BIN + 3) >> 2
@@ -203,21 +204,18 @@ def _take_flag(words: Array, x: Array, ctl: Array, model: Array) -> int:
 
 @compiled
 def _take_value(words: Array, x: Array, ctl: Array, b: int) -> int:
-    b = max(b, 0)
+    b = min(max(b, 0), _MOST_BIN)
     shift = 0
     if b > _TOP_BIN:
         shift = (b - _TOP_BIN + 3) >> 2
         b -= 4 * shift
-        if shift > _MOST_SHIFT:
-            ctl[2] = 1
-            return 0
     z: Any = np.int64(_SYMBOL_OF[b * 4096 + _slot(x, ctl)])
     _take(words, x, ctl, _STARTS[b, z], FREQUENCIES[b, z])
     if z == ESCAPE:
         width = 0
         while _take_raw(words, x, ctl, 1):
             width += 1
-            if width > _MOST_SHIFT or ctl[2]:
+            if width > _MOST_WIDTH or ctl[2]:
                 ctl[2] = 1
                 return 0
         z = ESCAPE - 1 + (1 << width) + _take_raw(words, x, ctl, width)
@@ -420,12 +418,15 @@ def positions_items(errors: Array, scale: int, items: Array, n: int) -> int:
 
 
 @compiled
-def _take_positions(words: Array, x: Array, ctl: Array, voxel: Array, delta: Array, scale: int, salt: Any) -> None:
+def _take_positions(
+    words: Array, x: Array, ctl: Array, voxel: Array, delta: Array, scale: int, predicted: bool, salt: Any
+) -> None:
     table, prediction = _table_for(len(voxel)), np.zeros(3, np.int64)
     average = np.full(3, scale, np.int64)
     s1, s2 = 3 * scale, 3 * scale
     for i in range(len(voxel)):
-        _predict(table, voxel, delta, i, salt, prediction)
+        if predicted:
+            _predict(table, voxel, delta, i, salt, prediction)
         within = 0
         for axis in range(3):
             error = _take_value(words, x, ctl, _position_bin(average, s1, s2, within, axis))
@@ -442,7 +443,7 @@ def _take_positions(words: Array, x: Array, ctl: Array, voxel: Array, delta: Arr
 
 @compiled
 def decode_change(
-    words: Array, lanes: int, voxel: Array, position_scale: int, scale: Array, salt: Any
+    words: Array, lanes: int, voxel: Array, position_scale: int, predicted: bool, scale: Array, salt: Any
 ) -> tuple[bool, Array, Array, Array]:
     """Whether the stream is sound; rows [n], position [n,3], latent [n,C], all int64."""
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
@@ -464,7 +465,7 @@ def decode_change(
                 at[n, axis] = voxel[i, axis]
             n += 1
     if ctl[2] == 0:
-        _take_positions(words, x, ctl, at, delta, position_scale, salt)
+        _take_positions(words, x, ctl, at, delta, position_scale, predicted, salt)
     if ctl[2] == 0:
         _take_columns(words, x, ctl, latent, scale)
     return _finish(words, x, ctl), rows, delta, latent

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from core.entropy_model import BIN_LIMIT, BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, SCALES
+from core.entropy_model import BIN_LIMIT, BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES
 from core.errors import BitstreamError
 
 _THRESHOLDS = [int(t) for t in BIN_THRESHOLDS]
@@ -118,12 +118,10 @@ def magnitude_bin(e: int) -> int:
 
 def value(coder: Coder, b: int, number: int | None) -> int:
     """A signed integer by the frozen table of bin b."""
-    b, shift = max(b, 0), 0
+    b, shift = min(max(b, 0), 120), 0
     if b >= BINS:
         shift = (b - BINS + 4) >> 2
         b -= 4 * shift
-    if shift > 30:
-        raise _corrupt()
     half = (1 << shift) >> 1
     z = None
     if number is not None:
@@ -185,7 +183,7 @@ def dynamic_set(coder: Coder, count: int, changed: Sequence[int] | None) -> list
     return result
 
 
-def positions(coder: Coder, voxel: Sequence[Voxel], scale: int, delta: Rows | None) -> Rows:
+def positions(coder: Coder, voxel: Sequence[Voxel], scale: int, predicted: bool, delta: Rows | None) -> Rows:
     """Position differences of the changed rows with `voxel`, section 9."""
     average, s1, s2 = [scale] * 3, 3 * scale, 3 * scale
     result: Rows = []
@@ -196,8 +194,8 @@ def positions(coder: Coder, voxel: Sequence[Voxel], scale: int, delta: Rows | No
         errors: list[int] = []
         row: list[int] = []
         for axis in range(3):
-            prediction = result[-1][axis] if result else 0
-            if around:
+            prediction = result[-1][axis] if result and predicted else 0
+            if around and predicted:
                 prediction = (2 * sum(result[j][axis] for j in around) + len(around)) // (2 * len(around))
             within = 256 * sum(map(abs, errors))
             b = magnitude_bin((6 * average[axis] + 6 * s1 + 4 * s2 + 9 * within) // (36 + 9 * axis))
@@ -239,11 +237,6 @@ def octree(coder: Coder, depth: int, count: int, leaves: Sequence[Voxel] | None)
     if len(nodes) != count:
         raise _corrupt()
     return [node for node, _ in nodes]
-
-
-def scales(base: int, nibbles: Sequence[int]) -> list[int]:
-    """Channel scales from their side fields."""
-    return [int(SCALES[base + 4 * (d - 1)]) if d else 0 for d in nibbles]
 
 
 def _corrupt() -> BitstreamError:

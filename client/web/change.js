@@ -27,11 +27,12 @@ export function decodeChange(chunk, level) {
     }
     return { rows: ascending(columns, count, level.count), position, latent };
   }
-  const start = scale(reader.u8());
+  const first = reader.u8();
+  const start = scale(first & 127), predict = first < 128;
   const scales = readScales(reader, LATENTS);
   const coder = new RansDecoder(reader.rest(), coding);
   const rows = decodeRowSet(coder, level.count);
-  const position = decodePositions(coder, rows, level.voxel, start);
+  const position = decodePositions(coder, rows, level.voxel, start, predict);
   const latent = decodeColumns(coder, rows.length, scales);
   coder.end();
   return { rows, position, latent };
@@ -98,8 +99,8 @@ class VoxelTable {
   }
 }
 
-/** @type {(coder: RansDecoder, rows: Uint32Array, voxel: Int32Array, start: number) => Int32Array} */
-function decodePositions(coder, rows, voxel, start) {
+/** @type {(coder: RansDecoder, rows: Uint32Array, voxel: Int32Array, start: number, predict: boolean) => Int32Array} */
+function decodePositions(coder, rows, voxel, start, predict) {
   const delta = new Int32Array(3 * rows.length);
   const table = new VoxelTable(rows, voxel);
   const mean = [start, start, start], sum = [0, 0, 0];
@@ -120,8 +121,8 @@ function decodePositions(coder, rows, voxel, start) {
     }
     let size = 0;
     for (let a = 0; a < 3; a++) {
-      let predicted = i ? delta[3 * (i - 1) + a] : 0;
-      if (near) predicted = Math.floor((2 * sum[a] + near) / (2 * near));
+      let predicted = predict && i ? delta[3 * (i - 1) + a] : 0;
+      if (predict && near) predicted = Math.floor((2 * sum[a] + near) / (2 * near));
       const context = Math.floor((6 * mean[a] + 6 * before + 4 * earlier + 9 * 256 * size) / (36 + 9 * a));
       const error = coder.value(bin(context));
       const value = predicted + error;

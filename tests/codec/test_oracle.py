@@ -48,8 +48,8 @@ def test_columns(seed: int, rows: int, channels: int) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=seeds, count=st.integers(0, 300), share=st.floats(0, 1))
-def test_changes(seed: int, count: int, share: float) -> None:
+@given(seed=seeds, count=st.integers(0, 300), share=st.floats(0, 1), predicted=st.booleans())
+def test_changes(seed: int, count: int, share: float, predicted: bool) -> None:
     rng = np.random.default_rng(seed)
     changed = (rng.random(count) < share * rng.random()).astype(np.uint8)
     voxel = rng.integers(-4, 4, (count, 3)) + rng.choice([-(2**31) + 9, 0, 2**31 - 9])
@@ -57,7 +57,7 @@ def test_changes(seed: int, count: int, share: float) -> None:
     delta = _numbers(rng, (len(rows), 3)) // 4
     latent = _numbers(rng, (len(rows), 24))
     scale = np.where(latent.any(axis=0), SCALES[rng.integers(0, 192, 24)], 0)
-    errors = kernels.position_errors(voxel[rows], delta, SALT)
+    errors = kernels.position_errors(voxel[rows], delta, SALT) if predicted else delta
 
     def model_pass(items: kernels.Array) -> int:
         n = kernels.positions_items(errors, SCALES[50], items, kernels.rows_items(changed, items, 0))
@@ -67,12 +67,12 @@ def test_changes(seed: int, count: int, share: float) -> None:
     at = [tuple(v) for v in voxel[rows].tolist()]
     encoder = oracle.Encoder()
     oracle.dynamic_set(encoder, count, changed.tolist())
-    oracle.positions(encoder, at, int(SCALES[50]), delta.tolist())
+    oracle.positions(encoder, at, int(SCALES[50]), predicted, delta.tolist())
     oracle.columns(encoder, len(rows), scale.tolist(), latent.tolist())
     assert encoder.words(lanes) == _words(data)
     words = np.frombuffer(data, "<u2").astype(np.uint16)
     voxel32 = voxel.astype(np.int32)
-    sound, *found = kernels.decode_change(words, lanes, voxel32, SCALES[50], scale, np.uint64(1))
+    sound, *found = kernels.decode_change(words, lanes, voxel32, SCALES[50], predicted, scale, np.uint64(1))
     assert sound
     for expected, array in zip((rows, delta, latent), found, strict=True):
         np.testing.assert_array_equal(expected, array)

@@ -178,9 +178,8 @@ def _changes(good: bytes, plain: bytes) -> Iterator[tuple[str, bytes, str]]:
     yield "words-odd", change(lambda d: d[:-1]), "corrupt_chunk"
     yield "words-more", change(lambda d: d + b"\0\0"), "corrupt_chunk"
     yield "words-other", change(lambda d: d[:-2] + bytes([d[-2] ^ 16, d[-1]])), "corrupt_chunk"
-    yield "state-too-small", change(lambda d: d[:15] + b"\0\0\0\0" + d[19:]), "corrupt_chunk"
+    yield "state-too-small", change(_small_state), "corrupt_chunk"
     yield "scale-beyond-table", change(lambda d: d[:2] + b"\xbf\xff" + d[4:]), "corrupt_chunk"
-    yield "position-scale", change(lambda d: d[:1] + b"\xc0" + d[2:]), "corrupt_chunk"
     yield "side-fields-cut", change(lambda d: d[:9]), "corrupt_chunk"
     far = np.zeros((1, 28), np.int64)
     far[0, 0] = 20
@@ -193,6 +192,11 @@ def _changes(good: bytes, plain: bytes) -> Iterator[tuple[str, bytes, str]]:
     yield "removed-coding", insert(good, 1, ChunkKind.REMOVED, b"\1" + twice[1:]), "unsupported_profile"
     yield "hash-length", insert(good, 1, ChunkKind.HASH, b"\0\0\0"), "corrupt_chunk"
     yield "hash", insert(good, 1, ChunkKind.HASH, b"\0\0\0\0"), "state_mismatch"
+
+
+def _small_state(data: bytes) -> bytes:
+    at = 3 if data[2] >= 192 else 15
+    return data[:at] + b"\0\0\0\0" + data[at + 4 :]
 
 
 def _states(scene: Scene) -> Streams:
