@@ -83,12 +83,20 @@ class LocalBus:
             places += [segment.first for segment in self.recording.segments[:1]]
         return min(places, default=None)
 
+    def key_after(self, position: Position) -> Position | None:
+        """Position of the first retained keyframe after `position`."""
+        return min((key for key in self._keys() if key > position), default=None)
+
     def key_before(self, position: Position) -> Position | None:
         """Position of the retained keyframe at or before `position`, or the oldest one there is."""
+        keys = self._keys()
+        return max((key for key in keys if key <= position), default=min(keys, default=None))
+
+    def _keys(self) -> list[Position]:
         keys = [group[0].position for group in self.window.groups()]
         if self.recording is not None:
             keys += [segment.first for segment in self.recording.segments]
-        return max((key for key in keys if key <= position), default=min(keys, default=None))
+        return keys
 
 
 def _read_segments(segments: list[Segment], first: Position, last: Position) -> list[StreamPacket]:

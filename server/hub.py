@@ -7,8 +7,9 @@ and is brought up to date by one residual of exact integers instead of a queue.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_residual
@@ -18,7 +19,8 @@ from core.anchors import Scene
 from core.residual import difference
 from server.packets import PacketWindow, StreamPacket, binary_frame
 
-_STATES = 24  # decoded states kept, to begin skip packets from
+_STATE_BYTES = 48_000_000  # decoded states kept, to begin skip packets from
+_RESIDUALS = 32  # encoded on demand and kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +35,10 @@ class Hub:
     Args:
         window_bytes: packets kept in memory.
         limits: of the decoder.
+
+    Attributes:
+        window: recent packets.
+        listeners: events that are set whenever something has changed.
     """
 
     def __init__(self, window_bytes: int, limits: Limits = DEFAULT_LIMITS) -> None:
@@ -40,9 +46,10 @@ class Hub:
         self._decoder = SceneDecoder(limits)
         self._key: _State | None = None
         self._states: OrderedDict[int, _State] = OrderedDict()
+        self._state_bytes = 0
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
         self._parts: tuple[int, list[bytes]] | None = None
-        self._changed = asyncio.Event()
+        self.listeners: set[asyncio.Event] = set()
 
     @property
     def newest(self) -> StreamPacket | None:
@@ -70,23 +77,21 @@ class Hub:
         await asyncio.to_thread(self._decoder.push, packet.data)
         scene = self._decoder.scene
         assert scene is not None
+        packet = replace(packet, arrived=time.monotonic())
         self.window.append(packet)
         state = _State(packet, scene)
         if packet.is_key:
             self._key = state
         self._states[packet.number] = state
-        while len(self._states) > _STATES:
-            self._states.popitem(last=False)
+        self._state_bytes += _size_bytes(state)
+        while len(self._states) > 2 and self._state_bytes > _STATE_BYTES:
+            self._state_bytes -= _size_bytes(self._states.popitem(last=False)[1])
         self.wake()
 
     def wake(self) -> None:
-        """Let every viewer look again."""
-        self._changed.set()
-        self._changed = asyncio.Event()
-
-    async def change(self) -> None:
-        """Return at the next `wake`."""
-        await self._changed.wait()
+        """Let every listener look again."""
+        for listener in self.listeners:
+            listener.set()
 
     def can_skip(self, number: int) -> bool:
         """Whether one residual leads from packet `number` to the newest."""
@@ -96,8 +101,8 @@ class Hub:
         same = state.packet.position.epoch == newest.position.epoch
         return same and state.scene.keyframe == self._states[newest.number].scene.keyframe
 
-    async def skip(self, number: int, levels: int) -> tuple[int, bytes]:
-        """One framed residual from packet `number` to the newest, whose number comes first; needs `can_skip`."""
+    async def skip(self, number: int, levels: int) -> tuple[StreamPacket, bytes]:
+        """The newest packet, and one framed residual to it from packet `number`; needs `can_skip`."""
         return await self._residual(self._states[number], (1 << levels) - 1)
 
     def key_parts(self, first: int, last: int) -> list[bytes]:
@@ -111,16 +116,16 @@ class Hub:
             self._parts = packet.number, [binary_frame(part) for part in split_levels(packet.data)]
         return self._parts[1][first : last + 1]
 
-    async def catch_up(self, first: int, last: int) -> tuple[int, bytes | None]:
-        """One framed residual of levels `first` to `last` from the newest keyframe to the newest packet.
+    async def catch_up(self, first: int, last: int) -> tuple[StreamPacket, bytes | None]:
+        """The newest packet, and one framed residual of levels `first` to `last` to it from the newest keyframe.
 
-        The newest packet's number comes first; there is no residual where that packet is the keyframe.
+        There is no residual where that packet is the keyframe itself.
         """
         assert self._key is not None
         newest = self.newest
         assert newest is not None
         if newest.number == self._key.packet.number:
-            return newest.number, None
+            return newest, None
         mask = (1 << last + 1) - (1 << first)
         return await self._residual(self._key, mask)
 
@@ -133,12 +138,12 @@ class Hub:
             packets.append(await self._encoded(self._key))
         return packets
 
-    async def _residual(self, before: _State, mask: int) -> tuple[int, bytes]:
+    async def _residual(self, before: _State, mask: int) -> tuple[StreamPacket, bytes]:
         newest = self.newest
         assert newest is not None
         packet = await self._encoded(before)
         whole = mask & newest.info.level_mask == newest.info.level_mask
-        return newest.number, binary_frame(packet if whole else select_levels(packet, mask))
+        return newest, binary_frame(packet if whole else select_levels(packet, mask))
 
     async def _encoded(self, before: _State) -> bytes:
         """The residual from `before` to the newest state, encoded once."""
@@ -148,9 +153,14 @@ class Hub:
         if key not in self._made:
             after = self._states[newest.number]
             self._made[key] = asyncio.create_task(asyncio.to_thread(_encode, before, after))
-            while len(self._made) > _STATES:
+            while len(self._made) > _RESIDUALS:
                 self._made.popitem(last=False)
         return await asyncio.shield(self._made[key])
+
+
+def _size_bytes(state: _State) -> int:
+    """Memory of the columns that differ from state to state."""
+    return sum(level.position.nbytes + level.latent.nbytes + level.alive.nbytes for level in state.scene.levels) + 1000
 
 
 def _encode(before: _State, after: _State) -> bytes:

@@ -37,6 +37,9 @@ class LevelControl:
     Attributes:
         wanted: levels that the viewer asked for.
         levels: levels it gets.
+        calm_seconds: how long it must keep up before a level is tried again.
+        quiet_since, raised_at: times of the last congestion or raise, and of a raise that has not failed yet.
+        asked: whether the viewer has just asked for more.
     """
 
     wanted: int
@@ -44,26 +47,28 @@ class LevelControl:
     calm_seconds: float = _CALM_SECONDS
     quiet_since: float = 0.0
     raised_at: float | None = None
+    asked: bool = False
 
-    def congested(self, now: float) -> bool:
-        """The viewer fell behind; whether it has a level less now."""
+    def congested(self, now: float) -> None:
+        """The viewer fell behind."""
         if self.raised_at is not None and now - self.raised_at < 2 * self.calm_seconds:
             self.calm_seconds = min(2 * self.calm_seconds, _LONGEST_CALM_SECONDS)
-        self.raised_at, self.quiet_since = None, now
-        self.levels = max(1, min(self.levels, self.wanted) - 1) if self.levels > 1 else 1
-        return True
+        self.raised_at, self.quiet_since, self.asked = None, now, False
+        self.levels = max(1, self.levels - 1)
 
     def may_raise(self, now: float) -> bool:
         """Whether another level should be tried."""
         return self.levels < self.wanted and now - self.quiet_since >= self.calm_seconds
 
     def raise_level(self, now: float) -> None:
-        """Another level is being sent."""
-        self.levels = min(self.levels + 1, self.wanted)
+        """Another level is being sent; all wanted ones, if the viewer has just asked for them."""
+        self.levels = self.wanted if self.asked else min(self.levels + 1, self.wanted)
+        self.asked = False
         self.raised_at = self.quiet_since = now
 
     def want(self, levels: int, now: float) -> None:
         """The viewer asks for `levels`; more are given at once."""
         self.wanted = levels
         self.calm_seconds, self.quiet_since = _CALM_SECONDS, now - _CALM_SECONDS
+        self.asked = levels > self.levels
         self.levels = min(self.levels, levels)

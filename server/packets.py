@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -31,12 +32,14 @@ class StreamPacket:
         position: epoch and version of the state after it.
         info: its header.
         data: the packet of codec/FORMAT.md.
+        arrived: monotonic time at which it came, in seconds.
     """
 
     number: int
     position: Position
     info: PacketInfo
     data: bytes
+    arrived: float
     _framed: dict[int, bytes] = field(default_factory=dict, repr=False)
 
     @property
@@ -60,7 +63,7 @@ class StreamPacket:
 def stream_packet(number: int, epoch: int, data: bytes) -> StreamPacket:
     """`data` as packet `number`; BitstreamError if its header is not valid."""
     info = peek(data)
-    return StreamPacket(number, Position(epoch, info.to_version), info, data)
+    return StreamPacket(number, Position(epoch, info.to_version), info, data, time.monotonic())
 
 
 def binary_frame(data: bytes) -> bytes:

@@ -50,6 +50,24 @@ class Connection:
         """Bytes that the kernel has not taken yet."""
         return self._protocol.transport.get_write_buffer_size()
 
+    async def drain(self, stuck_seconds: float) -> None:
+        """Wait until earlier writes have gone to the kernel.
+
+        Raises:
+            TimeoutError: no byte left for `stuck_seconds`.
+        """
+        loop = asyncio.get_running_loop()
+        left, since = self.unsent_bytes, loop.time()
+        while not self._protocol.writable.is_set():
+            try:
+                async with asyncio.timeout(min(1.0, stuck_seconds)):
+                    await self._protocol.writable.wait()
+            except TimeoutError:
+                if self.unsent_bytes != left:
+                    left, since = self.unsent_bytes, loop.time()
+                elif loop.time() - since >= stuck_seconds:
+                    raise
+
     async def write(self, frame: bytes, stuck_seconds: float) -> None:
         """Write a whole websocket frame once earlier ones have drained.
 
@@ -57,16 +75,7 @@ class Connection:
             TimeoutError: no byte left for `stuck_seconds`.
             ClientDisconnected: the peer is gone.
         """
-        loop = asyncio.get_running_loop()
-        left, since = self.unsent_bytes, loop.time()
-        while not self._protocol.writable.is_set():
-            try:
-                await asyncio.wait_for(self._protocol.writable.wait(), min(1.0, stuck_seconds))
-            except TimeoutError:
-                if self.unsent_bytes != left:
-                    left, since = self.unsent_bytes, loop.time()
-                elif loop.time() - since >= stuck_seconds:
-                    raise
+        await self.drain(stuck_seconds)
         if self._protocol.disconnected or self._protocol.close_sent:
             raise ClientDisconnected
         self._protocol.transport.write(frame)

@@ -1,0 +1,1 @@
+"""What the server answers: REST, the live websocket, health."""

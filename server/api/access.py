@@ -1,0 +1,104 @@
+"""Rights and errors at the HTTP edge."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any
+
+from fastapi import Depends, Request
+from fastapi.responses import JSONResponse
+from starlette.requests import HTTPConnection
+
+from server.auth import Gate, Right
+from server.registry import Registry
+from server.stream import Stream
+
+_REFUSAL_SECONDS = 0.5  # every refusal takes so long, whatever was wrong
+
+
+class Problem(Exception):
+    """An error answer (RFC 9457).
+
+    Args:
+        status: HTTP status.
+        detail: one sentence.
+        headers: further headers.
+    """
+
+    def __init__(self, status: int, detail: str, headers: dict[str, str] | None = None) -> None:
+        super().__init__(status, detail)
+        self.status, self.detail, self.headers = status, detail, headers
+
+
+TITLES = {
+    400: "Bad request", 401: "Token missing or wrong", 403: "Not allowed", 404: "Not found", 405: "Method not allowed",
+    409: "Conflict", 410: "Gone", 416: "Range not satisfiable", 422: "Unusable content", 429: "Too many refusals",
+    500: "Fault in the server", 503: "Not ready",
+}  # fmt: skip
+
+
+def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> JSONResponse:
+    """A problem as `application/problem+json`."""
+    body = {"type": "about:blank", "title": TITLES.get(status, "Error"), "status": status, "detail": detail}
+    return JSONResponse(body, status, headers, media_type="application/problem+json")
+
+
+def registry_of(connection: HTTPConnection) -> Registry:
+    """The registry of the application."""
+    registry: Registry = connection.app.state.registry
+    return registry
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """The peer's network address."""
+    return connection.client.host if connection.client else ""
+
+
+def token_of(connection: HTTPConnection) -> str | None:
+    """The bearer token of a request, from its header or, for browsers' websockets, its sub-protocols."""
+    scheme, _, token = connection.headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer" and token:
+        return token.strip()
+    offered = connection.headers.get("sec-websocket-protocol", "")
+    return next((p.strip()[7:] for p in offered.split(",") if p.strip().startswith("bearer.")), None)
+
+
+async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: str | None) -> Problem | None:
+    """Why this request may not go on, or None if it may. Takes the same time for every wrong token."""
+    begin = time.monotonic()
+    address = address_of(connection)
+    if gate.is_blocked(address):
+        return Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
+    grant = gate.grant_of(token_of(connection))
+    if grant is not None and grant.allows(right, stream):
+        return None
+    if grant is not None:
+        return Problem(403, f"the token does not give the right to {right.value} here")
+    gate.note_refusal(address)
+    await asyncio.sleep(max(0.0, _REFUSAL_SECONDS - (time.monotonic() - begin)))
+    return Problem(401, "a token is needed, and this is none", {"WWW-Authenticate": "Bearer"})
+
+
+def need(right: Right) -> Any:
+    """A dependency that lets a request pass only with `right`, on the stream its path names if it names one."""
+
+    async def check(request: Request) -> None:
+        problem = await refusal(registry_of(request).gate, request, right, request.path_params.get("stream_id"))
+        if problem is not None:
+            raise problem
+
+    return Depends(check)
+
+
+def find_stream(stream_id: str, request: Request) -> Stream:
+    """The stream that the path names; 404 without."""
+    stream = registry_of(request).streams.get(stream_id)
+    if stream is None:
+        raise Problem(404, f"there is no stream {stream_id!r:.80}")
+    return stream
+
+
+StreamOf = Annotated[Stream, Depends(find_stream)]
+Handler = Callable[..., Awaitable[Any]]

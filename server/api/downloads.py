@@ -1,0 +1,121 @@
+"""Packets, groups of pictures and whole bitstreams."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query, Request, Response
+
+from server.api.access import Problem, StreamOf, need
+from server.api.ranges import FRESH, IMMUTABLE, Download, FilePart, Piece, respond
+from server.auth import Right
+from server.packets import Position
+from server.stream import Stream
+
+_FILE_HEAD = b"SLOD\x01\x00\x00\x00"  # codec/FORMAT.md section 15
+_PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
+_BOUND = 2**32 - 1
+_ANSWERS: dict[int | str, dict[str, object]] = {
+    206: {"description": "the range asked for"},
+    304: {"description": "what the client has is current"},
+    404: {"description": "there never was such a place"},
+    410: {"description": "it has left the window"},
+    416: {"description": "the range lies outside"},
+}
+
+Epoch = Annotated[int, Path(ge=0, le=_BOUND, description="encoder run", examples=[1])]
+Version = Annotated[int, Path(ge=0, le=_BOUND, description="frame number", examples=[0])]
+
+router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need(Right.READ)])
+
+
+@router.api_route(
+    "/packets/{epoch}/{version}", methods=["GET", "HEAD"], summary="One packet", response_class=Response,
+    responses=_ANSWERS,
+)  # fmt: skip
+async def packet(stream: StreamOf, epoch: Epoch, version: Version, request: Request) -> Response:
+    """The packet that leads to this version, as in codec/FORMAT.md. Immutable."""
+    place = Position(epoch, version)
+    found = await stream.bus.read(place, place)
+    if not found:
+        raise _absent(stream, place)
+    data = found[0].data
+    name = f"{stream.spec.id}-{epoch}-{version}.slpk"
+    return respond(request, Download((data,), _hash(data), _PACKET_TYPE, IMMUTABLE, name))
+
+
+@router.api_route(
+    "/gops/{epoch}/{first}", methods=["GET", "HEAD"], summary="One group of pictures", response_class=Response,
+    responses=_ANSWERS,
+)  # fmt: skip
+async def group(stream: StreamOf, epoch: Epoch, first: Version, request: Request) -> Response:
+    """A keyframe and its residuals as a `.slod` file. Immutable once a later keyframe has come."""
+    place = Position(epoch, first)
+    pieces = _groups(stream).get(place)
+    if pieces is None:
+        raise _absent(stream, place)
+    closed = stream.bus.key_after(place) is not None
+    return respond(request, _file(stream, {place: pieces}, IMMUTABLE if closed else FRESH, f"{epoch}-{first}"))
+
+
+@router.api_route(
+    "/bitstream", methods=["GET", "HEAD"], summary="Everything retained of one epoch", response_class=Response,
+    responses=_ANSWERS,
+)  # fmt: skip
+async def bitstream(
+    stream: StreamOf,
+    request: Request,
+    epoch: Annotated[int | None, Query(ge=0, le=_BOUND, description="encoder run; the newest by default")] = None,
+) -> Response:
+    """All retained groups of pictures of one encoder run as a `.slod` file."""
+    if stream.bus.recording is not None:
+        await stream.bus.recording.flush()
+    groups = _groups(stream)
+    newest = stream.newest
+    wanted = epoch if epoch is not None else max((place.epoch for place in groups), default=0)
+    chosen = {place: pieces for place, pieces in groups.items() if place.epoch == wanted}
+    if not chosen:
+        raise _absent(stream, Position(wanted, 0)) if newest else Problem(404, "the stream has no packet yet")
+    return respond(request, _file(stream, chosen, FRESH, str(wanted)))
+
+
+def _groups(stream: Stream) -> dict[Position, list[Piece]]:
+    """Records of a `.slod` file for each retained group: from disk where it is recorded, else from memory.
+
+    An unrecorded group (an early preview) counts only while nothing is recorded.
+    """
+    recorded: dict[Position, list[Piece]] = {}
+    if stream.bus.recording is not None:
+        for s in stream.bus.recording.segments:
+            if s.packets:
+                recorded[s.first] = [FilePart(s.path, len(_FILE_HEAD), s.size_bytes + 4 * s.packets)]
+    if recorded:
+        return recorded
+    remembered: dict[Position, list[Piece]] = {}
+    for packets in stream.bus.window.groups():
+        records = b"".join(struct.pack("<I", len(p.data)) + p.data for p in packets)
+        remembered[packets[0].position] = [records]
+    return remembered
+
+
+def _file(stream: Stream, groups: dict[Position, list[Piece]], caching: str, name: str) -> Download:
+    pieces: list[Piece] = [_FILE_HEAD]
+    state = f"{stream.spec.id} {stream.created_at.isoformat()}"
+    for place in sorted(groups):
+        pieces += groups[place]
+        sizes = [len(piece) if isinstance(piece, bytes) else piece.size for piece in groups[place]]
+        state += f" {place.epoch}.{place.version}:{sum(sizes)}"
+    return Download(tuple(pieces), _hash(state.encode()), _FILE_TYPE, caching, f"{stream.spec.id}-{name}.slod")
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:32]
+
+
+def _absent(stream: Stream, place: Position) -> Problem:
+    oldest = stream.bus.oldest
+    if oldest is not None and Position(1, 0) <= place < oldest:
+        return Problem(410, f"version {place.version} of epoch {place.epoch} has left the window")
+    return Problem(404, f"there is no version {place.version} of epoch {place.epoch}")

@@ -1,0 +1,157 @@
+"""The live websocket: handshake, rights, hello; then a `ViewerSession` does the rest."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from urllib.parse import urlsplit
+
+from fastapi import APIRouter
+from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.utils import ClientDisconnected
+
+from core.errors import SessionError
+from server.api.access import address_of, refusal, registry_of
+from server.auth import Right
+from server.messages import (
+    BAD_MESSAGE,
+    BAD_VERSION,
+    BUSY,
+    FAULT,
+    FORBIDDEN,
+    HELLO_TIMEOUT,
+    NO_STREAM,
+    STOPPING,
+    SUBPROTOCOL,
+    UNAUTHORISED,
+    Hello,
+    parse_control,
+    parse_hello,
+)
+from server.registry import Registry
+from server.viewer import ViewerSession
+from server.wire import CONNECTION, Connection
+
+_LOG = logging.getLogger(__name__)
+_LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5
+_GONE = (WebSocketDisconnect, ClientDisconnected, ConnectionError)
+
+router = APIRouter()
+
+
+class _Transport:
+    """A session's way out: packets by the shared-buffer path, control messages by the ordinary one."""
+
+    def __init__(self, websocket: WebSocket, stuck_seconds: float) -> None:
+        self._websocket, self._stuck = websocket, stuck_seconds
+        self._connection: Connection = websocket.scope[CONNECTION]
+
+    async def binary(self, frame: bytes) -> None:
+        await self._connection.write(frame, self._stuck)
+
+    async def text(self, message: str) -> None:
+        await self._connection.drain(self._stuck)
+        await self._websocket.send_text(message)
+
+    def abort(self) -> None:
+        self._connection.abort()
+
+
+@router.websocket("/v1/streams/{stream_id}/live")
+async def live(websocket: WebSocket, stream_id: str) -> None:
+    """A viewer of docs/protocol.md."""
+    registry = registry_of(websocket)
+    offers = websocket.scope.get("subprotocols", [])
+    await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in offers else None)
+    transport = _Transport(websocket, registry.settings.limits.stuck_seconds)
+    try:
+        await _admit(websocket, registry, stream_id)
+        hello = await _hello(websocket, registry.settings.limits.hello_seconds)
+        await _watch(websocket, registry, stream_id, hello, transport)
+    except SessionError as error:
+        await _close(websocket, error.close_code, error.detail)
+    except TimeoutError:
+        _LOG.warning("stream %s: viewer %s took nothing and is cut off", stream_id, address_of(websocket))
+        if (stream := registry.streams.get(stream_id)) is not None:
+            stream.counters.stuck += 1
+        seconds = registry.settings.limits.stuck_seconds
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.5):
+                await _close(websocket, BUSY, f"no progress for {seconds:g} s")
+        transport.abort()
+    except _GONE:
+        return
+    except Exception:
+        _LOG.exception("stream %s: a viewer's session broke", stream_id)
+        await _close(websocket, FAULT, "a fault inside the server")
+
+
+async def _admit(websocket: WebSocket, registry: Registry, stream_id: str) -> None:
+    if SUBPROTOCOL not in websocket.scope.get("subprotocols", []):
+        raise SessionError(BAD_VERSION, f"offer the sub-protocol {SUBPROTOCOL}")
+    origin = websocket.headers.get("origin")
+    own = websocket.headers.get("host")
+    if origin and urlsplit(origin).netloc != own and origin not in registry.settings.origins:
+        raise SessionError(FORBIDDEN, "pages of this origin may not connect")
+    problem = await refusal(registry.gate, websocket, Right.READ, stream_id)
+    if problem is not None:
+        raise SessionError(FORBIDDEN if problem.status == 403 else UNAUTHORISED, problem.detail)
+    if registry.draining:
+        raise SessionError(STOPPING, "the server is stopping; connect again")
+    if stream_id not in registry.streams:
+        raise SessionError(NO_STREAM, "there is no such stream")
+    limits, address = registry.settings.limits, address_of(websocket)
+    if len(registry.sessions) >= limits.viewers:
+        raise SessionError(BUSY, "the server is full; try again later")
+    if list(registry.sessions.values()).count(address) >= limits.viewers_per_address:
+        raise SessionError(BUSY, "too many viewers from this address")
+
+
+async def _hello(websocket: WebSocket, seconds: float) -> Hello:
+    try:
+        async with asyncio.timeout(seconds):
+            return parse_hello(await _text(websocket))
+    except TimeoutError:
+        raise SessionError(HELLO_TIMEOUT, f"no hello within {seconds:g} s") from None
+
+
+async def _text(websocket: WebSocket) -> str:
+    message = await websocket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1005))
+    text = message.get("text")
+    if not isinstance(text, str):
+        raise SessionError(BAD_MESSAGE, "control messages are text")
+    return text
+
+
+async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello: Hello, transport: _Transport) -> None:
+    """Run the session and listen to the viewer, until either ends."""
+    stream = registry.streams.get(stream_id)
+    if stream is None:
+        raise SessionError(NO_STREAM, "there is no such stream")
+    session = ViewerSession(stream, hello, transport, registry.settings.limits)
+    registry.sessions[session] = address_of(websocket)
+    sending = asyncio.create_task(session.run())
+    listening = asyncio.create_task(_listen(websocket, session))
+    try:
+        done, _ = await asyncio.wait([sending, listening], return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        registry.sessions.pop(session, None)
+        for task in (sending, listening):
+            task.cancel()
+        await asyncio.gather(sending, listening, return_exceptions=True)
+    for task in done:
+        task.result()
+
+
+async def _listen(websocket: WebSocket, session: ViewerSession) -> None:
+    while True:
+        session.on_control(parse_control(await _text(websocket)))
+
+
+async def _close(websocket: WebSocket, code: int, reason: str) -> None:
+    reason = reason.encode()[:_LONGEST_REASON].decode(errors="ignore")
+    with contextlib.suppress(RuntimeError, *_GONE):
+        await websocket.close(code, reason)

@@ -1,0 +1,126 @@
+"""Downloads: bytes and parts of files in a row, with ranges, strong ETags and conditional requests (RFC 9110)."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from fastapi import Request, Response
+from fastapi.responses import StreamingResponse
+
+from server.api.access import Problem
+
+_CHUNK_BYTES = 1 << 20
+_RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+IMMUTABLE = "max-age=31536000, immutable"
+FRESH = "no-cache"
+
+
+@dataclass(frozen=True, slots=True)
+class FilePart:
+    """`size` bytes of a file from `offset` on."""
+
+    path: Path
+    offset: int
+    size: int
+
+
+Piece = bytes | FilePart
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """A body in pieces.
+
+    Attributes:
+        pieces: in order.
+        etag: strong validator, without quotes.
+        media_type: of the whole.
+        caching: Cache-Control after ``private`` or ``public``.
+        name: file name offered.
+    """
+
+    pieces: tuple[Piece, ...]
+    etag: str
+    media_type: str
+    caching: str
+    name: str
+
+    @property
+    def size(self) -> int:
+        """Bytes of all pieces."""
+        return sum(len(piece) if isinstance(piece, bytes) else piece.size for piece in self.pieces)
+
+
+def respond(request: Request, download: Download) -> Response:
+    """The answer to a GET or HEAD for `download`.
+
+    Raises:
+        Problem: 416, the range lies outside.
+    """
+    size, etag = download.size, f'"{download.etag}"'
+    scope = "private" if "authorization" in request.headers else "public"
+    headers = {
+        "ETag": etag,
+        "Accept-Ranges": "bytes",
+        "Cache-Control": f"{scope}, {download.caching}",
+        "Content-Disposition": f'attachment; filename="{download.name}"',
+    }
+    offered = request.headers.get("if-none-match")
+    if offered is not None and (offered.strip() == "*" or etag in [e.strip() for e in offered.split(",")]):
+        return Response(status_code=304, headers=headers)
+    begin, end, status = 0, size, 200
+    condition = request.headers.get("if-range")
+    if request.method == "GET" and (condition is None or condition.strip() == etag):
+        asked = _parse_range(request.headers.get("range"), size)
+        if asked is not None:
+            (begin, end), status = asked, 206
+            headers["Content-Range"] = f"bytes {begin}-{end - 1}/{size}"
+    headers["Content-Length"] = str(end - begin)
+    if request.method == "HEAD":
+        return Response(status_code=200, headers=headers, media_type=download.media_type)
+    return StreamingResponse(_read(download, begin, end), status, headers, download.media_type)
+
+
+def _parse_range(header: str | None, size: int) -> tuple[int, int] | None:
+    """Begin and end of the one range asked for; None where the header is absent, malformed or names several."""
+    match = _RANGE.fullmatch(header.strip()) if header and len(header) < 100 else None
+    if match is None or match.group(0) == "bytes=-":
+        return None
+    first, last = match.groups()
+    if not first:
+        begin, end = max(0, size - int(last)), size
+    else:
+        begin, end = int(first), min(size, int(last) + 1) if last else size
+        if last and int(last) < begin:
+            return None
+    if begin >= size or end <= begin:
+        raise Problem(416, f"the content has {size} bytes", {"Content-Range": f"bytes */{size}"})
+    return begin, end
+
+
+async def _read(download: Download, begin: int, end: int) -> AsyncIterator[bytes]:
+    at = 0
+    for piece in download.pieces:
+        size = len(piece) if isinstance(piece, bytes) else piece.size
+        first, last = max(begin - at, 0), min(end - at, size)
+        at += size
+        while first < last:
+            stop = min(last, first + _CHUNK_BYTES)
+            if isinstance(piece, bytes):
+                yield piece[first:stop]
+            else:
+                yield await asyncio.to_thread(_read_part, piece, first, stop - first)
+            first = stop
+
+
+def _read_part(part: FilePart, begin: int, count: int) -> bytes:
+    with part.path.open("rb") as file:
+        file.seek(part.offset + begin)
+        data = file.read(count)
+    if len(data) != count:
+        raise OSError(f"{part.path.name} became shorter while it was read")
+    return data

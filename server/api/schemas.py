@@ -1,0 +1,126 @@
+"""JSON bodies of the REST interface."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+_STREAM_EXAMPLE: dict[str, Any] = {
+    "id": "main", "name": "main", "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
+    "anchors": 20413, "viewers": 2, "restarts": 0, "recording": "on",
+    "progress": {"fraction": 1.0, "loss": 0.03, "text": "first frame"},
+    "report": {"version": 57, "total_seconds": 0.8}, "created_at": "2026-11-21T10:00:00Z",
+    "live_path": "/v1/streams/main/live",
+}  # fmt: skip
+
+
+class PositionBody(BaseModel):
+    """A place in a stream."""
+
+    epoch: int = Field(description="counts encoder runs", examples=[1])
+    version: int = Field(description="frame number", examples=[57])
+
+
+class WindowBody(BaseModel):
+    """What can be sought."""
+
+    oldest: PositionBody
+    newest: PositionBody
+
+
+class StreamBody(BaseModel):
+    """A stream's state."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [_STREAM_EXAMPLE]})
+
+    id: str
+    name: str
+    state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
+    detail: str = Field(description="why, where the state needs an explanation")
+    epoch: int | None
+    version: int | None = Field(description="newest frame; null before the first picture")
+    fps: float | None
+    levels: int | None
+    anchors: int | None
+    viewers: int
+    restarts: int = Field(description="worker restarts since the start")
+    recording: str = Field(description="off, on, or what stopped it")
+    progress: dict[str, Any] | None = Field(description="of the first frame's training")
+    report: dict[str, Any] | None = Field(description="figures of the newest frame")
+    created_at: datetime
+    live_path: str
+
+
+class StreamList(BaseModel):
+    """A page of streams."""
+
+    items: list[StreamBody]
+    next_cursor: str | None = Field(description="pass it as `cursor` for the next page; null on the last")
+
+
+class GroupBody(BaseModel):
+    """A group of pictures."""
+
+    epoch: int
+    first: int = Field(description="version of its keyframe")
+    last: int = Field(description="newest version")
+    packets: int
+    bytes: int
+    begun_ns: int | None = Field(description="Unix time of its keyframe, where it is recorded")
+    path: str
+
+
+class Manifest(BaseModel):
+    """The window and its groups of pictures."""
+
+    stream: str
+    state: str
+    epoch: int | None
+    window: WindowBody | None
+    levels: int | None
+    fps: float | None
+    gops: list[GroupBody]
+
+
+class NewStream(BaseModel):
+    """A stream to create: exactly one of `data`, `play` and `synthetic`."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"id": "stage", "synthetic": {"cameras": 5, "frames": 30}, "start": True}]},
+    )
+
+    id: str = Field(pattern="^[a-z0-9][a-z0-9_-]{0,63}$")
+    data: str | None = Field(default=None, max_length=4096, description="folder of a data set on the server")
+    play: str | None = Field(default=None, max_length=4096, description="recorded .slod file on the server")
+    synthetic: dict[str, int | float | str | bool | list[int]] | None = Field(
+        default=None, description="clip made on the fly"
+    )
+    loop: bool = True
+    train: list[str] = Field(default=[], max_length=256)
+    test: list[str] = Field(default=[], max_length=256)
+    views: int | None = Field(default=None, ge=1, le=256)
+    frames: int | None = Field(default=None, ge=1, le=10_000_000)
+    downscale: float = Field(default=1.0, ge=1.0, le=64.0)
+    preset: str = Field(default="live", max_length=64)
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    start: bool = Field(default=False, description="start it at once")
+
+
+class ProblemBody(BaseModel):
+    """An error (RFC 9457)."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+
+
+class Health(BaseModel):
+    """Whether the server works."""
+
+    status: str
+    detail: str = ""

@@ -1,0 +1,156 @@
+"""Streams as resources: list, look, create, start, stop, delete, and the manifest."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+
+from core.errors import InputError
+from server.api.access import Problem, StreamOf, need, refusal, registry_of
+from server.api.schemas import Manifest, NewStream, ProblemBody, StreamBody, StreamList
+from server.auth import Right
+from server.packets import Position
+from server.spec import spec_from_json
+from server.stream import Stream
+
+_PROBLEMS: dict[int | str, dict[str, Any]] = {
+    status: {"model": ProblemBody, "content": {"application/problem+json": {}}, "description": text}
+    for status, text in {
+        401: "token missing or wrong", 403: "the token lacks the right", 404: "no such stream",
+        422: "the request is malformed", 429: "too many wrong tokens",
+    }.items()
+}  # fmt: skip
+_CONFLICT: dict[int | str, dict[str, Any]] = {**_PROBLEMS, 409: {"model": ProblemBody, "description": "conflict"}}
+
+router = APIRouter(prefix="/v1/streams", tags=["streams"], responses=_PROBLEMS)
+
+
+@router.get("", summary="All streams", dependencies=[need(Right.READ)])
+async def list_streams(
+    request: Request,
+    cursor: Annotated[str | None, Query(max_length=64, description="from an earlier page")] = None,
+    limit: Annotated[int, Query(ge=1, le=200, description="streams a page")] = 50,
+) -> StreamList:
+    """Streams in order of their id."""
+    streams = registry_of(request).streams
+    names = [name for name in sorted(streams) if cursor is None or name > cursor]
+    page = names[:limit]
+    items = [StreamBody.model_validate(streams[name].describe()) for name in page]
+    return StreamList(items=items, next_cursor=page[-1] if len(names) > limit else None)
+
+
+@router.post("", status_code=201, summary="Create a stream", responses=_CONFLICT)
+async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
+    """Create a stream from a data set, a recorded file or a synthetic clip; idle unless `start` is given."""
+    registry = registry_of(request)
+    problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
+    if problem is not None:
+        raise problem
+    values = body.model_dump(exclude={"start"}, exclude_none=True)
+    for name in ("data", "play"):
+        if name in values and not await asyncio.to_thread(Path(values[name]).exists):
+            raise Problem(422, f"{name}: there is no {values[name]!r:.200} on the server")
+    try:
+        stream = await registry.create(spec_from_json(values))
+    except InputError as error:
+        raise Problem(409 if body.id in registry.streams else 422, str(error)) from error
+    if body.start:
+        stream.start()
+    response.headers["Location"] = f"/v1/streams/{body.id}"
+    return StreamBody.model_validate(stream.describe())
+
+
+@router.get("/{stream_id}", summary="A stream's state", dependencies=[need(Right.READ)])
+async def get_stream(stream: StreamOf) -> StreamBody:
+    """State, newest position, progress and figures of one stream."""
+    return StreamBody.model_validate(stream.describe())
+
+
+@router.delete("/{stream_id}", status_code=204, summary="Delete a stream", dependencies=[need(Right.CONTROL)])
+async def delete_stream(stream: StreamOf, request: Request) -> None:
+    """Stop a stream, close its viewers with 1000 and erase its recording."""
+    await registry_of(request).delete(stream.spec.id)
+
+
+@router.post("/{stream_id}/start", status_code=202, summary="Start", dependencies=[need(Right.CONTROL)])
+async def start_stream(stream: StreamOf) -> StreamBody:
+    """Start the worker; one that runs goes on, an ended source begins again."""
+    stream.start()
+    return StreamBody.model_validate(stream.describe())
+
+
+@router.post("/{stream_id}/stop", status_code=202, summary="Stop", dependencies=[need(Right.CONTROL)])
+async def stop_stream(stream: StreamOf) -> StreamBody:
+    """Stop the worker; viewers stay and the past stays."""
+    await stream.stop()
+    return StreamBody.model_validate(stream.describe())
+
+
+@router.get("/{stream_id}/manifest", summary="Window and groups of pictures", dependencies=[need(Right.READ)])
+async def get_manifest(
+    stream: StreamOf,
+    after_epoch: Annotated[int | None, Query(ge=0, le=2**32 - 1, description="wait for something later")] = None,
+    after_version: Annotated[int, Query(ge=0, le=2**32 - 1, description="than this position")] = 0,
+    wait_ms: Annotated[int, Query(ge=0, le=10_000, description="wait at most so long")] = 0,
+) -> Manifest:
+    """What can be sought and downloaded. With `after_epoch` it blocks until the live edge is later than that."""
+    if after_epoch is not None and wait_ms:
+        await _wait_for_later(stream, Position(after_epoch, after_version), wait_ms / 1000)
+    scene = stream.hub.scene
+    newest = stream.newest
+    return Manifest.model_validate(
+        {
+            "stream": stream.spec.id,
+            "state": stream.state,
+            "epoch": newest.epoch if newest else None,
+            "window": stream.window,
+            "levels": stream.levels,
+            "fps": scene.header.fps if scene else None,
+            "gops": _groups(stream),
+        }
+    )
+
+
+async def _wait_for_later(stream: Stream, place: Position, seconds: float) -> None:
+    wake = asyncio.Event()
+    stream.hub.listeners.add(wake)
+    try:
+        async with asyncio.timeout(seconds):
+            while (stream.newest is None or stream.newest <= place) and not stream.deleted:
+                wake.clear()
+                await wake.wait()
+    except TimeoutError:
+        return
+    finally:
+        stream.hub.listeners.discard(wake)
+
+
+def _groups(stream: Stream) -> list[dict[str, Any]]:
+    """Groups on disk, and those that only memory holds."""
+    groups: dict[Position, dict[str, Any]] = {}
+    for packets in stream.bus.window.groups():
+        first = packets[0].position
+        size = sum(len(packet.data) for packet in packets)
+        groups[first] = _group(stream, first, packets[-1].position.version, len(packets), size, None)
+    for s in stream.bus.recording.segments if stream.bus.recording else ():
+        known = groups.get(s.first)
+        if known is None:
+            groups[s.first] = _group(stream, s.first, s.last.version, s.packets, s.size_bytes, s.begun_ns)
+        else:
+            known["begun_ns"] = s.begun_ns
+    return [groups[place] for place in sorted(groups)]
+
+
+def _group(stream: Stream, first: Position, last: int, packets: int, size: int, begun: int | None) -> dict[str, Any]:
+    return {
+        "epoch": first.epoch,
+        "first": first.version,
+        "last": last,
+        "packets": packets,
+        "bytes": size,
+        "begun_ns": begun,
+        "path": f"/v1/streams/{stream.spec.id}/gops/{first.epoch}/{first.version}",
+    }

@@ -1,0 +1,139 @@
+"""The application: routes, errors, the page."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import HTMLResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.exceptions import HTTPException
+
+from server.api import downloads, live, streams
+from server.api.access import Problem, problem_response, registry_of
+from server.api.schemas import Health
+from server.registry import Registry
+from server.settings import Settings
+from server.spec import StreamSpec
+
+_DESCRIPTION = """
+Live free-viewpoint video. Streams are watched over the websocket `/v1/streams/{id}/live` (docs/protocol.md);
+this interface lists and controls them and serves what was recorded.
+"""
+_STATUS_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>streamlod</title>
+<style>body{font:16px system-ui;margin:2em;max-width:50em}td{padding:.2em 1em .2em 0}</style>
+<h1>streamlod</h1><table id="t"></table><p><a href="/docs">REST interface</a></p>
+<script>
+async function show() {
+  const answer = await fetch('/v1/streams'); const list = await answer.json();
+  document.getElementById('t').replaceChildren(...list.items.map(s => {
+    const row = document.createElement('tr');
+    for (const text of [s.id, s.state, s.detail, 'frame ' + (s.version ?? '-'), s.viewers + ' viewers'])
+      row.appendChild(document.createElement('td')).textContent = text;
+    return row; }));
+}
+show(); setInterval(show, 2000);
+</script></html>"""
+_PAGE_POLICY = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "X-Frame-Options": "SAMEORIGIN",
+}
+
+
+def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAPI:
+    """The application with its streams, which start with its lifespan.
+
+    Raises:
+        InputError: tokens, state folder or streams cannot be used.
+    """
+    registry = Registry(settings, specs)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        registry.start()
+        yield
+        await registry.drain()
+
+    app = FastAPI(title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, redoc_url=None)
+    app.state.registry = registry
+    _add_errors(app)
+    app.include_router(live.router)
+    app.include_router(streams.router)
+    app.include_router(downloads.router)
+    _add_health(app)
+    _add_page(app)
+
+    @app.middleware("http")
+    async def secure(request: Request, call_next: Any) -> Response:
+        response: Response = await call_next(request)
+        for name, value in _PAGE_POLICY.items():
+            response.headers.setdefault(name, value)
+        return response
+
+    return app
+
+
+def _add_errors(app: FastAPI) -> None:
+    @app.exception_handler(Problem)
+    async def problem(_: Request, error: Problem) -> Response:
+        return problem_response(error.status, error.detail, error.headers)
+
+    @app.exception_handler(HTTPException)
+    async def http(_: Request, error: HTTPException) -> Response:
+        headers = dict(error.headers) if error.headers else None
+        return problem_response(error.status_code, str(error.detail), headers)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(_: Request, error: RequestValidationError) -> Response:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        return problem_response(422, f"{place}: {first['msg']}")
+
+
+def _add_health(app: FastAPI) -> None:
+    @app.get("/healthz", tags=["health"], summary="Whether the process works")
+    async def healthz() -> Health:
+        """Always 200 while the process answers."""
+        return Health(status="ok")
+
+    @app.get("/readyz", tags=["health"], summary="Whether viewers may come", responses={503: {"model": Health}})
+    async def readyz(request: Request, response: Response) -> Health:
+        """503 while stopping, and while a stream has failed or the disk of the recordings is full."""
+        registry = registry_of(request)
+        failed = [name for name, stream in registry.streams.items() if stream.state == "failed"]
+        detail = ""
+        if registry.draining:
+            detail = "the server is stopping"
+        elif failed:
+            detail = f"stream {failed[0]} has failed"
+        elif registry.store is not None and not registry.store.has_room:
+            detail = "the disk is full up to its reserve"
+        response.status_code = 503 if detail else 200
+        return Health(status="not ready" if detail else "ok", detail=detail)
+
+
+def _add_page(app: FastAPI) -> None:
+    folder = _page_folder()
+    if folder is not None:
+        app.mount("/", StaticFiles(directory=folder, html=True), name="page")
+        return
+
+    @app.get("/", include_in_schema=False)
+    async def status() -> HTMLResponse:
+        return HTMLResponse(_STATUS_PAGE)
+
+
+def _page_folder() -> Path | None:
+    """The viewer page, if its package is installed; found without importing it."""
+    package = importlib.util.find_spec("client")
+    for place in (package.submodule_search_locations or []) if package else []:
+        folder = Path(place) / "web"
+        if (folder / "index.html").is_file():
+            return folder
+    return None

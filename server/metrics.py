@@ -1,0 +1,83 @@
+"""Prometheus metrics, read from the registry when they are asked for; nothing is counted twice."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from server.registry import Registry
+
+_GAUGES = {
+    "viewers": "viewers connected",
+    "live": "1 while packets come",
+    "window_bytes": "packets kept in memory",
+    "seconds_since_packet": "age of the newest packet",
+    "train_seconds": "training time of the newest frame",
+    "anchors": "anchors of the newest state",
+}
+_COUNTERS = {
+    "packets": "packets published",
+    "packet_bytes": "bytes of packets published",
+    "sent_bytes": "bytes of packets sent to viewers",
+    "skips": "times a viewer was brought forward by one residual",
+    "stuck": "viewers cut off for taking nothing",
+    "joins": "viewers that said hello",
+    "worker_restarts": "workers that had to be restarted",
+    "recording_lost_packets": "packets that were not recorded",
+}
+
+
+class StreamCollector(Collector):
+    """Turns the registry's state into metric families, with a label for the stream."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+
+    def collect(self) -> Iterable[Metric]:
+        """All families."""
+        gauges = {
+            name: GaugeMetricFamily(f"streamlod_{name}", text, labels=["stream"]) for name, text in _GAUGES.items()
+        }
+        counters = {
+            name: CounterMetricFamily(f"streamlod_{name}", text, labels=["stream"]) for name, text in _COUNTERS.items()
+        }
+        for label, stream in list(self._registry.streams.items()):
+            counts, recording = stream.counters, stream.bus.recording
+            scene = stream.hub.scene
+            values = {
+                "viewers": stream.viewers,
+                "live": float(stream.state == "live"),
+                "window_bytes": stream.bus.window.size_bytes,
+                "seconds_since_packet": time.monotonic() - stream.live_at if stream.live_at else 0.0,
+                "train_seconds": float((stream.report or {}).get("total_seconds", 0.0)),
+                "anchors": scene.anchor_count if scene else 0,
+            }
+            for name, value in values.items():
+                gauges[name].add_metric([label], value)
+            totals = {
+                "packets": counts.packets,
+                "packet_bytes": counts.packet_bytes,
+                "sent_bytes": counts.sent_bytes,
+                "skips": counts.skips,
+                "stuck": counts.stuck,
+                "joins": counts.joins,
+                "worker_restarts": stream.restarts,
+                "recording_lost_packets": recording.lost_packets if recording else 0,
+            }
+            for name, value in totals.items():
+                counters[name].add_metric([label], value)
+        yield from gauges.values()
+        yield from counters.values()
+        refused = CounterMetricFamily("streamlod_refused_tokens", "requests with a wrong token")
+        refused.add_metric([], self._registry.gate.refused)
+        yield refused
+
+
+def collector_registry(registry: Registry) -> CollectorRegistry:
+    """A Prometheus registry over the server's."""
+    collectors = CollectorRegistry()
+    collectors.register(StreamCollector(registry))
+    return collectors

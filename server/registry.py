@@ -1,0 +1,95 @@
+"""All streams of the server, and what they share."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+from core.errors import InputError
+from server.auth import Gate
+from server.settings import Settings
+from server.spec import StreamSpec, spec_from_json
+from server.store import Store
+from server.stream import Stream
+from server.viewer import ViewerSession
+
+_LOG = logging.getLogger(__name__)
+
+
+class Registry:
+    """The running server's contents.
+
+    Args:
+        settings: of the server.
+        specs: streams to begin with; they are started when the server is up.
+
+    Raises:
+        InputError: two streams have one id, or the state folder cannot be used.
+    """
+
+    def __init__(self, settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> None:
+        self.settings = settings
+        self.gate = Gate(settings)
+        self.store = Store(settings.state, settings.retention) if settings.state else None
+        self.streams: dict[str, Stream] = {}
+        self.sessions: dict[ViewerSession, str] = {}  # with the viewer's address
+        self.draining = False
+        self._drained = False
+        self._initial = [spec.id for spec in specs]
+        for spec in specs:
+            if spec.id in self.streams:
+                raise InputError(f"stream {spec.id}", "two streams cannot have one id")
+            self._add(spec)
+        for name, definition in (self.store.definitions() if self.store else {}).items():
+            if name not in self.streams:
+                self._add(spec_from_json(definition))
+
+    def start(self) -> None:
+        """Start the streams of the command line."""
+        for name in self._initial:
+            self.streams[name].start()
+
+    async def create(self, spec: StreamSpec) -> Stream:
+        """Add a stream, idle, and remember it.
+
+        Raises:
+            InputError: the id is taken, or there are too many streams.
+        """
+        if spec.id in self.streams:
+            raise InputError(f"stream {spec.id}", "there is one of that id already")
+        if len(self.streams) >= self.settings.limits.streams:
+            raise InputError(f"stream {spec.id}", f"there are {len(self.streams)} streams, and no more are allowed")
+        stream = self._add(spec)
+        if self.store is not None:
+            store = self.store
+            await store.run(lambda: store.define(spec.id, spec.to_json()))
+        return stream
+
+    async def delete(self, name: str) -> None:
+        """Remove a stream with its recording."""
+        stream = self.streams.pop(name)
+        await stream.delete()
+        if self.store is not None:
+            store = self.store
+            await store.run(lambda: store.define(name, None))
+
+    async def drain(self) -> None:
+        """Tell viewers to go, wait for them, stop workers and finish recordings; once."""
+        self.draining = True
+        if self._drained:
+            return
+        self._drained = True
+        for session in self.sessions:
+            session.draining = True
+            session.wake.set()
+        limit = asyncio.get_running_loop().time() + self.settings.drain_seconds / 2
+        while self.sessions and asyncio.get_running_loop().time() < limit:
+            await asyncio.sleep(0.02)
+        await asyncio.gather(*(stream.stop() for stream in self.streams.values()), return_exceptions=True)
+        if self.store is not None:
+            await asyncio.to_thread(self.store.close)
+
+    def _add(self, spec: StreamSpec) -> Stream:
+        recording = self.store.recording(spec.id) if self.store else None
+        self.streams[spec.id] = Stream(spec, self.settings, recording)
+        return self.streams[spec.id]

@@ -1,0 +1,135 @@
+"""Running the server as a process: sockets, signals, metrics, the end."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import signal
+import socket
+import sys
+from collections.abc import Iterator, Sequence
+from types import FrameType
+
+import uvicorn
+from prometheus_client import start_http_server
+
+from core.errors import InputError, StreamlodError
+from server.app import create_app
+from server.metrics import collector_registry
+from server.registry import Registry
+from server.settings import Settings
+from server.spec import StreamSpec
+from server.wire import websocket_class
+
+_LOG = logging.getLogger(__name__)
+_BACKLOG = 2048
+
+
+class Server(uvicorn.Server):
+    """uvicorn, with viewers told to go before connections are closed."""
+
+    def __init__(self, config: uvicorn.Config, registry: Registry) -> None:
+        super().__init__(config)
+        self._registry = registry
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await self._registry.drain()
+        await super().shutdown(sockets)
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._registry.draining = True
+        super().handle_exit(sig, frame)
+
+
+def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
+    """Serve until SIGTERM or SIGINT; SIGHUP reads tokens and certificates again.
+
+    Raises:
+        InputError: an address in use, or settings, tokens or state that cannot be used.
+    """
+    settings.check()
+    listener = _bind(settings.host, settings.port)
+    try:
+        app = create_app(settings, tuple(streams))
+        registry: Registry = app.state.registry
+        config = server_config(app, settings)
+        if settings.metrics_port is not None:
+            _start_metrics(settings, registry)
+        server = Server(config, registry)
+        with _reload_on_hangup(config, registry):
+            host, port = listener.getsockname()[:2]
+            scheme = "https" if settings.certificate else "http"
+            _LOG.info("listening at %s://%s:%d", scheme, f"[{host}]" if ":" in host else host, port)
+            server.run(sockets=[listener])
+    finally:
+        listener.close()
+
+
+def server_config(app: object, settings: Settings) -> uvicorn.Config:
+    """uvicorn's configuration for an application of `create_app`."""
+    limits = settings.limits
+    return uvicorn.Config(
+        app,  # type: ignore[arg-type]
+        ws=websocket_class(limits.viewer_bytes),
+        ws_per_message_deflate=False,
+        ws_max_size=limits.message_bytes,
+        ws_ping_interval=20,
+        ws_ping_timeout=60,
+        limit_concurrency=limits.connections,
+        timeout_graceful_shutdown=2,
+        timeout_keep_alive=15,
+        lifespan="on",
+        access_log=False,
+        log_config=None,
+        server_header=False,
+        ssl_certfile=settings.certificate,
+        ssl_keyfile=settings.certificate_key,
+    )
+
+
+def _bind(host: str, port: int) -> socket.socket:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise InputError(f"--host {host}", f"is not an address of this machine ({error.strerror})") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(_BACKLOG)
+    except OSError as error:
+        listener.close()
+        fault = f"cannot be listened on at {host} ({error.strerror}); stop what uses it, or choose another --port"
+        raise InputError(f"port {port}", fault) from error
+    return listener
+
+
+def _start_metrics(settings: Settings, registry: Registry) -> None:
+    assert settings.metrics_port is not None
+    try:
+        start_http_server(settings.metrics_port, settings.metrics_host, collector_registry(registry))
+    except OSError as error:
+        raise InputError(
+            f"metrics port {settings.metrics_port}", f"cannot be listened on ({error.strerror})"
+        ) from error
+
+
+@contextlib.contextmanager
+def _reload_on_hangup(config: uvicorn.Config, registry: Registry) -> Iterator[None]:
+    def reload(_: int, __: FrameType | None) -> None:
+        try:
+            registry.gate.reload()
+            if config.ssl is not None and config.ssl_certfile is not None:
+                config.ssl.load_cert_chain(config.ssl_certfile, config.ssl_keyfile)
+            _LOG.info("tokens and certificates were read again")
+        except (StreamlodError, OSError) as error:
+            _LOG.error("not reloaded, the earlier ones stay: %s", error)
+
+    if sys.platform == "win32":
+        yield
+        return
+    earlier = signal.signal(signal.SIGHUP, reload)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, earlier)

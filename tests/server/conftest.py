@@ -1,0 +1,188 @@
+"""A real server on loopback, fed from recorded files that the codec wrote."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import httpx
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+from codec.container import SlodWriter
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind
+from core.anchors import Scene
+from core.residual import difference
+from server.app import create_app
+from server.registry import Registry
+from server.run import Server, server_config
+from server.settings import Settings
+from server.spec import StreamSpec
+from tests.codec.scenes import make_scene, move
+
+FRAME_NS = 20_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """A recorded file and the states that it holds."""
+
+    path: Path
+    states: list[Scene]
+    packets: list[bytes]
+
+
+def make_clip(path: Path, frames: int, counts: tuple[int, ...] = (10, 40, 120), key_every: int = 10**9) -> Clip:
+    """A clip of moving anchors, a keyframe every `key_every` frames."""
+    state, states, packets = make_scene(counts), [], []
+    for version in range(frames):
+        if version % key_every == 0:
+            state = _as_keyframe(make_scene(counts, seed=version), version)
+            packets.append(encode_keyframe(state, time_ns=version * FRAME_NS, profile=0))
+        else:
+            before, state = state, move(state, seed=version)
+            residual = difference(before, state)
+            packets.append(
+                encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=version * FRAME_NS, profile=0)
+            )
+        states.append(state)
+    with SlodWriter(path) as writer:
+        for packet in packets:
+            writer.append(packet)
+    return Clip(path, states, packets)
+
+
+def _as_keyframe(scene: Scene, version: int) -> Scene:
+    return Scene(scene.header, scene.weights, scene.levels, version, version)
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A server in a thread."""
+
+    registry: Registry
+    port: int
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def client(self, **options: Any) -> httpx.Client:
+        return httpx.Client(base_url=self.url, timeout=10, trust_env=False, **options)
+
+    def stream(self, name: str = "main") -> dict[str, Any]:
+        with self.client() as client:
+            return client.get(f"/v1/streams/{name}").json()  # type: ignore[no-any-return]
+
+    def wait(self, done: Callable[[dict[str, Any]], bool], name: str = "main", seconds: float = 20) -> dict[str, Any]:
+        limit = time.monotonic() + seconds
+        while not done(found := self.stream(name)):
+            assert time.monotonic() < limit, found
+            time.sleep(0.02)
+        return found
+
+
+@contextmanager
+def running(settings: Settings, *specs: StreamSpec) -> Iterator[Running]:
+    """A server on a free port of loopback."""
+    listener = socket.socket()
+    listener.bind(("127.0.0.1", 0))
+    listener.listen(256)
+    app = create_app(settings, specs)
+    server = Server(server_config(app, settings), app.state.registry)
+    thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])))
+    thread.start()
+    try:
+        limit = time.monotonic() + 10
+        while not server.started:
+            assert time.monotonic() < limit
+            assert thread.is_alive()
+            time.sleep(0.01)
+        yield Running(app.state.registry, listener.getsockname()[1])
+    finally:
+        server.should_exit = True
+        thread.join(15)
+        listener.close()
+        assert not thread.is_alive()
+
+
+class Viewer:
+    """A minimal viewer of docs/protocol.md that decodes everything and keeps all events."""
+
+    def __init__(self, connection: ClientConnection, acknowledge: bool = True) -> None:
+        self.connection, self.acknowledge = connection, acknowledge
+        self.decoder = SceneDecoder()
+        self.events: list[dict[str, Any]] = []
+        self.welcome: dict[str, Any] = {}
+        self.received = self.packets = 0
+        self.epoch = 0
+
+    def send(self, **message: Any) -> None:
+        self.connection.send(json.dumps(message))
+
+    def hello(self, **fields: Any) -> Self:
+        self.send(type="hello", versions=[1], client="test/1", **fields)
+        self.welcome = json.loads(self.connection.recv(10))
+        assert self.welcome["type"] == "welcome"
+        return self
+
+    def step(self, seconds: float = 10) -> bytes | dict[str, Any]:
+        """Take the next message; a packet is decoded."""
+        message = self.connection.recv(seconds)
+        if isinstance(message, str):
+            event: dict[str, Any] = json.loads(message)
+            self.events.append(event)
+            return event
+        self.decoder.push(message)
+        self.received += len(message)
+        self.packets += 1
+        if self.acknowledge and self.packets % self.welcome["ack_every"] == 0:
+            self.send(type="ack", bytes=self.received, epoch=1, version=0)
+        return message
+
+    def until(self, name: str) -> dict[str, Any]:
+        """Step to the next event of that name."""
+        while True:
+            message = self.step()
+            if isinstance(message, dict) and message["event"] == name:
+                return message
+
+    def next_packet(self) -> None:
+        """Step to the next packet."""
+        while not isinstance(self.step(), bytes):
+            pass
+
+    def until_version(self, version: int) -> Scene:
+        """Step until all levels are at a version of at least `version`."""
+        while not self.decoder.versions or min(self.decoder.versions) < version:
+            self.step()
+        assert self.decoder.scene is not None
+        return self.decoder.scene
+
+    def named(self, name: str) -> list[dict[str, Any]]:
+        return [event for event in self.events if event["event"] == name]
+
+
+@contextmanager
+def viewing(server: Running, name: str = "main", *, acknowledge: bool = True, **options: Any) -> Iterator[Viewer]:
+    """A connected viewer that has not said hello yet."""
+    address = f"ws://127.0.0.1:{server.port}/v1/streams/{name}/live"
+    options = {"subprotocols": ["streamlod.v1"], "compression": None, "max_size": 2**24, "proxy": None, **options}
+    with connect(address, **options) as connection:
+        yield Viewer(connection, acknowledge)
+
+
+@pytest.fixture(scope="session")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    """Two seconds at 50 frames a second with two keyframes."""
+    return make_clip(tmp_path_factory.mktemp("clip") / "scene.slod", 100, key_every=60)

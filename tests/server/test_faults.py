@@ -1,0 +1,180 @@
+"""Slow, stuck and hostile peers: they cost little, and nobody else notices."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind
+from core.residual import difference
+from server.hub import Hub
+from server.packets import stream_packet
+from server.settings import Limits, Settings
+from server.spec import StreamSpec
+from tests.codec.scenes import assert_same_level, assert_same_state, make_scene, move
+from tests.server.conftest import Clip, make_clip, running, viewing
+
+HANDSHAKE = (
+    "GET /v1/streams/main/live HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+    "Sec-WebSocket-Protocol: streamlod.v1\r\n\r\n"
+)
+
+
+@pytest.fixture(scope="module")
+def heavy(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    """A clip with packets large enough to fill socket buffers."""
+    return make_clip(tmp_path_factory.mktemp("heavy") / "scene.slod", 150, counts=(50, 500, 4000))
+
+
+def raw(port: int, receive_bytes: int | None = None) -> socket.socket:
+    """A socket after the websocket handshake, with a small receive buffer if wanted."""
+    peer = socket.socket()
+    if receive_bytes is not None:
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
+    peer.settimeout(10)
+    peer.connect(("127.0.0.1", port))
+    peer.sendall(HANDSHAKE.encode())
+    assert b"101" in peer.recv(4096)
+    return peer
+
+
+def masked(opcode: int, data: bytes) -> bytes:
+    """A client's websocket frame with a mask of zeros."""
+    size = bytes((0x80 | len(data),)) if len(data) < 126 else b"\xfe" + len(data).to_bytes(2, "big")
+    return bytes((0x80 | opcode,)) + size + bytes(4) + data
+
+
+def test_a_stuck_viewer_is_cut_off_and_others_go_on(heavy: Clip) -> None:
+    limits = Limits(stuck_seconds=1.0, viewer_lag_seconds=0.3, viewer_bytes=16384)
+    with running(Settings(limits=limits), StreamSpec(play=heavy.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        with raw(server.port, 4096) as stuck, viewing(server) as viewer:
+            stuck.sendall(masked(1, b'{"type":"hello","versions":[1]}'))
+            viewer.hello()
+            viewer.until("caught_up")
+            counters = server.registry.streams["main"].counters
+            limit = time.monotonic() + 15
+            while counters.stuck == 0:
+                viewer.step()
+                assert time.monotonic() < limit
+            viewer.until_version(0)
+            assert server.stream()["viewers"] == 1
+            scene = viewer.decoder.scene
+            assert scene is not None
+            for number, version in enumerate(viewer.decoder.versions):
+                assert_same_level(heavy.states[version].levels[number], scene.levels[number])
+
+
+def test_a_slow_viewer_skips_and_its_frames_stay_exact(heavy: Clip) -> None:
+    limits = Limits(viewer_lag_seconds=0.2)
+    with running(Settings(limits=limits), StreamSpec(play=heavy.path, loop=False)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        with viewing(server) as viewer:
+            viewer.hello(kilobytes_per_second=200)
+            while not viewer.named("skipped"):
+                viewer.step()
+            last = heavy.states[-1].version
+            while not viewer.decoder.versions or viewer.decoder.versions[0] < last:
+                viewer.step()
+            scene = viewer.decoder.scene
+            assert scene is not None
+            assert_same_level(heavy.states[-1].levels[0], scene.levels[0])
+
+
+def test_connections_that_never_speak_websocket_properly_do_no_harm(clip: Clip) -> None:
+    with running(Settings(limits=Limits(hello_seconds=0.3)), StreamSpec(play=clip.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        peers = [raw(server.port) for _ in range(50)]  # no hello
+        giant = raw(server.port)
+        giant.sendall(b"\x81\xff" + (2**63 - 1).to_bytes(8, "big") + bytes(4))
+        unmasked = raw(server.port)
+        unmasked.sendall(b"\x81\x02{}")
+        reserved = raw(server.port)
+        reserved.sendall(masked(3, b""))
+        for peer, code in ((giant, 1009), (unmasked, 1002), (reserved, 1002)):
+            frame = b""
+            while len(frame) < 4 and (more := peer.recv(4096)):
+                frame += more
+            assert int.from_bytes(frame[2:4], "big") == code
+        for peer in peers:
+            frame = peer.recv(4096)
+            assert int.from_bytes(frame[2:4], "big") == 4408
+        with viewing(server) as viewer:
+            viewer.hello()
+            viewer.until("caught_up")
+        for peer in (*peers, giant, unmasked, reserved):
+            peer.close()
+
+
+def test_a_worker_that_sends_rubbish_is_replaced_and_gives_up_in_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "bad.slod"
+    clip = make_clip(path, 3)
+    data = bytearray(path.read_bytes())
+    at = data.index(clip.packets[1]) + len(clip.packets[1]) - 20
+    data[at] ^= 0xFF
+    path.write_bytes(data)
+    settings = Settings.model_validate({"worker": {"attempts": 2, "first_delay_seconds": 0.01}})
+    with running(settings, StreamSpec(play=path)) as server:
+        found = server.wait(lambda stream: stream["restarts"] >= 2)
+        assert "unusable" in found["detail"] or found["state"] in {"degraded", "live", "starting"}
+        with server.client() as client:
+            assert client.get("/healthz").status_code == 200
+
+
+def test_a_missing_file_fails_at_once_with_one_sentence(tmp_path: Path) -> None:
+    with running(Settings(), StreamSpec(play=tmp_path / "none.slod")) as server:
+        found = server.wait(lambda stream: stream["state"] == "failed")
+        assert "none.slod" in found["detail"]
+        assert found["restarts"] == 0
+        with server.client() as client:
+            assert client.get("/readyz").status_code == 503
+
+
+def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
+    async def run(seed: int) -> None:
+        chooser, hub = random.Random(seed), Hub(10**7)
+        states = [make_scene((5, 20, 40), seed=seed)]
+        await hub.accept(stream_packet(0, 1, encode_keyframe(states[0], time_ns=0, profile=0)))
+        decoder, number = SceneDecoder(), None
+        for version in range(1, 25):
+            states.append(move(states[-1], seed=version))
+            residual = difference(states[-2], states[-1])
+            packet = encode_residual(states[-2], residual, kind=PacketKind.PREDICTED, time_ns=version, profile=0)
+            await hub.accept(stream_packet(version, 1, packet))
+            match chooser.choice(["nothing", "join", "next", "skip"]):
+                case "join":
+                    decoder = SceneDecoder()
+                    for part in hub.key_parts(0, 2):
+                        decoder.push(unframed(part))
+                    newest, frame = await hub.catch_up(0, 2)
+                    if frame:
+                        decoder.push(unframed(frame))
+                    number = newest.number
+                case "next" if number is not None:
+                    following = hub.window.after(number)
+                    if following is not None:
+                        decoder.push(unframed(following.framed(3)))
+                        number = following.number
+                case "skip" if number is not None and number < version:
+                    newest, frame = await hub.skip(number, 3)
+                    decoder.push(unframed(frame))
+                    number = newest.number
+            if number is not None:
+                assert_same_state(states[number], decoder.scene)
+
+    for seed in range(20):
+        asyncio.run(run(seed))
+
+
+def unframed(frame: bytes) -> bytes:
+    """The payload of a websocket frame."""
+    size = frame[1]
+    return frame[2 if size < 126 else 4 if size == 126 else 10 :]
