@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError, StreamlodError
+from core.errors import InputError
 
 _LOG = logging.getLogger(__name__)
 _POLL_SECONDS = 0.5
@@ -58,24 +57,82 @@ def run_demo(settings: DemoSettings) -> None:
     begin = time.monotonic()
     settings.out.mkdir(parents=True, exist_ok=True)
     clip, scene = settings.out / "clip", settings.out / "scene.slod"
-    _step("writing a synthetic clip", "synth", clip, "--cameras", settings.cameras, "--frames", settings.frames,
-          "--size", settings.size, "--overwrite")
+    _step(
+        "writing a synthetic clip",
+        "synth",
+        clip,
+        "--cameras",
+        settings.cameras,
+        "--frames",
+        settings.frames,
+        "--size",
+        settings.size,
+        "--overwrite",
+    )
     with _server(settings, clip) as base:
         live = base.replace("http", "ws", 1) + "/v1/streams/main/live"
-        first = _wait(base, "the first picture", lambda stream: stream["version"] is not None)
-        _LOG.info("first picture after %.0f s", time.monotonic() - begin)
-        _step("watching live, from a moving viewpoint", "view", live, "--orbit", "--frames", settings.frames,
-              "--out", settings.out / "orbit.mp4")
-        _wait(base, "the last frame", lambda stream: stream["state"] == "ended")
+        _wait(base, "the first picture", lambda stream: stream["version"] is not None)
+        first_picture = time.monotonic() - begin
+        _LOG.info("first picture after %.0f s", first_picture)
+        _step(
+            "watching live, from a moving viewpoint",
+            "view",
+            live,
+            "--orbit",
+            "--frames",
+            settings.frames,
+            "--out",
+            settings.out / "orbit.mp4",
+        )
+        stream = _wait(base, "the last frame", lambda stream: stream["state"] == "ended")
         _download(f"{base}/v1/streams/main/bitstream", scene)
-        _step("measuring the held-out camera", "evaluate", scene, clip, "--test", "cam00",
-              "--json", settings.out / "report.json", "--save-images", settings.out / "held-out")
-        summary = _summary(settings, base, scene, first, time.monotonic() - begin)
+        _step(
+            "measuring the held-out camera",
+            "evaluate",
+            scene,
+            clip,
+            "--test",
+            "cam00",
+            "--json",
+            settings.out / "report.json",
+            "--save-images",
+            settings.out / "held-out",
+        )
+        summary = _summary(settings, scene, stream, first_picture, time.monotonic() - begin)
         (settings.out / "summary.md").write_text(summary)
-        sys.stderr.write(summary)
+        sys.stderr.write("\n" + summary)
         if settings.stay:
             sys.stderr.write(f"\nOpen {base}/ to look around; Ctrl-C ends.\n")
             _sleep_until_interrupted()
+
+
+def _summary(settings: DemoSettings, scene: Path, stream: dict[str, Any], first_picture: float, total: float) -> str:
+    """One page of figures, in Markdown."""
+    report = json.loads((settings.out / "report.json").read_text())
+    mean, stages = report["mean"], (stream.get("report") or {}).get("seconds") or {}
+    rows = [
+        ("held-out PSNR (cam00)", f"{mean['psnr']:.2f} dB"),
+        ("held-out SSIM", f"{mean['ssim']:.4f}"),
+        ("keyframe", f"{mean['keyframe_kilobytes']:.0f} KB"),
+        ("predicted frame", f"{mean['predicted_kilobytes']:.1f} KB"),
+        ("rendering, everything included", f"{mean['render_fps']:.0f} frames/s"),
+        ("first picture after", f"{first_picture:.0f} s"),
+        ("whole demo", f"{total:.0f} s"),
+        *((f"last frame, {name}", f"{seconds:.2f} s") for name, seconds in stages.items()),
+    ]
+    table = "\n".join(f"| {name} | {value} |" for name, value in rows)
+    return f"""# streamlod demo
+
+{settings.cameras} synthetic cameras of {settings.size}, {settings.views} of them trained live, cam00 held out.
+
+| | |
+| --- | --- |
+{table}
+
+- `orbit.mp4`: what a websocket client saw from a moving viewpoint while the scene trained
+- `held-out/`: the held-out camera, truth beside rendering
+- `{scene.name}`: the recording; try `streamlod info {scene}`
+"""
 
 
 def _step(what: str, *arguments: object) -> None:
@@ -90,9 +147,26 @@ def _step(what: str, *arguments: object) -> None:
 def _server(settings: DemoSettings, clip: Path) -> Iterator[str]:
     """A running `streamlod serve` over the clip; yields its address and stops it in the end."""
     log = (settings.out / "server.log").open("w")
-    command = [sys.executable, "-m", "server.cli", "serve", "--data", str(clip), "--preset", "live",
-               "--views", str(settings.views), "--test", "cam00", "--host", settings.host, "--port", str(settings.port),
-               "--state-dir", str(settings.out / "state")]
+    command = [
+        sys.executable,
+        "-m",
+        "server.cli",
+        "serve",
+        "--data",
+        str(clip),
+        "--preset",
+        "live",
+        "--views",
+        str(settings.views),
+        "--test",
+        "cam00",
+        "--host",
+        settings.host,
+        "--port",
+        str(settings.port),
+        "--state-dir",
+        str(settings.out / "state"),
+    ]
     _LOG.info("starting the server")
     process = subprocess.Popen(command, stderr=log, stdout=log)
     base = f"http://{settings.host}:{settings.port}"
@@ -129,7 +203,7 @@ def _get(url: str) -> Any:
         return json.load(answer)
 
 
-def _wait(base: str, what: str, done: Any) -> dict[str, Any]:
+def _wait(base: str, what: str, done: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
     """Poll the stream until `done(stream)`; its progress is logged."""
     limit, told = time.monotonic() + _TRAIN_SECONDS, ""
     while time.monotonic() < limit:
@@ -139,7 +213,9 @@ def _wait(base: str, what: str, done: Any) -> dict[str, Any]:
         if done(stream):
             return stream
         progress = stream.get("progress") or {}
-        text = f"waiting for {what}: {stream['state']}, {100 * (progress.get('fraction') or 0):.0f} % of the first frame"
+        text = (
+            f"waiting for {what}: {stream['state']}, {100 * (progress.get('fraction') or 0):.0f} % of the first frame"
+        )
         if stream["version"] is not None:
             text = f"waiting for {what}: frame {stream['version']}"
         if text != told:
