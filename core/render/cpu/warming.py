@@ -12,6 +12,8 @@ from core.arrays import Float32
 from core.camera import pinhole
 from core.gaussians import GaussianCloud
 from core.render.cpu.frame import backward, forward
+from core.render.cpu.kernels.dirty import find_touching, mark_tiles
+from core.render.cpu.photometric import photometric_sums
 from core.render.cpu.workspace import Workspace
 
 _LOG = logging.getLogger(__name__)
@@ -32,6 +34,17 @@ def warm(tell: Callable[[str], None] | None = None) -> None:
     frame = forward(workspace, cloud, camera, background)
     tell("compiling the rasteriser's backward kernels")
     backward(workspace, frame, cloud, np.ones_like(frame.image))
+    tell("compiling the loss and the search for dirty tiles")
+    photometric_sums(frame.image, frame.image, 0.2, (0, 0, 8, 8))
+    find_touching(
+        1,
+        frame.records,
+        np.zeros((1, 4), np.int32),
+        np.ones(1, np.float32),
+        np.ones((1, 1), np.uint8),
+        np.ones(1, np.uint8),
+    )
+    mark_tiles(frame.records, np.ones(1, np.float32), np.float32(0), np.float32(1), np.zeros((1, 1), np.uint8))
     tell(f"rasteriser ready after {time.perf_counter() - started:.1f} s")
 
 

@@ -1,0 +1,62 @@
+"""The gsplat backend against the float64 reference. Needs a CUDA device and gsplat."""
+
+import pytest
+import torch
+
+from core.render.backends import cuda_fault
+from core.render.tiles import tile_grid
+from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, relative, run
+
+fault = cuda_fault()
+pytestmark = [pytest.mark.cuda, pytest.mark.skipif(fault is not None, reason=f"no CUDA backend here: {fault}")]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_picture_and_gradients_equal_the_reference(seed: int) -> None:
+    cloud, camera = make_cloud(400, seed=seed), make_camera(61, 47)
+    found, wanted = run(cloud, camera, "cuda", device="cuda"), run(cloud, camera, "reference")
+    assert float((found.image - wanted.image).abs().max()) < 5e-3  # a contribution at 1/255 may or may not count
+    assert float((found.image - wanted.image).abs().mean()) < 1e-5
+    for name in NAMES:
+        assert relative(found.gradients[name], wanted.gradients[name]) < 1e-3, name
+
+
+def test_probe_counts_in_halves_of_the_picture() -> None:
+    cloud, camera = make_cloud(100), make_camera(61, 47)
+    found, wanted = run(cloud, camera, "cuda", device="cuda"), run(cloud, camera, "cpu")
+    both = sorted(set(found.probe.visible.tolist()) & set(wanted.probe.visible.tolist()))
+    assert len(both) > 50
+    for k in both:
+        a = found.probe.gradients[found.probe.visible.cpu() == k].cpu()
+        b = wanted.probe.gradients[wanted.probe.visible == k]
+        assert torch.allclose(a, b, rtol=1e-2, atol=1e-2)
+    absolute = found.probe.absolute
+    assert absolute is not None
+    assert (absolute >= found.probe.gradients.abs() - 1e-4).all()
+
+
+def test_only_the_first_rows_get_gradients() -> None:
+    outcome = run(make_cloud(100), make_camera(), "cuda", gradient_rows=30, device="cuda")
+    for name in NAMES:
+        assert not outcome.gradients[name][30:].any()
+    assert int(outcome.probe.visible.max()) < 30
+
+
+def test_tiles_outside_the_mask_come_from_the_base() -> None:
+    from core.render import rasterise
+
+    cloud, camera = make_cloud(100), make_camera(100, 60)
+    parameters = [torch.tensor(getattr(cloud, name), device="cuda") for name in NAMES]
+    background = torch.tensor(BACKGROUND, device="cuda")
+    mask = torch.zeros(tile_grid(100, 60), dtype=torch.bool, device="cuda")
+    mask[1, 1] = True
+    base = torch.rand(60, 100, 3, device="cuda")
+    whole = rasterise(*parameters, camera, background, backend="cuda").image  # type: ignore[arg-type, misc]
+    part = rasterise(*parameters, camera, background, tile_mask=mask, base=base, backend="cuda").image  # type: ignore[arg-type, misc]
+    assert torch.equal(part[16:32, 32:64], whole[16:32, 32:64])
+    assert torch.equal(part[:16], base[:16])
+
+
+def test_nothing_to_draw_gives_the_background() -> None:
+    outcome = run(make_cloud(0), make_camera(), "cuda", device="cuda")
+    assert float((outcome.image - torch.tensor(BACKGROUND).double()).abs().max()) < 1e-7

@@ -1,0 +1,225 @@
+"""What extreme inputs give: always finite pictures and gradients, and what docs/numerics.md says of each."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.camera import Camera, pinhole
+from core.gaussians import GaussianCloud, concatenate
+from core.render.cpu import render
+from tests.core.render.scenes import BACKGROUND, NAMES, Outcome, make_camera, make_cloud, relative, run
+
+CAMERA = make_camera()
+COUNT, ODD = 60, slice(0, 12)  # Gaussians of the scene, and those made extreme
+SHAPES: dict[str, tuple[int, ...]] = {
+    "means": (3,),
+    "quaternions": (4,),
+    "scales": (3,),
+    "opacities": (),
+    "colours": (3,),
+}
+
+
+def odd(name: str, value: float) -> GaussianCloud:
+    """The scene with one parameter of some Gaussians set to `value`."""
+    cloud = make_cloud(COUNT)
+    array = getattr(cloud, name).copy()
+    array[ODD] = value
+    return replace(cloud, **{name: array})
+
+
+def without_odd() -> GaussianCloud:
+    cloud = make_cloud(COUNT)
+    return GaussianCloud(*(np.ascontiguousarray(getattr(cloud, name)[ODD.stop :]) for name in NAMES))
+
+
+def check_finite(outcome: Outcome) -> None:
+    assert torch.isfinite(outcome.image).all()
+    assert ((outcome.transmittance >= 0) & (outcome.transmittance <= 1)).all()
+    for name in NAMES:
+        assert torch.isfinite(outcome.gradients[name]).all(), name
+
+
+def check_reference(cloud: GaussianCloud, camera: Camera = CAMERA, bound: float = 1e-4) -> None:
+    """Finite, and equal to the float64 reference."""
+    found, wanted = run(cloud, camera), run(cloud, camera, "reference")
+    check_finite(found)
+    check_finite(wanted)
+    assert float((found.image - wanted.image).abs().max()) < 1e-4
+    for name in NAMES:
+        assert relative(found.gradients[name], wanted.gradients[name]) < bound, name
+
+
+CULLED = [
+    *((name, value) for name in NAMES for value in (np.nan, np.inf, -np.inf)),
+    ("quaternions", 0.0),
+    ("opacities", 0.0),
+    ("opacities", -0.5),
+    ("scales", 1e18),
+    ("scales", 3e38),
+    ("means", 1e30),
+    ("colours", 1e32),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), CULLED)
+def test_unusable_gaussians_are_left_out(name: str, value: float) -> None:
+    cloud = odd(name, value)
+    for backend in ("cpu", "reference"):
+        found, wanted = run(cloud, CAMERA, backend), run(without_odd(), CAMERA, backend)  # type: ignore[arg-type]
+        check_finite(found)
+        assert torch.equal(found.image, wanted.image)
+        assert not any(found.gradients[n][ODD].any() for n in NAMES)
+        assert torch.equal(found.probe.visible, wanted.probe.visible + ODD.stop)
+
+
+DRAWN = [
+    ("scales", 0.0),
+    ("scales", -0.1),
+    ("scales", 1e-30),
+    ("scales", 1e-4),
+    ("scales", 30.0),
+    ("quaternions", 1e-12),
+    ("quaternions", 1e12),
+    ("opacities", 1.0),
+    ("opacities", 1.9),
+    ("opacities", 50.0),
+    ("opacities", 1 / 255 + 1e-6),
+    ("colours", -3.0),
+    ("colours", 1e4),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), DRAWN)
+def test_odd_gaussians_are_drawn_as_the_reference_draws_them(name: str, value: float) -> None:
+    if name == "colours" and value == 1e4:  # everything scales with it, the errors too
+        found, wanted = run(odd(name, value), CAMERA), run(odd(name, value), CAMERA, "reference")
+        check_finite(found)
+        assert relative(found.image, wanted.image) < 1e-5
+        return
+    check_reference(odd(name, value))
+
+
+def view(depth: float, count: int = 40, size: float = 0.3) -> tuple[GaussianCloud, Camera]:
+    """Gaussians about a point `depth` before a camera at the world's origin."""
+    cloud = make_cloud(count, seed=2, size=size, spread=abs(depth) / 4 + 1e-3)
+    camera = pinhole("origin", (45.0, 45.0), (24.0, 20.0), (48, 40), np.eye(4))
+    return replace(cloud, means=cloud.means + np.float32([0, 0, depth])), camera
+
+
+PLACES: dict[str, Callable[[], tuple[GaussianCloud, Camera]]] = {
+    "all behind": lambda: view(-50.0),
+    "on the camera centre": lambda: view(0.0),
+    "at the near plane": lambda: view(0.01),
+    "just before it": lambda: view(0.05, size=0.01),
+    "far away": lambda: view(1e5, size=2e4),
+    "none": lambda: (make_cloud(0), CAMERA),
+    "one": lambda: (make_cloud(1, size=0.5, spread=0.1), CAMERA),
+    "below a pixel": lambda: (make_cloud(500, size=1e-3), CAMERA),
+    "one pixel": lambda: (make_cloud(50, size=0.5), make_camera(1, 1, focal=2.0)),
+    "one row, 8192 wide": lambda: (make_cloud(20, size=0.1), make_camera(8192, 1, focal=6000.0)),
+    "focal length 1": lambda: (make_cloud(50), make_camera(focal=1.0)),
+    "focal length 1e6": lambda: (make_cloud(50), make_camera(focal=1e6)),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_extreme_views_equal_the_reference(place: str) -> None:
+    cloud, camera = PLACES[place]()
+    # A Gaussian that the camera all but touches is a needle thousands of pixels long: float32 keeps three digits of it.
+    close = place in ("on the camera centre", "at the near plane", "focal length 1e6")
+    found, wanted = run(cloud, camera), run(cloud, camera, "reference")
+    check_finite(found)
+    check_finite(wanted)
+    assert float((found.image - wanted.image).abs().mean()) < (1e-3 if close else 1e-6)
+    if not close:
+        for name in NAMES:
+            assert relative(found.gradients[name], wanted.gradients[name]) < 1e-4, name
+
+
+def scaled(factor: float) -> tuple[GaussianCloud, Camera]:
+    cloud = make_cloud(COUNT)
+    pose = CAMERA.world_to_camera.copy()
+    pose[:3, 3] *= factor
+    camera = replace(CAMERA, world_to_camera=pose)
+    return replace(cloud, means=cloud.means * np.float32(factor), scales=cloud.scales * np.float32(factor)), camera
+
+
+def test_a_scene_of_a_million_units_looks_the_same() -> None:
+    big, same = render(*scaled(1e6), BACKGROUND), render(*scaled(1.0), BACKGROUND)
+    assert np.abs(big.image - same.image).max() < 1e-4
+    check_finite(run(*scaled(1e6)))
+
+
+def test_a_scene_of_a_millionth_unit_lies_before_the_near_plane() -> None:
+    assert np.array_equal(render(*scaled(1e-6), BACKGROUND).image, np.broadcast_to(BACKGROUND, (40, 48, 3)))
+
+
+def test_ten_thousand_layers_over_the_whole_screen() -> None:
+    cloud = replace(make_cloud(10_000, spread=0.3), scales=np.full((10_000, 3), 50, np.float32))
+    outcome = run(cloud, CAMERA)
+    check_finite(outcome)
+    assert float(outcome.transmittance.max()) < 0.11  # nothing more fits below 1e-4 / (1 - 0.999)
+    assert len(outcome.probe.visible) > 5000
+
+
+def test_a_gaussian_far_larger_than_the_screen_is_flat() -> None:
+    one = make_cloud(1, spread=0.01)
+    cloud = replace(one, scales=np.full((1, 3), 1e4, np.float32), opacities=np.full(1, 0.5, np.float32))
+    rendered = render(cloud, CAMERA, BACKGROUND)
+    assert np.abs(rendered.image - (0.5 * cloud.colours[0] + 0.5 * BACKGROUND)).max() < 1e-5
+
+
+def test_light_ends_at_the_cut_off() -> None:
+    """Layers of alpha 0.9 leave T = 0.1, 0.01, 0.001; a pixel ends before it would fall below 1e-4."""
+    camera = pinhole("axis", (20.0, 20.0), (4.5, 4.5), (9, 9), np.eye(4))
+    one = make_cloud(1)
+    layers = concatenate(
+        [
+            replace(
+                one,
+                means=np.float32([[0, 0, z]]),
+                scales=np.full((1, 3), 1e3, np.float32),
+                opacities=np.float32([alpha]),
+            )
+            for z, alpha in ((2, 0.9), (3, 0.9), (4, 0.9), (5, 0.91), (6, 0.89))
+        ]
+    )
+    light = render(layers, camera, BACKGROUND).transmittance
+    assert np.abs(light - 1e-3).max() < 1e-7  # 0.91 would leave 9e-5: the pixel ends before it, and 0.89 is not drawn
+    check_finite(run(layers, camera))
+
+
+def test_half_precision_moves_the_picture_little() -> None:
+    cloud = make_cloud(COUNT)
+    half = GaussianCloud(*(getattr(cloud, name).astype(np.float16).astype(np.float32) for name in NAMES))
+    difference = render(half, CAMERA, BACKGROUND).image - render(cloud, CAMERA, BACKGROUND).image
+    assert 0 < np.abs(difference).mean() < 1e-3
+    check_reference(half)
+
+
+EXTREME = st.one_of(
+    st.floats(width=32),
+    st.sampled_from([0.0, -0.0, 1e-38, 1e-45, 1e38, -1e38, float("nan"), float("inf"), -float("inf")]),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_any_float_gives_finite_pictures_and_gradients(data: Any) -> None:
+    cloud = make_cloud(12)
+    name = data.draw(st.sampled_from(NAMES))
+    array = getattr(cloud, name).copy()
+    for row in range(3):
+        count = array[row].size
+        array[row] = np.array(data.draw(st.lists(EXTREME, min_size=count, max_size=count)), np.float32).reshape(
+            SHAPES[name]
+        )
+    outcome = run(replace(cloud, **{name: array}), CAMERA)
+    check_finite(outcome)

@@ -1,0 +1,49 @@
+"""The process's settings are in place before torch and numba load, and give way to the user's."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from core import runtime
+from core.render import cpu
+
+NAMES = ("OMP_WAIT_POLICY", "NUMBA_THREADING_LAYER", "NUMBA_CACHE_DIR")
+
+
+def settings_after_import(**given: str) -> dict[str, str]:
+    clean = {key: value for key, value in os.environ.items() if key not in NAMES}
+    code = f"import core, os; print('\\n'.join(os.environ[n] for n in {NAMES!r}))"
+    answer = subprocess.run(
+        [sys.executable, "-c", code], env={**clean, **given}, check=True, capture_output=True, text=True
+    ).stdout
+    return dict(zip(NAMES, answer.splitlines(), strict=True))
+
+
+def test_importing_core_sets_them(tmp_path: Path) -> None:
+    found = settings_after_import(XDG_CACHE_HOME=str(tmp_path))
+    assert found["OMP_WAIT_POLICY"] == "PASSIVE"
+    assert found["NUMBA_THREADING_LAYER"] == "omp"
+    assert Path(found["NUMBA_CACHE_DIR"]).parent == tmp_path / "streamlod" / "numba"
+
+
+def test_what_the_user_set_stays() -> None:
+    given = {"OMP_WAIT_POLICY": "ACTIVE", "NUMBA_THREADING_LAYER": "tbb", "NUMBA_CACHE_DIR": "/elsewhere"}
+    assert settings_after_import(**given) == given
+
+
+def test_changed_inlined_code_gets_a_new_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = runtime.kernel_cache_folder()
+    changed = tmp_path / "simd.py"
+    changed.write_text("other")
+    monkeypatch.setattr(runtime, "_INLINED", (*runtime._INLINED, changed))
+    assert runtime.kernel_cache_folder() != before
+
+
+def test_warming_tells_what_it_does() -> None:
+    said: list[str] = []
+    cpu.warm(said.append)
+    assert any("forward" in line for line in said)
+    assert "ready" in said[-1]
