@@ -87,14 +87,14 @@ def test_several_pictures_may_wait_for_their_backward_pass() -> None:
     cloud = make_cloud(100)
     cameras = [make_camera(40, 30), make_camera(64, 48), make_camera(33, 57)]
     parameters = [torch.tensor(getattr(cloud, name), requires_grad=True) for name in NAMES]
-    together = sum((rasterise(*parameters, c, torch.zeros(3)).image.square().sum() for c in cameras), torch.zeros(()))  # type: ignore[arg-type, misc]
-    together.backward()  # type: ignore[no-untyped-call]
+    together = sum((rasterise(*parameters, c, torch.zeros(3)).image.square().sum() for c in cameras), torch.zeros(()))
+    together.backward()
     grad = parameters[0].grad
     assert grad is not None
     apart = torch.zeros_like(grad)
     for camera in cameras:
         leaves = [p.detach().requires_grad_() for p in parameters]
-        rasterise(*leaves, camera, torch.zeros(3)).image.square().sum().backward()  # type: ignore[arg-type, no-untyped-call]
+        rasterise(*leaves, camera, torch.zeros(3)).image.square().sum().backward()
         assert leaves[0].grad is not None
         apart += leaves[0].grad
     assert torch.allclose(grad, apart, rtol=1e-4, atol=1e-5)
@@ -103,17 +103,17 @@ def test_several_pictures_may_wait_for_their_backward_pass() -> None:
 def test_a_picture_is_differentiated_once_and_not_changed_in_place() -> None:
     cloud, camera = make_cloud(20), make_camera()
     parameters = [torch.tensor(getattr(cloud, name), requires_grad=True) for name in NAMES]
-    raster = rasterise(*parameters, camera, torch.zeros(3))  # type: ignore[arg-type]
+    raster = rasterise(*parameters, camera, torch.zeros(3))
     with pytest.raises(RuntimeError, match="only after backward"):
         _ = raster.probe.gradients
     loss = raster.image.sum()
-    loss.backward(retain_graph=True)  # type: ignore[no-untyped-call]
+    loss.backward(retain_graph=True)
     with pytest.raises(RuntimeError, match="once only"):
-        loss.backward()  # type: ignore[no-untyped-call]
-    raster = rasterise(*parameters, camera, torch.zeros(3))  # type: ignore[arg-type]
+        loss.backward()
+    raster = rasterise(*parameters, camera, torch.zeros(3))
     raster.image.mul_(2)
     with pytest.raises(RuntimeError, match="inplace"):
-        raster.image.sum().backward()  # type: ignore[no-untyped-call]
+        raster.image.sum().backward()
 
 
 def test_workspaces_come_back() -> None:
@@ -123,7 +123,7 @@ def test_workspaces_come_back() -> None:
     POOL.release(workspace)
     run(cloud, camera)  # with a backward pass
     parameters = [torch.tensor(getattr(cloud, name), requires_grad=True) for name in NAMES]
-    raster = rasterise(*parameters, camera, torch.zeros(3))  # type: ignore[arg-type]
+    raster = rasterise(*parameters, camera, torch.zeros(3))
     del raster  # without
     assert POOL.acquire() is workspace
     POOL.release(workspace)
@@ -141,9 +141,9 @@ def test_shapes_are_checked() -> None:
     cloud = make_cloud(4)
     parameters = [torch.tensor(getattr(cloud, name)) for name in NAMES]
     with pytest.raises(ValueError, match=r"scales must have shape \(4, 3\)"):
-        rasterise(*parameters[:2], parameters[2][:3], *parameters[3:], make_camera(), torch.zeros(3))  # type: ignore[arg-type, call-arg]
+        rasterise(*parameters[:2], parameters[2][:3], *parameters[3:], make_camera(), torch.zeros(3))
     with pytest.raises(ValueError, match="tile_mask"):
-        rasterise(*parameters, make_camera(), torch.zeros(3), tile_mask=torch.ones(2, 2, dtype=torch.bool))  # type: ignore[arg-type, misc]
+        rasterise(*parameters, make_camera(), torch.zeros(3), tile_mask=torch.ones(2, 2, dtype=torch.bool))
 
 
 def test_clients_need_no_torch() -> None:

@@ -51,8 +51,8 @@ def test_tiles_outside_the_mask_come_from_the_base() -> None:
     mask = torch.zeros(tile_grid(100, 60), dtype=torch.bool, device="cuda")
     mask[1, 1] = True
     base = torch.rand(60, 100, 3, device="cuda")
-    whole = rasterise(*parameters, camera, background, backend="cuda").image  # type: ignore[arg-type, misc]
-    part = rasterise(*parameters, camera, background, tile_mask=mask, base=base, backend="cuda").image  # type: ignore[arg-type, misc]
+    whole = rasterise(*parameters, camera, background, backend="cuda").image
+    part = rasterise(*parameters, camera, background, tile_mask=mask, base=base, backend="cuda").image
     assert torch.equal(part[16:32, 32:64], whole[16:32, 32:64])
     assert torch.equal(part[:16], base[:16])
 

@@ -15,7 +15,7 @@ from tests.core.render.scenes import NAMES, make_camera, make_cloud
 CAMERA = make_camera(200, 150)
 
 
-def rows_of(cloud: GaussianCloud, rows: np.ndarray) -> GaussianCloud:  # type: ignore[type-arg]
+def rows_of(cloud: GaussianCloud, rows: np.ndarray) -> GaussianCloud:
     return GaussianCloud(*(np.ascontiguousarray(getattr(cloud, name)[rows]) for name in NAMES))
 
 
@@ -46,7 +46,7 @@ def test_step_equals_the_full_step_bit_by_bit() -> None:
     assert plan.box is not None
     assert 0.05 < plan.share < 0.7
     assert len(plan.static_rows) < 0.9 * len(static)
-    base = rasterise(*tensors(concatenate([dynamic, static])), CAMERA, background).image  # type: ignore[arg-type]
+    base = rasterise(*tensors(concatenate([dynamic, static])), CAMERA, background).image
     now = moved(dynamic, (0.01, 0.0, -0.01))  # as after an optimiser's step
     assert plan.covers(now)
     gradients, pictures = [], []
@@ -54,14 +54,14 @@ def test_step_equals_the_full_step_bit_by_bit() -> None:
         leaves = [t.clone().requires_grad_() for t in tensors(now)]
         others = tensors(rows_of(static, plan.static_rows) if dirty else static)
         raster = rasterise(
-            *(torch.cat([a, b]) for a, b in zip(leaves, others, strict=True)),  # type: ignore[arg-type]
+            *(torch.cat([a, b]) for a, b in zip(leaves, others, strict=True)),
             CAMERA,
             background,
             gradient_rows=len(dynamic),
             tile_mask=torch.from_numpy(plan.tile_mask) if dirty else None,
             base=base if dirty else None,
         )
-        photometric_loss(raster.image, target, region=plan.box if dirty else None).backward()  # type: ignore[no-untyped-call]
+        photometric_loss(raster.image, target, region=plan.box if dirty else None).backward()
         pictures.append(raster.image.detach())
         gradients.append([leaf.grad for leaf in leaves] + [raster.probe.gradients])
     numba.set_num_threads(threads)
@@ -77,7 +77,7 @@ def test_step_equals_the_full_step_bit_by_bit() -> None:
 def test_touched_tiles_are_those_that_change(seed: int) -> None:
     cloud, background = make_cloud(40, seed=seed, size=0.1, spread=2.0), torch.zeros(3)
     mask = touched_tiles(CAMERA, cloud)
-    light = rasterise(*tensors(cloud), CAMERA, background).transmittance  # type: ignore[arg-type]
+    light = rasterise(*tensors(cloud), CAMERA, background).transmittance
     changed = np.zeros_like(mask)
     for y, x in zip(*np.nonzero(light.numpy() < 1), strict=True):
         changed[y // TILE_HEIGHT, x // TILE_WIDTH] = True
@@ -126,5 +126,5 @@ def test_nothing_dynamic_means_nothing_dirty() -> None:
     base = torch.rand(150, 200, 3)
     raster = rasterise(
         *tensors(make_cloud(0)), CAMERA, torch.zeros(3), tile_mask=torch.from_numpy(plan.tile_mask), base=base
-    )  # type: ignore[arg-type, misc]
+    )
     assert torch.equal(raster.image, base)

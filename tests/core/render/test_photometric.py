@@ -22,7 +22,7 @@ def value_and_gradient(
 ) -> tuple[float, torch.Tensor]:
     leaf = image.clone().requires_grad_()
     loss = photometric_loss(leaf, target, weight, box)
-    loss.backward()  # type: ignore[no-untyped-call]
+    loss.backward()
     assert leaf.grad is not None
     return float(loss.detach()), leaf.grad
 
@@ -45,7 +45,7 @@ def test_fused_equals_convolutions(height: int, width: int, box: Box | None, wei
     value, gradient = value_and_gradient(image, target, box, weight)
     leaf = image.double().requires_grad_()
     wanted = photometric_reference(leaf, target.double(), weight, box)
-    wanted.backward()  # type: ignore[no-untyped-call]
+    wanted.backward()
     assert leaf.grad is not None
     assert value == pytest.approx(float(wanted.detach()), abs=1e-6)
     assert float((gradient - leaf.grad).norm() / leaf.grad.norm()) < 2e-6
@@ -100,7 +100,7 @@ def test_gradient_is_the_same_for_any_number_of_threads() -> None:
 def test_upstream_factor_scales_the_gradient() -> None:
     image, target = pictures(12, 12)
     leaf = image.clone().requires_grad_()
-    (3 * photometric_loss(leaf, target)).backward()  # type: ignore[no-untyped-call]
+    (3 * photometric_loss(leaf, target)).backward()
     assert leaf.grad is not None
     assert torch.allclose(leaf.grad, 3 * value_and_gradient(image, target, None, 0.2)[1])
 

@@ -16,7 +16,7 @@ def test_gradients_agree_with_finite_differences() -> None:
     background = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
 
     def picture(*values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        raster = rasterise(*values, camera, background, backend="reference")  # type: ignore[arg-type]
+        raster = rasterise(*values, camera, background, backend="reference")
         return raster.image, raster.transmittance
 
     assert torch.autograd.gradcheck(picture, parameters, eps=1e-6, atol=1e-7, rtol=1e-5, fast_mode=True)
@@ -28,7 +28,7 @@ def test_one_gaussian_on_the_axis_has_the_closed_form() -> None:
         torch.tensor(v, dtype=torch.float64)
         for v in ([[0, 0, 2.0]], [[3.0, 0, 0, 0]], [[0.1] * 3], [0.8], [[1.0, 0, 0]])
     ]
-    raster = rasterise(*one, camera, torch.zeros(3, dtype=torch.float64), backend="reference")  # type: ignore[call-arg, arg-type]
+    raster = rasterise(*one, camera, torch.zeros(3, dtype=torch.float64), backend="reference")
     variance = (20 * 0.1 / 2) ** 2 + 0.3
     for x, y in ((4, 4), (6, 4), (3, 2)):
         sigma = ((x - 4) ** 2 + (y - 4) ** 2) / (2 * variance)
