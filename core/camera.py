@@ -15,6 +15,7 @@ from core.errors import InputError
 
 _ROTATION_TOLERANCE = 1e-3
 _NO_DISTORTION = np.zeros(5)
+_LARGEST = 1e12  # beyond this, numbers are damage, and products of them overflow
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +30,8 @@ class Camera:
         distortion: [5] float64 OpenCV k1 k2 p1 p2 k3; zeros for a pinhole.
 
     Raises:
-        InputError: non-finite numbers, a rotation that is not one, a focal length or size that is not positive.
+        InputError: numbers that are not finite or absurdly large, a rotation that is not one, a focal length or size
+            that is not positive.
     """
 
     name: str
@@ -50,6 +52,8 @@ class Camera:
         ):
             if not np.isfinite(array).all():
                 raise InputError(f"camera {self.name}", f"its {label} holds numbers that are not finite")
+            if np.abs(array).max() > _LARGEST:
+                raise InputError(f"camera {self.name}", f"its {label} holds numbers beyond {_LARGEST:g}")
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera {self.name}", f"picture size {self.width}x{self.height} is not positive")
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:

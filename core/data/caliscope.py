@@ -83,10 +83,12 @@ def read_caliscope(path: Path) -> Recording:
     file = path / FILE
     try:
         tables = tomllib.loads(read_text(file)).get("cameras")
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # ValueError also for integers of thousands of digits
         raise InputError(file, f"is not valid TOML: {error}") from error
     if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
         raise InputError(file, "needs a table [cameras.N] for each camera")
+    if not all(key.isascii() and key.isdecimal() for key in tables):
+        raise InputError(file, "calls its cameras by other than numbers; tables must be [cameras.0], [cameras.1], ...")
     used = in_numeric_order(key for key, table in tables.items() if not table.get("ignore"))
     files = [path / f"cam_{key}.mp4" for key in used]
     with blaming(file):

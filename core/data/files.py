@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -47,7 +49,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """The file's JSON object; InputError if it holds anything else."""
     try:
         value = json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError also for integers of thousands of digits
         raise InputError(path, f"is not valid JSON: {error}") from error
     if not isinstance(value, dict):
         raise InputError(path, "must hold a JSON object")
@@ -57,14 +59,16 @@ def read_json(path: Path) -> dict[str, Any]:
 def read_array(path: Path) -> Float64:
     """A .npy file's array of numbers as float64; InputError for pickled objects, archives and damaged files."""
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)  # mapping checks the shape against the file's size
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about headers that are odd but readable
+            array = np.load(path, mmap_mode="r", allow_pickle=False)  # mapping checks the shape against the size
         if not isinstance(array, np.ndarray):
             array.close()
             raise InputError(path, "is an archive; a single array is needed, written with numpy.save")
         return np.array(array, np.float64)
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}") from error
-    except (ValueError, EOFError, TypeError, SyntaxError) as error:
+    except (ValueError, EOFError, TypeError, SyntaxError, OverflowError, TokenError) as error:
         raise InputError(path, "does not hold an array of plain numbers, or is cut short") from error
 
 

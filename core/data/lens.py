@@ -63,8 +63,10 @@ def undistorted_camera(camera: Camera) -> Camera:
     focal, principal = camera.intrinsics[[0, 1], [0, 1]], camera.intrinsics[:2, 2]
     factor = 0.0
     for axis, points in sides:
-        ideal = undistort((points - principal) / focal, camera.distortion)
-        wanted = (points[0, axis] - principal[axis]) / focal[axis]
+        with np.errstate(over="ignore"):
+            seen = (points - principal) / focal
+        ideal = undistort(seen, camera.distortion)
+        wanted = seen[0, axis]
         nearest = ideal[np.abs(ideal[:, axis]).argmin(), axis]
         if not np.isfinite(nearest) or wanted * nearest <= 0:
             raise InputError(f"camera {camera.name}", "its distortion cannot be undone; check the coefficients")

@@ -114,10 +114,12 @@ def _camera(name: str, settings: dict[str, Any], size: tuple[int, int], picture:
     fx, fy = _focal_lengths(name, settings, width, height, file)
     cx, cy = number(settings.get("cx", width / 2), "cx", file), number(settings.get("cy", height / 2), "cy", file)
     matrix = numbers(settings.get("transform_matrix"), (4, 4), f"transform_matrix of {name}", file)
+    with np.errstate(all="ignore"):  # whatever comes of absurd numbers, Camera refuses it
+        pose = opengl_pose(matrix)
     camera = Camera(
         name,
         np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64),
-        opengl_pose(matrix),
+        pose,
         round(width),
         round(height),
         np.array([number(settings.get(key, 0), key, file) for key in _COEFFICIENTS], np.float64),

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.data import linspace_split, read_split
@@ -25,6 +25,7 @@ def test_linspace_over_the_cameras_that_are_not_held_out() -> None:
     assert linspace_split(MEET_ROOM, None, ["cam_4"]).train == (*MEET_ROOM[:4], *MEET_ROOM[5:])
 
 
+@settings(deadline=None)
 @given(count=st.integers(1, 40), data=st.data())
 def test_every_number_of_views_gives_that_many_cameras(count: int, data: st.DataObject) -> None:
     names = [f"cam{number}" for number in range(count)]

@@ -1,0 +1,50 @@
+"""Video files: what they say, and their colours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import pytest
+
+from core.data.sources import read_exactly
+from core.data.video import VideoInfo, probe_video, read_video
+from core.errors import InputError
+from tests.core.data.writers import picture, read_back, write_video
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_size_rate_and_count(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"cam{suffix}"
+    write_video(path, [picture(0, t) for t in range(7)], fps=25)
+    assert probe_video(path) == VideoInfo(96, 64, 25.0, 7)  # Matroska keeps no count: its packets are counted
+    assert [read_back(image)[1] for image in read_video(path, 4)] == [4, 5, 6]
+
+
+@pytest.mark.parametrize(
+    ("tag", "expected"), [(av.video.reformatter.Colorspace.ITU709, (250, 93, 20)), (None, (236, 81, 24))]
+)
+def test_colours_follow_the_files_matrix(tmp_path: Path, tag: object, expected: tuple[int, int, int]) -> None:
+    """Y 120, Cb 80, Cr 200 in limited range, through the BT.709 and the (default) BT.601 matrix."""
+    path = tmp_path / "cam.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"qp": "0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv444p"
+        frame = av.VideoFrame(64, 48, "yuv444p")
+        for plane, value in zip(frame.planes, (120, 80, 200), strict=True):
+            plane.update(bytes([value]) * plane.buffer_size)
+        if tag is not None:
+            frame.colorspace = stream.codec_context.colorspace = int(tag)  # type: ignore[call-overload]
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    (image,) = read_video(path)
+    assert abs(image[0, 0].astype(int) - expected).max() <= 2
+
+
+def test_a_video_that_ends_early_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "cam.mp4"
+    write_video(path, [picture(0, t) for t in range(3)])
+    assert len(list(read_exactly(path, 1, 3, 3))) == 2
+    assert list(read_exactly(path, 2, 2, 3)) == []
+    with pytest.raises(InputError, match=r"cam\.mp4: ends after 3 of its 5 pictures"):
+        list(read_exactly(path, 0, 5, 5))
