@@ -63,7 +63,7 @@ def view(
     if pose is not None and not pose.is_file():
         raise InputError(pose, "does not exist")
     wishes = Wishes(token=os.environ.get(TOKEN_VARIABLE), levels=levels)
-    with tqdm(total=frames, unit="picture", desc="view") as bar:
+    with tqdm(total=frames, unit="picture", desc="view", delay=0.5) as bar:
 
         def tell(text: str) -> None:
             if text.startswith("picture"):
@@ -85,7 +85,7 @@ def evaluate(
     """Measure a file against held-out cameras; the report goes to `report` as JSON."""
     if not test:
         raise InputError("--test", "name at least one held-out camera, for example --test cam00")
-    with tqdm(unit="frame", desc="evaluate") as bar:
+    with tqdm(unit="frame", desc="evaluate", delay=0.5) as bar:
 
         def tell(score: FrameScore) -> None:
             bar.set_postfix_str(f"{score.psnr:.2f} dB")

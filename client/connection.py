@@ -7,13 +7,14 @@ import logging
 import random
 import time
 from collections.abc import AsyncGenerator
+from contextlib import suppress
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
 
-from client.events import Disconnected, Event
+from client.events import Disconnected, Event, NewScene
 from client.playback import Playback
 from codec.limits import DEFAULT_LIMITS
 from core.errors import InputError, SessionError
@@ -65,7 +66,8 @@ async def watch(url: str, wishes: Wishes = Wishes(), attempts: int = 8) -> Async
             async with _open(url, wishes) as socket:
                 await socket.send(playback.hello(start, wishes.levels))
                 async for event in _session(socket, playback):
-                    failures, ever = 0, True
+                    ever = True
+                    failures = 0 if isinstance(event, NewScene) else failures
                     yield event
             return
         except (OSError, WebSocketException, SessionError) as error:
@@ -130,17 +132,17 @@ async def _session(socket: ClientConnection, playback: Playback) -> AsyncGenerat
                     message = await socket.recv()
             except TimeoutError:
                 message = None
-            now = time.monotonic()
             events: list[Event] = []
             if isinstance(message, bytes):
-                events = playback.receive_packet(message, now)
+                events = playback.receive_packet(message, time.monotonic())
             elif message is not None:
                 events = playback.receive_text(message)
-            acknowledgement = playback.acknowledgement(now)
-            if acknowledgement is not None:
-                await socket.send(acknowledgement)
             for event in events:
                 yield event
+            acknowledgement = playback.acknowledgement(time.monotonic())
+            if acknowledgement is not None:
+                with suppress(ConnectionClosed):  # messages that came before the end are still to be received
+                    await socket.send(acknowledgement)
     except SessionError as error:
         await socket.close(error.close_code, error.detail[:120])
         raise

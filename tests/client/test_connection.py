@@ -1,0 +1,142 @@
+"""The client against websocket servers that behave, break, refuse and lie."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from contextlib import aclosing
+
+import pytest
+from websockets.asyncio.server import ServerConnection, serve
+
+import client.connection
+from client.connection import SUBPROTOCOL, Wishes, back_off, watch
+from client.events import Disconnected, Event, NewScene, Welcome
+from core.errors import InputError, SessionError
+from tests.client.clips import packets, states
+from tests.client.test_playback import WELCOME
+
+Behaviour = Callable[[ServerConnection], Awaitable[None]]
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client.connection, "_FIRST_DELAY", 0.01)
+
+
+def events_from(*behaviours: Behaviour, wishes: Wishes | None = None) -> list[Event]:
+    """What `watch` tells when the n-th connection meets the n-th behaviour."""
+    waiting = list(behaviours)
+
+    async def handle(socket: ServerConnection) -> None:
+        await waiting.pop(0)(socket)
+
+    async def run() -> list[Event]:
+        async with serve(handle, "127.0.0.1", 0, subprotocols=[SUBPROTOCOL], compression=None) as server:  # type: ignore[list-item]
+            port = server.sockets[0].getsockname()[1]
+            url = f"ws://127.0.0.1:{port}/v1/streams/main/live"
+            async with aclosing(watch(url, wishes or Wishes(), attempts=3)) as events:
+                return [event async for event in events]
+
+    return asyncio.run(run())
+
+
+async def welcome(socket: ServerConnection) -> dict[str, object]:
+    hello = json.loads(await socket.recv())
+    await socket.send(json.dumps(WELCOME))
+    return hello  # type: ignore[no-any-return]
+
+
+def test_scenes_arrive_and_are_acknowledged() -> None:
+    data, heard = packets(states(4)), []
+
+    async def stream(socket: ServerConnection) -> None:
+        heard.append(await welcome(socket))
+        for packet in data:
+            await socket.send(packet)
+        while sum(message.get("type") == "ack" for message in heard) < 2:
+            heard.append(json.loads(await socket.recv()))
+
+    events = events_from(stream, wishes=Wishes(levels=2))
+    assert isinstance(events[0], Welcome)
+    assert [event.scene.version for event in events if isinstance(event, NewScene)] == [0, 1, 2, 3]
+    assert heard[0]["levels"] == 2
+    assert heard[-1]["bytes"] == sum(map(len, data))
+
+
+def test_a_broken_connection_is_made_again() -> None:
+    data = packets(states(2))
+
+    async def fail(socket: ServerConnection) -> None:
+        await welcome(socket)
+        await socket.send(data[0])
+        await socket.close(1011, "tripped")
+
+    async def recover(socket: ServerConnection) -> None:
+        assert (await welcome(socket))["start"] == "live"
+        for packet in data:
+            await socket.send(packet)
+
+    events = events_from(fail, recover)
+    assert [e.reason for e in events if isinstance(e, Disconnected)] == ["tripped [1011]"]
+    assert [e.scene.version for e in events if isinstance(e, NewScene)] == [0, 0, 1]
+
+
+def test_a_replay_goes_on_where_it_stopped() -> None:
+    data, starts = packets(states(2)), []
+
+    async def replay(socket: ServerConnection) -> None:
+        starts.append((await welcome(socket))["start"])
+        await socket.send(
+            json.dumps({"type": "event", "event": "position", "mode": "replay", "epoch": 3, "version": 0})
+        )
+        for packet in data:
+            await socket.send(packet)
+        await socket.close(1001 if len(starts) == 1 else 1000)
+
+    events_from(replay, replay, wishes=Wishes(start=(3, 0)))
+    assert starts == [{"epoch": 3, "version": 0}, {"epoch": 3, "version": 1}]
+
+
+@pytest.mark.parametrize("code", [1009, 4400, 4401, 4403, 4404, 4415])
+def test_final_refusals_end_it(code: int) -> None:
+    async def refuse(socket: ServerConnection) -> None:
+        await socket.close(code, "no")
+
+    with pytest.raises(SessionError, match="no") as caught:
+        events_from(refuse)
+    assert caught.value.close_code == code
+
+
+def test_a_server_that_breaks_the_protocol_gets_one_more_chance() -> None:
+    closed = []
+
+    async def lie(socket: ServerConnection) -> None:
+        await welcome(socket)
+        await socket.send(b"SLPK not a packet")
+        await socket.wait_closed()
+        closed.append(socket.close_code)
+
+    with pytest.raises(SessionError, match="refused"):
+        events_from(lie, lie)
+    assert closed[0] == 4400
+
+
+def test_nobody_there_and_wrong_addresses() -> None:
+    async def first(url: str) -> None:
+        async with aclosing(watch(url)) as events:
+            await anext(events)
+
+    for url in ("ws://127.0.0.1:9/v1", "http://127.0.0.1/", "ws://", "main"):
+        with pytest.raises(InputError) as caught:
+            asyncio.run(first(url))
+        assert url in str(caught.value)
+
+
+def test_back_off_doubles_to_a_limit_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client.connection, "_FIRST_DELAY", 0.5)
+    for failures, longest in ((0, 0.5), (1, 1.0), (3, 4.0), (5, 15.0), (5000, 15.0)):
+        delays = [back_off(failures) for _ in range(50)]
+        assert longest / 2 <= min(delays) <= max(delays) <= longest
+        assert len(set(delays)) > 10

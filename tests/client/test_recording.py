@@ -1,0 +1,99 @@
+"""`.slod` files frame by frame, whole and cut."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from client.inspection import describe_file
+from client.recording import decode_frames, decode_version, versions
+from codec.container import SlodWriter
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind, split_levels
+from core.errors import InputError
+from core.rekey import rekey
+from core.residual import difference
+from tests.client.clips import FRAME_NS, packets, plain_scene, states, write_clip
+from tests.codec.scenes import assert_same_state
+
+
+def test_frames_are_the_encoders_states(tmp_path: Path) -> None:
+    scenes = states(5)
+    data = write_clip(tmp_path / "a.slod", scenes)
+    frames = list(decode_frames(tmp_path / "a.slod"))
+    assert len(frames) == 5
+    for scene, frame in zip(scenes, frames, strict=True):
+        assert_same_state(scene, frame.scene)
+        assert frame.time_ns == scene.version * FRAME_NS
+    assert [frame.key_bytes for frame in frames] == [len(data[0]), 0, 0, 0, 0]
+    assert [frame.predicted_bytes for frame in frames] == [0, *map(len, data[1:])]
+    assert_same_state(scenes[3], decode_version(tmp_path / "a.slod", 3))
+    assert versions(tmp_path / "a.slod") == (0, 1, 2, 3, 4)
+
+
+def test_an_early_keyframe_is_replaced_and_a_new_one_counted_apart(tmp_path: Path) -> None:
+    early = plain_scene(seed=3)
+    first = replace(plain_scene(), keyframe=1, version=1)
+    second = replace(states(2)[1], keyframe=1, version=2)
+    fresh = rekey(second, 2)
+    parts = [
+        encode_keyframe(early, time_ns=0, profile=0),
+        *split_levels(encode_keyframe(first, time_ns=0, profile=0)),
+        encode_residual(first, difference(first, second), kind=PacketKind.PREDICTED, time_ns=FRAME_NS, profile=0),
+        encode_keyframe(fresh, time_ns=FRAME_NS, profile=0),
+    ]
+    with SlodWriter(tmp_path / "a.slod") as writer:
+        for part in parts:
+            writer.append(part)
+    frames = list(decode_frames(tmp_path / "a.slod"))
+    assert [frame.scene.version for frame in frames] == [1, 2]
+    assert frames[0].key_bytes == sum(map(len, parts[1:-2]))
+    assert (frames[1].predicted_bytes, frames[1].key_bytes) == (len(parts[-2]), len(parts[-1]))
+    assert_same_state(fresh, frames[1].scene)
+
+
+def test_skips_that_help_to_seek_are_no_frames(tmp_path: Path) -> None:
+    scenes = states(4)
+    skip = encode_residual(
+        scenes[0], difference(scenes[0], scenes[3]), kind=PacketKind.CATCH_UP, time_ns=3 * FRAME_NS, profile=0
+    )
+    with SlodWriter(tmp_path / "a.slod") as writer:
+        for packet in [*packets(scenes), skip]:
+            writer.append(packet)
+    frames = list(decode_frames(tmp_path / "a.slod"))
+    assert [frame.scene.version for frame in frames] == [0, 1, 2, 3]
+    assert_same_state(scenes[3], frames[3].scene)
+
+
+def test_a_file_cut_at_any_byte_is_refused_by_name(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.slod"
+    write_clip(whole, states(3, plain_scene((3, 5))))
+    data, path = whole.read_bytes(), tmp_path / "cut.slod"
+    inside = range(100, len(data) - 400, 37)
+    for size in [*range(100), *inside, *range(len(data) - 400, len(data))]:
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError, match=re.escape(str(path))):
+            list(decode_frames(path))
+    for read in (lambda: decode_version(path, 1), lambda: describe_file(path)):
+        with pytest.raises(InputError, match=re.escape(str(path))):
+            read()
+
+
+def test_description_adds_up(tmp_path: Path) -> None:
+    path, scenes = tmp_path / "a.slod", states(4)
+    data = write_clip(path, scenes)
+    text = describe_file(path)
+    assert f"{scenes[0].anchor_count} anchors of 4 Gaussians" in text
+    assert "cam00 480x270, cam01 480x270" in text
+    assert re.search(rf"^key +1 +{len(data[0]) / 1000:.1f} ", text, re.MULTILINE)
+    assert re.search(rf"^predicted +3 +{sum(map(len, data[1:])) / 1000:.1f} ", text, re.MULTILINE)
+    by_level, by_chunk = (int(n) for n in (_total(text, "bytes by level"), _total(text, "bytes by chunk")))
+    assert 0 < by_level < by_chunk < sum(map(len, data))
+
+
+def _total(text: str, heading: str) -> int:
+    block = text.partition(heading)[2].partition("\n\n")[0].splitlines()[1:]
+    return sum(int(number) for line in block for number in line.split()[-2:])
