@@ -1,7 +1,7 @@
 """A synthetic living room, filmed by a rig of cameras: pictures and the exact truth about them.
 
-A small ray caster of our own: analytic shapes (`parts`, `room`, `movers`), compiled casting and lighting (`geometry`)
-and textures (`textures`), put together a camera at a time (`render`), offered as a data set or as files (`clip`).
+A small ray caster of our own: analytic shapes (`shapes`; `parts`, `room`, `movers`), compiled `casting`, `lighting`
+and `textures`, put together a camera at a time (`render`), offered as a data set or as files (`clip`).
 """
 
 from core.data.synthetic.clip import open_synthetic, write_clip

@@ -30,7 +30,11 @@ def bouncing_ball(time: float) -> list[Part]:
     hop = (time / 0.62) % 1.0
     height = radius + 0.012 + 0.32 * 4.0 * hop * (1.0 - hop)
     rotation = turn("y", x / radius) @ turn("x", 0.5)
-    return [ball((x - 0.25, 1.20, height), (radius,) * 3, T.BEACH_BALL, (1.0, 1.0, 1.0), seed=5, rotation=rotation, gloss=0.2)]
+    return [
+        ball(
+            (x - 0.25, 1.20, height), (radius,) * 3, T.BEACH_BALL, (1.0, 1.0, 1.0), seed=5, rotation=rotation, gloss=0.2
+        )
+    ]
 
 
 def person(time: float) -> list[Part]:
@@ -42,7 +46,8 @@ def person(time: float) -> list[Part]:
     parts = [
         limb(hips + lean @ np.array([0.0, 0.0, 0.02]), neck - lean @ np.array([0.0, 0.0, 0.10]), 0.165, T.SHIRT,
              (0.70, 0.18, 0.22), seed=11),
-        limb(neck - lean @ np.array([0.0, 0.0, 0.06]), neck + lean @ np.array([0.0, 0.0, 0.10]), 0.055, T.PLAIN, _SKIN, seed=12),
+        limb(neck - lean @ np.array([0.0, 0.0, 0.06]), neck + lean @ np.array([0.0, 0.0, 0.10]), 0.055, T.PLAIN,
+             _SKIN, seed=12),
     ]  # fmt: skip
     gaze = lean @ turn("z", 0.5 * math.sin(1.3 * time)) @ turn("x", 0.12 * math.sin(3.1 * time))
     crown = neck + lean @ np.array([0.0, 0.0, 0.20])
@@ -90,7 +95,14 @@ def _leg(hip: Float64, ankle: Float64) -> list[Part]:
     return [
         limb(hip, knee, 0.085, T.FABRIC, _DENIM, seed=17),
         limb(knee, ankle, 0.066, T.FABRIC, _DENIM, seed=18),
-        limb(ankle + np.array([0.0, 0.04, -0.005]), ankle + np.array([0.001, -0.13, -0.015]), 0.055, T.PLAIN, _SHOE, seed=19),
+        limb(
+            ankle + np.array([0.0, 0.04, -0.005]),
+            ankle + np.array([0.001, -0.13, -0.015]),
+            0.055,
+            T.PLAIN,
+            _SHOE,
+            seed=19,
+        ),
     ]
 
 
@@ -123,7 +135,15 @@ def visitor(time: float, cycle: float) -> list[Part]:
 
 def globe(time: float) -> Part:
     """A globe that turns in place: its texture moves, its outline does not."""
-    return ball((1.75, 3.15, 0.82), (0.19,) * 3, T.GLOBE, (1.0, 1.0, 1.0), seed=31, rotation=turn("y", 0.35) @ turn("z", 0.9 * time), gloss=0.15)
+    return ball(
+        (1.75, 3.15, 0.82),
+        (0.19,) * 3,
+        T.GLOBE,
+        (1.0, 1.0, 1.0),
+        seed=31,
+        rotation=turn("y", 0.35) @ turn("z", 0.9 * time),
+        gloss=0.15,
+    )
 
 
 def _ramp(t: float) -> float:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float64, Int32
-from core.data.synthetic.geometry import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, Parts
+from core.data.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, Parts
 from core.data.synthetic.textures import GLOW, PLAIN, VIEW
 
 Vector = tuple[float, float, float]
 _IDENTITY = np.eye(3)
+_THIN = 0.0125  # metres of half thickness below which a box's shadow does not show
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +21,7 @@ class Part:
     """One rigid shape.
 
     Attributes:
-        kind, size: as in `geometry.Parts`.
+        kind, size: as in `shapes.Parts`.
         place: [3] metres; rotation: [3,3] part to world.
         material: texture number of `textures`; tint: display colour; seed: of the texture.
         gloss: strength of highlights; mirror: share of light reflected like a mirror.
@@ -35,6 +36,12 @@ class Part:
     seed: int = 0
     gloss: float = 0.02
     mirror: float = 0.0
+
+    @property
+    def casts(self) -> bool:
+        """Whether it throws shadows: not the room, nothing that glows, nothing as thin as a picture on the wall."""
+        solid = self.kind not in (ROOM, BOX) or (self.kind == BOX and min(self.size) >= _THIN)
+        return solid and self.material not in (GLOW, VIEW)
 
     @property
     def bound(self) -> float:
@@ -72,7 +79,7 @@ def assemble(parts: list[Part]) -> Scene:
         rotation=np.array(rotations, np.float64),
         translation=np.array([part.place for part in parts], np.float64),
         bound=np.array([part.bound for part in parts], np.float64),
-        casts=np.array([part.material not in (GLOW, VIEW) and part.kind != ROOM for part in parts]),
+        casts=np.array([part.casts for part in parts]),
         gloss=np.array([part.gloss for part in parts], np.float64),
     )
     return Scene(

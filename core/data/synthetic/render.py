@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from core.arrays import Bool, Float32, Float64, Int32, UInt8
+from core.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from core.camera import Camera
-from core.data.synthetic.geometry import cast, distances, light
+from core.data.synthetic.casting import cast, packet_bounds
+from core.data.synthetic.lighting import distances, light, touched
 from core.data.synthetic.movers import movers
 from core.data.synthetic.parts import Scene, assemble
 from core.data.synthetic.room import AMBIENT, LAMPS, furniture
 from core.data.synthetic.spec import SyntheticSpec, cameras, exposures
 from core.data.synthetic.textures import paint
 
-_BAND = 24  # rows of pixels that one thread renders at a time
+_T = TypeVar("_T", bound=np.generic)
+_SPAN = 32  # neighbouring pixels that are rendered again together, or not
+_BATCH = 4096  # pixels that one thread renders at a time
 _MOVED = 2e-4  # metres a frame below which a surface counts as still
 _SAMPLES = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
 _CENTRE = np.array([[0.5, 0.5]])
@@ -42,6 +48,20 @@ class GroundTruth:
     motion: Float32
     moving: Bool
     mirror: Bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _EmptyRoom:
+    """The room without movers, seen by one camera: colour [H*W,3], number of parts, bounds of M spans of pixels."""
+
+    colour: Float32
+    parts: int
+    centre: Float64
+    reach: Float64
+    axis: Float64
+    angle: Float64
+    far: Float64
+    mirrored: Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,23 +95,36 @@ def render_frame(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTr
         raise ValueError(f"camera {camera_index} is outside the rig of {spec.cameras}")
     camera = cameras(spec)[camera_index]
     scene, before = scene_at(spec, index), scene_at(spec, max(index - 1, 0))
-    bands = [(top, min(top + _BAND, spec.height)) for top in range(0, spec.height, _BAND)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        colour = np.concatenate(list(pool.map(lambda rows: _colour(scene, camera, *rows), bands)))
-        truth = list(pool.map(lambda rows: _truth(scene, before, camera, *rows), bands))
-    depth, motion, mirror = (np.concatenate(column) for column in zip(*truth, strict=True))
-    image = develop(colour, spec, index, camera_index)
-    return GroundTruth(image, depth, motion, np.linalg.norm(motion, axis=2) > _MOVED, mirror)
+    truth = _in_batches(np.arange(spec.width * spec.height), lambda pixels: _truth(scene, before, camera, pixels))
+    depth, motion, mirror = truth[:, 0], truth[:, 1:4], truth[:, 4] > 0
+    shape = (spec.height, spec.width)
+    return GroundTruth(
+        image=render_image(spec, index, camera_index),
+        depth=depth.reshape(shape),
+        motion=motion.reshape(*shape, 3),
+        moving=(np.linalg.norm(motion, axis=1) > _MOVED).reshape(shape),
+        mirror=mirror.reshape(shape),
+    )
 
 
 def render_image(spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
-    """The picture of `render_frame` alone, [H,W,3] uint8."""
+    """The picture of `render_frame` alone, [H,W,3] uint8; ValueError as there.
+
+    Most of a picture stands still: only spans of pixels that a mover can cover, shade or be mirrored in are rendered
+    again, the others come from a picture of the empty room, which is kept for each camera.
+    """
     _check(spec, index)
+    if not 0 <= camera_index < spec.cameras:
+        raise ValueError(f"camera {camera_index} is outside the rig of {spec.cameras}")
     camera, scene = cameras(spec)[camera_index], scene_at(spec, index)
-    bands = [(top, min(top + _BAND, spec.height)) for top in range(0, spec.height, _BAND)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        colour = np.concatenate(list(pool.map(lambda rows: _colour(scene, camera, *rows), bands)))
-    return develop(colour, spec, index, camera_index)
+    room = _empty_room(spec, camera_index)
+    dirty = np.empty(len(room.reach), np.bool_)
+    bounds = (camera.centre, room.centre, room.reach, room.axis, room.angle, room.far)
+    touched(*bounds, scene.solid, room.parts, LAMPS, dirty)
+    pixels = np.flatnonzero(np.repeat(dirty | room.mirrored, _SPAN)[: spec.width * spec.height])
+    colour = room.colour.astype(np.float64)
+    colour[pixels] = _in_batches(pixels, lambda some: _colour(scene, camera, some))
+    return develop(colour.reshape(spec.height, spec.width, 3), spec, index, camera_index)
 
 
 def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
@@ -117,7 +150,7 @@ def is_dynamic(spec: SyntheticSpec, points: Float32 | Float64, index: int, *, to
     positions = np.ascontiguousarray(points, np.float64)
     now, before = scene_at(spec, index), scene_at(spec, index - 1)
     away = np.empty(len(positions))
-    for part in np.flatnonzero(_changed(now, before)):
+    for part in np.flatnonzero(_changed(now, before)).tolist():
         for here, there in ((now, before), (before, now)):
             distances(positions, here.solid, part, away)
             near = np.flatnonzero(np.abs(away) < tolerance)
@@ -128,10 +161,10 @@ def is_dynamic(spec: SyntheticSpec, points: Float32 | Float64, index: int, *, to
 def depth_bounds(spec: SyntheticSpec) -> tuple[float, float]:
     """Nearest and farthest depth that any camera sees at frame 0, with a margin, in metres."""
     depths = []
+    scene = scene_at(spec, 0)
     for camera in cameras(spec):
         small = camera.scaled(64, 36)
-        scene = scene_at(spec, 0)
-        depths.append(_truth(scene, scene, small, 0, small.height)[0])
+        depths.append(_truth(scene, scene, small, np.arange(64 * 36))[:, 0])
     return 0.8 * float(np.min(depths)), 1.1 * float(np.max(depths))
 
 
@@ -152,12 +185,36 @@ def _carry(points: Float64, part: int, now: Scene, before: Scene) -> Float64:
     return np.asarray(points - (local @ before.solid.rotation[part].T + before.solid.translation[part]), np.float64)
 
 
-def _rays(camera: Camera, top: int, bottom: int, offsets: Float64) -> tuple[Float64, Float64]:
-    """Origins and unit directions [rows * W * S, 3], the S samples of a pixel side by side."""
-    y, x, sample = np.meshgrid(np.arange(top, bottom), np.arange(camera.width), np.arange(len(offsets)), indexing="ij")
-    pixels = np.stack([x + offsets[sample, 0], y + offsets[sample, 1], np.ones(x.shape)], axis=-1).reshape(-1, 3)
-    directions = pixels @ np.linalg.inv(camera.intrinsics).T @ camera.world_to_camera[:3, :3]
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+@lru_cache(maxsize=64)
+def _empty_room(spec: SyntheticSpec, camera_index: int) -> _EmptyRoom:
+    camera, parts = cameras(spec)[camera_index], furniture(np.random.default_rng(spec.seed))
+    scene, pixels = assemble(parts), np.arange(spec.width * spec.height)
+    colour = _in_batches(pixels, lambda some: _colour(scene, camera, some)).astype(np.float32)
+    origins, directions = _rays(camera, pixels, _CENTRE)
+    hits = _hits(scene, origins, directions)
+    spans = -(-len(pixels) // _SPAN)
+    centre, axis = np.empty((spans, 3)), np.empty((spans, 3))
+    reach, angle, far = np.empty(spans), np.empty(spans), np.empty(spans)
+    packet_bounds(hits.world_point, directions, _SPAN, hits.distance, centre, reach, axis, angle, far)
+    pixel = 1.0 / float(camera.intrinsics[0, 0])  # the samples lie up to a pixel outside the centres' bounds
+    mirrored = np.logical_or.reduceat(scene.mirror[hits.part] > 0, np.arange(0, len(pixels), _SPAN))
+    return _EmptyRoom(colour, len(parts), centre, reach + 2 * pixel * far, axis, angle + pixel, far + 0.1, mirrored)
+
+
+def _in_batches(pixels: Int64, work: Callable[[Int64], NDArray[_T]]) -> NDArray[_T]:
+    """The rows that `work` makes of `pixels`, made by a thread for each batch."""
+    batches = [pixels[start : start + _BATCH] for start in range(0, max(len(pixels), 1), _BATCH)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return np.concatenate(list(pool.map(work, batches)))
+
+
+def _rays(camera: Camera, pixels: Int64, offsets: Float64) -> tuple[Float64, Float64]:
+    """Origins and unit directions [N * S, 3], the S samples of a pixel side by side; `pixels` [N] counts row by row."""
+    row, column = np.divmod(pixels, camera.width)
+    x, y = column[:, None] + offsets[:, 0], row[:, None] + offsets[:, 1]
+    places = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    directions = places @ (np.linalg.inv(camera.intrinsics).T @ camera.world_to_camera[:3, :3])
+    directions /= np.sqrt(np.einsum("ni,ni->n", directions, directions))[:, None]
     return np.broadcast_to(camera.centre, directions.shape), directions
 
 
@@ -174,14 +231,27 @@ def _hits(scene: Scene, origins: Float64, directions: Float64) -> _Hits:
 def _radiance(scene: Scene, hits: _Hits, directions: Float64, footprint: Float64, group: int) -> Float64:
     """[N,3] light from surfaces without their mirror reflections."""
     albedo, radiance = np.empty((len(directions), 4)), np.empty((len(directions), 3))
-    paint(hits.part, hits.point, hits.normal, footprint, scene.solid.size, scene.material, scene.tint, scene.seed, albedo)
-    light(hits.world_point, hits.world_normal, hits.part, -directions, albedo, scene.solid, LAMPS, AMBIENT, group, radiance)
+    paint(
+        hits.part, hits.point, hits.normal, footprint, scene.solid.size, scene.material, scene.tint, scene.seed, albedo
+    )
+    light(
+        hits.world_point,
+        hits.world_normal,
+        hits.part,
+        -directions,
+        albedo,
+        scene.solid,
+        LAMPS,
+        AMBIENT,
+        group,
+        radiance,
+    )
     return radiance
 
 
-def _colour(scene: Scene, camera: Camera, top: int, bottom: int) -> Float64:
-    """[rows,W,3] linear light of a band of rows, four samples a pixel and one mirror reflection."""
-    origins, directions = _rays(camera, top, bottom, _SAMPLES)
+def _colour(scene: Scene, camera: Camera, pixels: Int64) -> Float64:
+    """[N,3] linear light of `pixels` [N], four samples a pixel and one mirror reflection."""
+    origins, directions = _rays(camera, pixels, _SAMPLES)
     hits = _hits(scene, origins, directions)
     angle = 0.5 / float(camera.intrinsics[0, 0])
     radiance = _radiance(scene, hits, directions, angle * hits.distance, len(_SAMPLES))
@@ -197,21 +267,17 @@ def _colour(scene: Scene, camera: Camera, top: int, bottom: int) -> Float64:
         share = share + (1.0 - share) * np.clip(1.0 + facing, 0.0, 1.0) ** 5  # Schlick's Fresnel term
         reflected = _radiance(scene, seen, bounced, 2.0 * angle * path, 1)
         radiance[shiny] += share * (reflected - radiance[shiny] * (scene.mirror[hits.part[shiny], None] > 0.5))
-    return np.asarray(radiance.reshape(bottom - top, camera.width, len(_SAMPLES), 3).mean(axis=2), np.float64)
+    return np.asarray(radiance.reshape(len(pixels), len(_SAMPLES), 3).mean(axis=1), np.float64)
 
 
-def _truth(scene: Scene, before: Scene, camera: Camera, top: int, bottom: int) -> tuple[Float32, Float32, Bool]:
-    """Depth, motion and mirror mask of a band of rows, at the pixels' centres."""
-    origins, directions = _rays(camera, top, bottom, _CENTRE)
+def _truth(scene: Scene, before: Scene, camera: Camera, pixels: Int64) -> Float32:
+    """[N,5] depth, motion and mirror of `pixels` [N], at their centres."""
+    origins, directions = _rays(camera, pixels, _CENTRE)
     hits = _hits(scene, origins, directions)
-    motion = np.zeros(hits.world_point.shape, np.float32)
-    for part in np.flatnonzero(_changed(scene, before)):
-        rows = np.flatnonzero(hits.part == part)
-        motion[rows] = _carry(hits.world_point[rows], part, scene, before)
-    shape = (bottom - top, camera.width)
-    depth = hits.distance * (directions @ camera.world_to_camera[2, :3])
-    return (
-        depth.reshape(shape).astype(np.float32),
-        motion.reshape(*shape, 3),
-        (scene.mirror[hits.part] > 0).reshape(shape),
-    )
+    rows = np.zeros((len(pixels), 5), np.float32)
+    rows[:, 0] = hits.distance * (directions @ camera.world_to_camera[2, :3])
+    for part in np.flatnonzero(_changed(scene, before)).tolist():
+        on = np.flatnonzero(hits.part == part)
+        rows[on, 1:4] = _carry(hits.world_point[on], part, scene, before)
+    rows[:, 4] = scene.mirror[hits.part]
+    return rows

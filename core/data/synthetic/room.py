@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from core.data.synthetic import textures as T
-from core.data.synthetic.geometry import ROOM, Lamps
 from core.data.synthetic.parts import Part, ball, box, limb, tube, turn
+from core.data.synthetic.shapes import ROOM, Lamps
 
 HALF = (2.9, 3.45, 1.35)
 MIDDLE = (0.0, 0.85, 1.35)
@@ -104,7 +104,9 @@ def _walls(seeds: object) -> list[Part]:
     draw = seeds.__next__  # type: ignore[attr-defined]
     parts = []
     moods = ((0.85, 0.70, 0.45), (0.40, 0.62, 0.72), (0.75, 0.55, 0.60))
-    for (x, z, w, h), mood in zip(((-0.95, 1.62, 0.34, 0.25), (0.02, 1.74, 0.42, 0.32), (0.92, 1.60, 0.27, 0.34)), moods, strict=True):
+    for (x, z, w, h), mood in zip(
+        ((-0.95, 1.62, 0.34, 0.25), (0.02, 1.74, 0.42, 0.32), (0.92, 1.60, 0.27, 0.34)), moods, strict=True
+    ):
         parts.append(box((x, BACK - 0.014, z), (w + 0.03, 0.014, h + 0.03), T.WOOD, _WALNUT, seed=draw()))
         parts.append(box((x, BACK - 0.030, z), (w, 0.004, h), T.POSTER, mood, seed=draw(), gloss=0.06))
     window, mirror = -HALF[0], HALF[0]
