@@ -78,6 +78,7 @@ class Store:
             self._catalogue.executescript(_SCHEMA)
         except (OSError, sqlite3.Error) as error:
             raise InputError(folder, f"cannot hold recordings ({error}); choose another --state-dir") from error
+        self._recordings: list[Recording] = []
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
 
     async def run(self, work: Callable[[], _T]) -> _T:
@@ -95,7 +96,9 @@ class Store:
 
     def recording(self, stream: str) -> Recording:
         """The recording of a stream, repaired if the last run broke off."""
-        return Recording(self, stream)
+        recording = Recording(self, stream)
+        self._recordings.append(recording)
+        return recording
 
     def definitions(self) -> dict[str, dict[str, Any]]:
         """Definitions of streams that were created while running."""
@@ -115,7 +118,9 @@ class Store:
         return usage.free > usage.total * self.retention.reserve_fraction
 
     def close(self) -> None:
-        """Finish what waits and close the catalogue."""
+        """Finish what waits, all open segments, and the catalogue."""
+        for recording in self._recordings:
+            self._thread.submit(recording.finish)
         self._thread.shutdown(wait=True)
         self._catalogue.close()
 
@@ -153,7 +158,7 @@ class Recording:
 
     async def close(self) -> None:
         """Finish the open segment."""
-        await self._store.run(self._finish)
+        await self._store.run(self.finish)
 
     async def trim(self, before: Position) -> None:
         """Delete closed segments that end before `before`."""
@@ -163,7 +168,7 @@ class Recording:
         """Delete everything."""
 
         def work() -> None:
-            self._finish()
+            self.finish()
             self._delete(list(self.segments))
             shutil.rmtree(self._folder, ignore_errors=True)
 
@@ -174,7 +179,7 @@ class Recording:
         self._waiting_bytes -= len(packet.data)
         try:
             if packet.is_key:
-                self._finish()
+                self.finish()
                 self._retain()
                 self._begin(packet)
             if self._writer is None:
@@ -201,7 +206,8 @@ class Recording:
         self._writer = SlodWriter(path, live=True)
         self.segments.append(Segment(path, packet.position, packet.position, 0, 0, time.time_ns(), False))
 
-    def _finish(self) -> None:
+    def finish(self) -> None:
+        """Close the open segment. On the recording thread."""
         if self._writer is None:
             return
         writer, self._writer = self._writer, None

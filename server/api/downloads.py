@@ -31,10 +31,8 @@ Version = Annotated[int, Path(ge=0, le=_BOUND, description="frame number", examp
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need(Right.READ)])
 
 
-@router.api_route(
-    "/packets/{epoch}/{version}", methods=["GET", "HEAD"], summary="One packet", response_class=Response,
-    responses=_ANSWERS,
-)  # fmt: skip
+@router.head("/packets/{epoch}/{version}", include_in_schema=False)
+@router.get("/packets/{epoch}/{version}", summary="One packet", response_class=Response, responses=_ANSWERS)
 async def packet(stream: StreamOf, epoch: Epoch, version: Version, request: Request) -> Response:
     """The packet that leads to this version, as in codec/FORMAT.md. Immutable."""
     place = Position(epoch, version)
@@ -46,10 +44,8 @@ async def packet(stream: StreamOf, epoch: Epoch, version: Version, request: Requ
     return respond(request, Download((data,), _hash(data), _PACKET_TYPE, IMMUTABLE, name))
 
 
-@router.api_route(
-    "/gops/{epoch}/{first}", methods=["GET", "HEAD"], summary="One group of pictures", response_class=Response,
-    responses=_ANSWERS,
-)  # fmt: skip
+@router.head("/gops/{epoch}/{first}", include_in_schema=False)
+@router.get("/gops/{epoch}/{first}", summary="One group of pictures", response_class=Response, responses=_ANSWERS)
 async def group(stream: StreamOf, epoch: Epoch, first: Version, request: Request) -> Response:
     """A keyframe and its residuals as a `.slod` file. Immutable once a later keyframe has come."""
     place = Position(epoch, first)
@@ -60,10 +56,8 @@ async def group(stream: StreamOf, epoch: Epoch, first: Version, request: Request
     return respond(request, _file(stream, {place: pieces}, IMMUTABLE if closed else FRESH, f"{epoch}-{first}"))
 
 
-@router.api_route(
-    "/bitstream", methods=["GET", "HEAD"], summary="Everything retained of one epoch", response_class=Response,
-    responses=_ANSWERS,
-)  # fmt: skip
+@router.head("/bitstream", include_in_schema=False)
+@router.get("/bitstream", summary="Everything retained of one epoch", response_class=Response, responses=_ANSWERS)
 async def bitstream(
     stream: StreamOf,
     request: Request,

@@ -95,10 +95,10 @@ class Running:
 @contextmanager
 def running(settings: Settings, *specs: StreamSpec) -> Iterator[Running]:
     """A server on a free port of loopback."""
+    app = create_app(settings, specs)
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
     listener.listen(256)
-    app = create_app(settings, specs)
     server = Server(server_config(app, settings), app.state.registry)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])))
     thread.start()

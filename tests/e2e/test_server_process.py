@@ -1,0 +1,152 @@
+"""The server as a user runs it: a process, from the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from codec.container import SlodReader
+from tests.server.conftest import Clip, Viewer, make_clip
+
+PROGRAM = [sys.executable, "-m", "server.cli"]
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    return make_clip(tmp_path_factory.mktemp("clip") / "scene.slod", 60, key_every=20)
+
+
+@contextmanager
+def serving(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A `streamlod serve` on a free port, with that port."""
+    command = [*PROGRAM, "serve", "--port", "0", *map(str, arguments)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if found := re.search(r"http://127\.0\.0\.1:(\d+)", line):
+                yield process, int(found.group(1))
+                break
+        else:
+            pytest.fail("the server did not start")
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stderr is not None
+        process.stderr.close()
+
+
+def get(port: int, path: str) -> bytes:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10) as answer:
+        body: bytes = answer.read()
+        return body
+
+
+def wait_live(port: int) -> dict[str, Any]:
+    limit = time.monotonic() + 20
+    while (stream := json.loads(get(port, "/v1/streams/main")))["state"] != "live":
+        assert time.monotonic() < limit, stream
+        time.sleep(0.05)
+    return dict(stream)
+
+
+def family(pid: int) -> list[int]:
+    """A process and its descendants."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        children += (task / "children").read_text().split()
+    return [pid, *(p for child in set(children) for p in family(int(child)))]
+
+
+def live(port: int) -> Any:
+    address = f"ws://127.0.0.1:{port}/v1/streams/main/live"
+    return connect(address, subprotocols=["streamlod.v1"], compression=None, max_size=2**24, proxy=None)  # type: ignore[list-item]
+
+
+def test_playing_needs_little_memory_and_no_training_library(clip: Clip) -> None:
+    with serving("--play", clip.path) as (process, port), live(port) as connection:
+        wait_live(port)
+        viewer = Viewer(connection).hello()
+        viewer.until("caught_up")
+        total, maps = 0, ""
+        for pid in family(process.pid):
+            status = Path(f"/proc/{pid}/smaps_rollup").read_text()
+            total += int(re.search(r"^Pss:\s+(\d+)", status, re.M).group(1))  # type: ignore[union-attr]
+            maps += Path(f"/proc/{pid}/maps").read_text()
+        assert "torch" not in maps
+        assert total < 300_000
+
+
+def test_sigterm_tells_viewers_and_ends_within_ten_seconds(clip: Clip) -> None:
+    with serving("--play", clip.path) as (process, port), live(port) as connection:
+        wait_live(port)
+        viewer = Viewer(connection).hello()
+        viewer.until("caught_up")
+        begin = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        with pytest.raises(ConnectionClosed) as caught:
+            viewer.until("nothing that the server sends")
+        assert caught.value.rcvd is not None
+        assert caught.value.rcvd.code == 1001
+        process.wait(10)
+        assert time.monotonic() - begin < 10
+
+
+def test_a_killed_server_keeps_what_it_recorded(clip: Clip, tmp_path: Path) -> None:
+    options = ("--play", clip.path, "--state-dir", tmp_path)
+    with serving(*options) as (process, port):
+        wait_live(port)
+        limit = time.monotonic() + 20
+        while len(json.loads(get(port, "/v1/streams/main/manifest"))["gops"]) < 2:
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+        acknowledged = get(port, "/v1/streams/main/bitstream?epoch=1")
+        pids = family(process.pid)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    with serving(*options) as (_, port):
+        assert wait_live(port)["epoch"] >= 2
+        kept = get(port, "/v1/streams/main/bitstream?epoch=1")
+        assert kept.startswith(acknowledged)
+    path = tmp_path / "kept.slod"
+    path.write_bytes(kept)
+    with SlodReader(path) as reader:
+        assert list(reader.packets()) == clip.packets[: len(reader.entries)]
+    limit = time.monotonic() + 5
+    while any(Path(f"/proc/{pid}").exists() for pid in pids):  # workers notice that their server is gone
+        assert time.monotonic() < limit
+        time.sleep(0.1)
+
+
+def test_bad_starts_are_one_sentence_and_exit_code_two(clip: Clip, tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen(1)
+        port = str(taken.getsockname()[1])
+        cases = {
+            "--port": ["--port", port],
+            "insecure": ["--host", "0.0.0.0", "--port", "0"],
+            "torn.slod": ["--play", str(tmp_path / "torn.slod"), "--port", port],
+        }
+        for word, arguments in cases.items():
+            result = subprocess.run(
+                [*PROGRAM, "serve", *arguments], capture_output=True, text=True, timeout=30, check=False
+            )
+            assert result.returncode == 2, result.stderr
+            assert word in result.stderr
+            assert "Traceback" not in result.stderr
