@@ -19,6 +19,7 @@ from core.data.names import listed
 from core.errors import InputError
 from core.frames import FrameSet, PointCloud
 
+MAX_DOWNSCALE = 64
 FPS_OF_PICTURES = 30.0  # folders of pictures do not say their rate
 
 
@@ -181,11 +182,10 @@ def dataset(recording: Recording, downscale: float = 1, cameras: Sequence[str] |
     """The data set of `recording`, scaled down by `downscale`, with the cameras named, or all.
 
     Raises:
-        ValueError: `downscale` below 1.
-        InputError: a camera that does not exist, or whose distortion cannot be undone.
+        InputError: `downscale` below 1, a camera that does not exist, or one whose distortion cannot be undone.
     """
-    if not 1 <= downscale <= 64:
-        raise ValueError(f"downscale must lie between 1 and 64, not {downscale}")
+    if not 1 <= downscale <= MAX_DOWNSCALE:
+        raise InputError("downscale", f"must lie between 1 and {MAX_DOWNSCALE}, not {downscale}")
     names = [camera.name for camera in recording.cameras]
     rows = range(len(names)) if cameras is None else [_row_of(name, names, recording.path) for name in cameras]
     plans = tuple(development(recording.cameras[row], downscale) for row in rows)

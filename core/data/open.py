@@ -38,8 +38,8 @@ def open_dataset(
         cameras: names of the cameras to use, in the order wanted; None for all, in numeric order.
 
     Raises:
-        InputError: no such folder, or one that cannot be used; names the file and its fault.
-        ValueError: an unknown layout, or `downscale` below 1.
+        InputError: no such folder, or one that cannot be used; names the file and its fault. Also an unknown layout,
+            or `downscale` below 1.
     """
     folder = Path(path)
     if folder.name == transforms.FILE and folder.is_file():
@@ -50,7 +50,7 @@ def open_dataset(
         raise InputError(folder, "is an empty folder")
     chosen = _detect(folder) if layout is None else layout
     if chosen not in _READERS:
-        raise ValueError(f"layout must be one of {', '.join(LAYOUTS)}, not {chosen!r}")
+        raise InputError("layout", f"must be one of {', '.join(LAYOUTS)}, not {chosen!r}")
     opened = dataset(_READERS[chosen](folder), downscale, cameras)
     first = opened.cameras[0]
     _log.info(

@@ -53,13 +53,13 @@ def test_the_layout_is_detected_and_can_be_overridden(tmp_path: Path) -> None:
     assert open_dataset(tmp_path / "c").layout == "caliscope"
     with pytest.raises(InputError, match="holds no video called like cam_0"):
         open_dataset(tmp_path, layout="meetroom")
-    with pytest.raises(ValueError, match=f"layout must be one of {', '.join(LAYOUTS)}"):
+    with pytest.raises(InputError, match=f"layout: must be one of {', '.join(LAYOUTS)}"):
         open_dataset(tmp_path, layout="video")
 
 
 @pytest.mark.parametrize("downscale", [0, 0.5, -2, float("nan"), 1000])
 def test_downscale_is_checked(clip: Path, downscale: float) -> None:
-    with pytest.raises(ValueError, match="downscale must lie between"):
+    with pytest.raises(InputError, match="downscale: must lie between"):
         open_dataset(clip, downscale=downscale)
 
 
