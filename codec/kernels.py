@@ -276,20 +276,40 @@ def _take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Arra
     bins, weight, expected, total = _weights(scale)
     if total == 0:
         return
-    mean = total
+    mean, lanes = total, len(x) - 1
+    item, at = ctl[0], ctl[1]  # kept apart from `ctl` on the common path, which this loop spells out for speed
     for i in range(len(values)):
         energy, seen, gain = 0, 0, 0
         for c in range(len(scale)):
             if _renews(c):
                 gain = magnitude_bin(256 * (6 * mean + energy) // (6 * total + seen)) - 24
             if scale[c]:
-                value = _take_value(words, x, ctl, bins[c] + gain)
+                b = max(bins[c] + gain, 0)
+                state = x[item & lanes]
+                slot = state & 4095
+                z: Any = np.int64(_SYMBOL_OF[min(b, _TOP_BIN) * 4096 + slot])
+                if b <= _TOP_BIN and z < ESCAPE:
+                    state = FREQUENCIES[b, z] * (state >> 12) + slot - _STARTS[b, z]
+                    if state < LOWEST_STATE:
+                        if at == len(words):
+                            ctl[2] = 1
+                            return
+                        state = state << 16 | np.int64(words[at])
+                        at += 1
+                    x[item & lanes] = state
+                    item += 1
+                    value = -((z + 1) >> 1) if z & 1 else z >> 1
+                else:
+                    ctl[0], ctl[1] = item, at
+                    value = _take_value(words, x, ctl, b)
+                    item, at = ctl[0], ctl[1]
                 values[i, c] = value
                 energy += weight[c] * min(abs(value), ENERGY_LIMIT)
                 seen += expected[c]
         mean += (energy - mean) >> 2
         if ctl[2]:
             return
+    ctl[0], ctl[1] = item, at
 
 
 @compiled

@@ -1,7 +1,8 @@
 """What the bitstream costs: ``python -m tests.bench.codec_bench [FILE.slod]``; without a file, on made-up motion.
 
-Prints sizes by part, distances to entropy bounds and to general compressors, and speeds. All sizes are of real bytes, except
-the split of CHANGE chunks into set, positions and latents, which is the code length of the items (exact to a byte a level).
+Prints sizes by part, distances to entropy bounds and to general compressors, and speeds. All sizes are of real bytes,
+except the split of CHANGE chunks into set, positions and latents, which is the code length of the items (exact to a
+byte a level).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import sys
 import time
 import zlib
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,7 @@ from core.residual import LevelResidual, Residual, difference
 from tests.codec.scenes import make_scene, steps
 
 SYMBOLS_PER_ROW = LATENTS + 3
+LZMA = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0}]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +54,7 @@ def load(path: Path) -> Clip:
                 states.append(decoder.scene)
             elif decoder.scene is not None:
                 states[-1] = decoder.scene  # a further part of the same frame
-    return Clip(states, [difference(a, b) for a, b in zip(states, states[1:], strict=False)])
+    return Clip(states, [difference(a, b) for a, b in pairwise(states)])
 
 
 def invent(frames: int = 12) -> Clip:
@@ -79,11 +82,12 @@ def _split(level: LevelResidual, rows: int, voxel: Int64) -> Float64:
     changed[level.rows] = 1
     position, latent = level.position.astype(np.int64), level.latent.astype(np.int64)
     errors = kernels.position_errors(voxel[level.rows], position, np.uint64(1))
+    errors = min(errors, position, key=lambda values: float(np.log2(1.0 + np.abs(values)).sum()))
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
     ends = [0, kernels.rows_items(changed, items, 0)]
     ends.append(kernels.positions_items(errors, scale, items, ends[-1]))
     ends.append(kernels.columns_items(latent, encode_scales(latent)[1], items, ends[-1]))
-    return np.array([_item_bits(items[a:b].astype(np.int64)) for a, b in zip(ends, ends[1:], strict=False)])
+    return np.array([_item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
 
 
 def predicted_report(clip: Clip) -> None:
@@ -99,7 +103,7 @@ def predicted_report(clip: Clip) -> None:
     sizes = np.array([len(p) for p in packets])
     dynamic = sum(len(level.rows) for r in clip.residuals for level in r.levels)
     anchors = np.mean([scene.anchor_count for scene in clip.states])
-    zeros = np.mean([_latents(r) == 0 for r in clip.residuals for _ in [0] if len(_latents(r))][0])
+    zeros = np.mean(np.concatenate([_latents(r) for r in clip.residuals]) == 0)
     parts = np.zeros(3)
     for state, residual in zip(clip.states, clip.residuals, strict=False):
         for before, level in zip(state.levels, residual.levels, strict=True):
@@ -126,7 +130,7 @@ def _latents(residual: Residual) -> Int64:
 
 
 @compiled
-def _context_bins(values, scale, bins_out):  # type: ignore[no-untyped-def]
+def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
     """The bin under which each latent is coded, -1 for uncoded channels."""
     bins, weight, expected, total = kernels._weights(scale)
     mean = total
@@ -193,7 +197,7 @@ def latents_report(clip: Clip) -> None:
 
 def _zstd(data: bytes) -> bytes:
     try:
-        import zstandard
+        import zstandard  # type: ignore[import-not-found, unused-ignore]
     except ImportError:
         return data
     return bytes(zstandard.ZstdCompressor(level=19).compress(data))
