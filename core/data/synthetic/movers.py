@@ -111,7 +111,7 @@ def visitor(time: float, cycle: float) -> list[Part]:
     part_of_cycle = (time / cycle) % 1.0
     rise = _ramp((part_of_cycle - 0.12) / 0.22) - _ramp((part_of_cycle - 0.66) / 0.22)
     look = turn("z", 0.5 * math.sin(6.2832 * 2.0 * (part_of_cycle - 0.12)) * rise)
-    base = np.array([-0.42, 3.99, 0.32 + 0.56 * rise])
+    base = np.array([-0.42, 3.99, 0.18 + 0.70 * rise])
     parts = [ball(_tuple(base + np.array([0.0, 0.0, -0.02])), (0.13, 0.10, 0.20), T.FUR, _GINGER, seed=21)]
     head = base + np.array([0.0, -0.02, 0.24])
     parts.append(ball(_tuple(head), (0.135, 0.115, 0.115), T.FUR, _GINGER, seed=22, rotation=look))

@@ -138,7 +138,7 @@ def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: in
 
 
 def is_dynamic(spec: SyntheticSpec, points: Float32 | Float64, index: int, *, tolerance: float = 0.03) -> Bool:
-    """[N] bool: which world `points` [N,3] lie within `tolerance` metres of a surface that moves in the step to `index`.
+    """[N] bool: which world `points` [N,3] lie within `tolerance` metres of a surface that moves up to `index`.
 
     Both ends of the step count: where a moving surface is at frame `index`, and where it was at `index` - 1. Nothing
     moves in the step to frame 0.

@@ -21,9 +21,9 @@ _OAK, _WALNUT, _WHITE, _STEEL = (0.72, 0.52, 0.32), (0.40, 0.24, 0.15), (0.90, 0
 LAMPS = Lamps(
     position=np.array([[0.35, 1.35, 2.30], [-2.75, 1.75, 1.65]]),
     radius=np.array([0.11, 0.42]),
-    colour=np.array([[2.5, 2.25, 1.85], [2.3, 2.6, 3.0]]),
+    colour=np.array([[3.3, 2.95, 2.45], [2.4, 2.75, 3.2]]),
 )
-AMBIENT = np.array([0.36, 0.37, 0.40])
+AMBIENT = np.array([0.27, 0.28, 0.31])
 
 
 def furniture(generator: np.random.Generator) -> list[Part]:
