@@ -125,7 +125,10 @@ export class Connection {
 
   /** Commands of the protocol; a seek with `stop` pauses on arrival. @param {any[]} messages */
   send(messages) {
-    for (const { stop, ...message } of messages) {
+    const { position } = this.session.status;
+    for (const { stop, ...wanted } of messages) {
+      // The server stopped a few packets after what is shown; to go on from there is a seek.
+      const message = wanted.type === "play" && position ? { type: "seek", to: position } : wanted;
       if (message.type === "seek" || message.type === "play") {
         this.frozen = false;
         this.adrift = true;

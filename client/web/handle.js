@@ -32,7 +32,7 @@ export function createHandle(viewer, timeline, destroy) {
     /** @type {(version: number | "live") => void} */
     seek: (version) => (version === "live" ? timeline.live() : timeline.seek(version)),
     play: () => timeline.paused && timeline.toggle(),
-    pause: () => timeline.paused || timeline.toggle(),
+    pause: () => timeline.pause(),
     /** @type {(frames: number) => void} */
     step: (frames) => timeline.step(frames),
     /** @type {(loop: boolean) => void} */

@@ -28,6 +28,7 @@ function show(said) {
   if (chip.textContent !== said.chip) chip.textContent = said.chip;
   const card = element("card");
   card.hidden = !said.card;
+  element("stage").toggleAttribute("data-card", said.card !== null);
   if (!said.card) return;
   const { title, text, spinner, fraction, button: label } = said.card;
   card.classList.toggle("still", !spinner);
@@ -83,6 +84,7 @@ async function start(viewer) {
   viewer.addEventListener("picture", (event) => {
     const { detail } = /** @type {CustomEvent} */ (event);
     if (detail.position && viewer.status) viewer.status.position = detail.position;
+    element("stage").toggleAttribute("data-shown", true);
     rates.frame(detail, viewer.status?.bytes ?? 0);
     refresh();
   });

@@ -78,7 +78,14 @@ export class Timeline {
   }
 
   toggle() {
-    this.send([{ type: this.paused || this.status?.phase === "ended" ? "play" : "pause" }]);
+    if (this.paused) this.send([{ type: "play" }]);
+    else if (this.status?.phase !== "ended") this.pause();
+    else if (this.recording) this.send([{ type: "play" }]);
+    else this.seek(this.oldest);
+  }
+
+  pause() {
+    this.send([{ type: "pause" }]);
   }
 
   /** @param {number} by - frames */

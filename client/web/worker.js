@@ -27,8 +27,10 @@ let drawn = { keyframe: -1, generation: -1 };
 let scheduled = false;
 let refusals = 0;
 let decodeMs = 0;
-/** @type {number | null} */
+/** @type {number | null} version to reach before the next picture */
 let held = null;
+/** @type {import("./messages.js").Position | null} */
+let shownAt = null;
 
 /** @type {(message: FromWorker, transfer?: Transferable[]) => void} */
 const tell = (message, transfer = []) => self.postMessage(message, { transfer });
@@ -78,12 +80,14 @@ function picture() {
   if (!result) return;
   const { spans, quads } = result;
   const transfer = [quads.buffer, ...spans.map(({ data }) => data.buffer)];
-  const position = source?.session.status.position ?? null;
+  const position = (shownAt = source?.session.status.position ?? null);
   tell({ type: "picture", ...result, decodeMs, position, summary: engine.summary() }, /** @type {any} */ (transfer));
 }
 
 function status() {
-  if (source) tell({ type: "status", status: { ...source.session.status }, refusals, now: performance.now() });
+  if (!source) return;
+  const { status } = source.session; // on the way to a version, what is shown counts
+  tell({ type: "status", status: { ...status, position: held === null ? status.position : shownAt }, refusals, now: performance.now() });
 }
 
 let holdTimer = 0;

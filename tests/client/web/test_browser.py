@@ -23,7 +23,7 @@ from tests.client.web.test_modules import assert_same_splats
 
 pytestmark = pytest.mark.browser
 
-WAIT = {"timeout": 15_000}
+WAIT = {"timeout": 30_000}
 CAPTURE = """async () => {
   const bytes = new Uint8Array(await (await streamlod.captureFrame()).arrayBuffer());
   return btoa(Array.from(bytes, (x) => String.fromCharCode(x)).join(""));
@@ -267,3 +267,30 @@ def test_embedding_page_hears_and_commands(page: Any, clip: Clip, tmp_path: Path
         command = {"streamlod": "seek", "id": 5, "arguments": [2]}
         page.evaluate("(command) => frames[0].postMessage(command, '*')", command)
         page.wait_for_function("heard.answer?.id === 5 && heard.status?.state.position.version >= 2", **WAIT)
+
+
+def test_real_server_live_seek_restart(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """The real server plays a file: the page follows it to its end, seeks in the window, steps, and goes on."""
+    from server.settings import Settings
+    from server.spec import StreamSpec
+    from tests.server.conftest import running
+
+    recording = tmp_path / "clip.slod"
+    with SlodWriter(recording) as writer:
+        writer.append(clip.key())
+        for version in range(1, len(clip.states)):
+            writer.append(clip.residual(version - 1, version))
+    with running(Settings(), StreamSpec(play=recording, loop=False)) as server:
+        page.goto(server.url)
+        shows(page, "s.version === 39")
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[39].levels]
+        page.evaluate("streamlod.pause()")
+        shows(page, "s.mode === 'paused'")
+        for target in (11, 25):
+            page.evaluate(f"streamlod.seek({target})")
+            shows(page, f"s.version === {target} && s.phase === 'paused'")
+            assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[target].levels]
+        page.keyboard.press(" ")
+        shows(page, "s.version > 26")
+        page.keyboard.press("End")
+        shows(page, "s.version === 39 && s.mode === 'live'")
