@@ -6,8 +6,10 @@ import os
 
 import numpy as np
 
-from codec import kernels
+from codec import change_model
+from codec.column_model import columns_items
 from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, scale_of, words_of
+from codec.rans import VALUE_LIMIT, Array
 from core.anchors import LATENTS
 from core.arrays import Int32, Int64
 from core.entropy_model import SCALES
@@ -17,20 +19,20 @@ _SCALE_MASK, _NOT_PREDICTED = 127, 128  # of the position scale's byte
 
 def encode(voxel: Int32, rows: Int64, position: Int64, latent: Int64) -> bytes | None:
     """The chunk, or None if a number is too large for it; arguments as in `codec.chunks.encode_change`."""
-    errors, plain = kernels.position_errors(voxel[rows].astype(np.int64), position, _salt()), 0
+    errors, plain = change_model.position_errors(voxel[rows].astype(np.int64), position, _salt()), 0
     if np.log2(1.0 + np.abs(position)).sum() < np.log2(1.0 + np.abs(errors)).sum():
         errors, plain = position, _NOT_PREDICTED
-    if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= kernels.VALUE_LIMIT:
+    if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= VALUE_LIMIT:
         return None
     changed = np.zeros(len(voxel), np.uint8)
     changed[rows] = 1
     position_scale = min(scale_of(float(np.abs(errors).mean()) if len(errors) else 0.0), _SCALE_MASK)
     side, scale = encode_scales(latent)
 
-    def model_pass(items: kernels.Array) -> int:
-        count = kernels.rows_items(changed, items, 0)
-        count = kernels.positions_items(errors, SCALES[position_scale], items, count)
-        return kernels.columns_items(latent, scale, items, count)
+    def model_pass(items: Array) -> int:
+        count = change_model.rows_items(changed, items, 0)
+        count = change_model.positions_items(errors, SCALES[position_scale], items, count)
+        return columns_items(latent, scale, items, count)
 
     lanes, words = encode_items(model_pass, len(voxel) + 2 * (errors.size + latent.size))
     return bytes([lanes, position_scale | plain]) + side + words
@@ -42,7 +44,7 @@ def decode(data: bytes, voxel: Int32) -> tuple[Int64, Int32, Int32]:
         raise corrupt("a change ends before its position scale")
     scale, at = decode_scales(data, 2, LATENTS)
     predicted = not data[1] & _NOT_PREDICTED
-    sound, rows, position, latent = kernels.decode_change(
+    sound, rows, position, latent = change_model.decode_change(
         words_of(data, at), data[0], voxel, SCALES[data[1] & _SCALE_MASK], predicted, scale, _salt()
     )
     if not sound:

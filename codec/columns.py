@@ -7,8 +7,9 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from codec import kernels
+from codec import column_model
 from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
+from codec.rans import VALUE_LIMIT
 from core.arrays import Int64
 from core.errors import BitstreamError
 
@@ -28,10 +29,10 @@ def encode(matrix: Int64, *, with_count: bool = False) -> bytes | None:
     sizes += 32 * (np.arange(3)[:, None] == _CENTRED)  # the bits of a centre
     modes: Int64 = np.argmin(sizes, axis=0).astype(np.int64)
     values = np.asarray(np.take_along_axis(forms, modes[None, None], axis=0)[0], np.int64)
-    if np.abs(values).max(initial=0) >= kernels.VALUE_LIMIT:
+    if np.abs(values).max(initial=0) >= VALUE_LIMIT:
         return None
     side, scale = encode_scales(values)
-    lanes, words = encode_items(lambda items: kernels.columns_items(values, scale, items, 0), 2 * values.size)
+    lanes, words = encode_items(lambda items: column_model.columns_items(values, scale, items, 0), 2 * values.size)
     centres: bytes = centre[modes == _CENTRED].astype("<i4").tobytes()
     count = _COUNT.pack(len(matrix)) if with_count else b""
     return bytes([lanes]) + count + _pack_modes(modes) + centres + side + words
@@ -47,7 +48,7 @@ def decode(data: bytes, at: int, rows: int, channels: int) -> Int64:
     centres = np.frombuffer(data, "<i4", len(centred), at).astype(np.int64)
     scale, at = decode_scales(data, at + 4 * len(centred), channels)
     values = np.zeros((rows, channels), np.int64)
-    if not kernels.decode_columns(words_of(data, at), lanes, values, scale):
+    if not column_model.decode_columns(words_of(data, at), lanes, values, scale):
         raise corrupt("an entropy-coded chunk does not end as it must")
     values[:, centred] += centres
     following = modes == _PREVIOUS

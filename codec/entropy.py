@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from codec import kernels
+from codec.rans import Array, rans_encode
 from core.arrays import Int64
 from core.entropy_model import HIGHEST_SCALE, MAGNITUDE_UNIT, SCALES
 from core.errors import BitstreamError
-
-Array = NDArray[Any]
 
 FEW_ITEMS = 8000  # below, one lane saves 12 bytes that matter more than speed
 _STEPS = 4  # of a scale, between neighbouring nibbles: half an octave
@@ -38,7 +34,7 @@ def encode_items(model_pass: Callable[[Array], int], expected: int) -> tuple[int
         size *= 2
     lanes = 1 if count < FEW_ITEMS else 4
     words = np.empty(count + 2 * lanes, np.uint16)
-    first = kernels.rans_encode(items, count, lanes, words)
+    first = rans_encode(items, count, lanes, words)
     return lanes, words[first:].astype("<u2").tobytes()
 
 

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 
-from codec import kernels
+from codec import octree_model
 from codec.entropy import corrupt, encode_items, words_of
 from core.arrays import Int32
 from core.errors import BitstreamError
@@ -26,7 +26,7 @@ def encode(voxel: Int32) -> bytes | None:
     keys = morton_key(voxel)
     if (np.diff(keys) <= 0).any():
         return None
-    lanes, words = encode_items(lambda items: kernels.octree_items(keys, depth, items, 0), 16 * len(keys))
+    lanes, words = encode_items(lambda items: octree_model.octree_items(keys, depth, items, 0), 16 * len(keys))
     return _HEAD.pack(lanes, len(voxel), *minimum.tolist(), depth) + words
 
 
@@ -39,7 +39,7 @@ def decode(data: bytes, most_rows: int) -> Int32:
         raise BitstreamError("limit_exceeded", f"{count} anchors exceed the limit of {most_rows}")
     if depth > _MAX_DEPTH or count == 0:
         raise corrupt(f"an octree of depth {depth} with {count} leaves cannot be")
-    sound, nodes = kernels.decode_octree(words_of(data, _HEAD.size), lanes, depth, count)
+    sound, nodes = octree_model.decode_octree(words_of(data, _HEAD.size), lanes, depth, count)
     if not sound:
         raise corrupt("octree geometry does not end as it must")
     voxel = nodes + np.array(minimum, np.int64)

@@ -1,4 +1,4 @@
-"""The entropy coder said once, slowly, in plain Python: what `codec.kernels` is tested against.
+"""The entropy coder said once, slowly, in plain Python: what `codec.rans` and the models are tested against.
 
 Every model below runs in both directions: `Decoder` reads values from words; `Encoder` is told them and lists items. So
 the two directions cannot differ here, and the compiled ones are held to both. FORMAT.md sections 6, 7 and 9.

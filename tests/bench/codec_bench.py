@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from codec import kernels
+from codec import change_model, column_model, rans
 from codec.compiled import compiled
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
@@ -81,12 +81,12 @@ def _split(level: LevelResidual, rows: int, voxel: Int64) -> Float64:
     items, changed = np.empty(200 + 20 * (rows + 30 * len(level.rows)), np.uint32), np.zeros(rows, np.uint8)
     changed[level.rows] = 1
     position, latent = level.position.astype(np.int64), level.latent.astype(np.int64)
-    errors = kernels.position_errors(voxel[level.rows], position, np.uint64(1))
+    errors = change_model.position_errors(voxel[level.rows], position, np.uint64(1))
     errors = min(errors, position, key=lambda values: float(np.log2(1.0 + np.abs(values)).sum()))
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
-    ends = [0, kernels.rows_items(changed, items, 0)]
-    ends.append(kernels.positions_items(errors, scale, items, ends[-1]))
-    ends.append(kernels.columns_items(latent, encode_scales(latent)[1], items, ends[-1]))
+    ends = [0, change_model.rows_items(changed, items, 0)]
+    ends.append(change_model.positions_items(errors, scale, items, ends[-1]))
+    ends.append(column_model.columns_items(latent, encode_scales(latent)[1], items, ends[-1]))
     return np.array([_item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
 
 
@@ -132,13 +132,13 @@ def _latents(residual: Residual) -> Int64:
 @compiled
 def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
     """The bin under which each latent is coded, -1 for uncoded channels."""
-    bins, weight, expected, total = kernels._weights(scale)
+    bins, weight, expected, total = column_model.channel_weights(scale)
     mean = total
     for i in range(len(values)):
         energy, seen, gain = 0, 0, 0
         for c in range(len(scale)):
-            if kernels._renews(c) and total:
-                gain = kernels.magnitude_bin(256 * (6 * mean + energy) // (6 * total + seen)) - 24
+            if column_model.renews(c) and total:
+                gain = rans.magnitude_bin(256 * (6 * mean + energy) // (6 * total + seen)) - 24
             bins_out[i, c] = max(bins[c] + gain, 0) if scale[c] else -1
             energy += weight[c] * min(abs(values[i, c]), 65535)
             seen += expected[c]
@@ -164,7 +164,9 @@ def latents_report(clip: Clip) -> None:
                 continue
             side, scale = encode_scales(latent)
             items = np.empty(200 + 400 * len(latent), np.uint32)
-            ours += _item_bits(items[: kernels.columns_items(latent, scale, items, 0)].astype(np.int64)) + 8 * len(side)
+            ours += _item_bits(items[: column_model.columns_items(latent, scale, items, 0)].astype(np.int64)) + 8 * len(
+                side
+            )
             bins = np.empty_like(latent)
             _context_bins(latent, scale, bins)
             np.add.at(by_bin[frame % 2], (np.minimum(bins, BINS - 1), latent + 64), 1)
@@ -238,7 +240,7 @@ def joint_report(clip: Clip) -> None:
 def _columns_bits(values: Int64) -> float:
     side, scale = encode_scales(values)
     items = np.empty(200 + 20 * values.size, np.uint32)
-    return _item_bits(items[: kernels.columns_items(values, scale, items, 0)].astype(np.int64)) + 8 * len(side)
+    return _item_bits(items[: column_model.columns_items(values, scale, items, 0)].astype(np.int64)) + 8 * len(side)
 
 
 def speed_report(clip: Clip) -> None:
@@ -267,11 +269,11 @@ def speed_report(clip: Clip) -> None:
     items, words, found = np.empty(200 + 8 * values.size, np.uint32), np.empty(0, np.uint16), np.zeros_like(values)
     for _ in range(2):
         begin = time.perf_counter()
-        n = kernels.columns_items(values, scale, items, 0)
+        n = column_model.columns_items(values, scale, items, 0)
         words = np.empty(n + 8, np.uint16)
-        first = kernels.rans_encode(items, n, 4, words)
+        first = rans.rans_encode(items, n, 4, words)
         middle = time.perf_counter()
-        kernels.decode_columns(words[first:], 4, found, scale)
+        column_model.decode_columns(words[first:], 4, found, scale)
         end = time.perf_counter()
     print(f"entropy coder alone: encode {values.size / (middle - begin) / 1e6:.0f}, ", end="")
     print(f"decode {values.size / (end - middle) / 1e6:.0f} Msymbol/s")

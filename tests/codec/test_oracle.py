@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import kernels, oracle
+from codec import change_model, column_model, octree_model, oracle, rans
 from codec.entropy import encode_items
 from core.arrays import Int64
 from core.entropy_model import FREQUENCIES, SCALES
 
 SALT = np.uint64(77)
-EXTREME = kernels.VALUE_LIMIT - 1
+EXTREME = rans.VALUE_LIMIT - 1
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -35,7 +35,7 @@ def test_columns(seed: int, rows: int, channels: int) -> None:
     rng = np.random.default_rng(seed)
     values = _numbers(rng, (rows, channels))
     scale = np.where(values.any(axis=0), SCALES[rng.integers(0, 192, channels)], 0)
-    lanes, data = encode_items(lambda items: kernels.columns_items(values, scale, items, 0), 10)
+    lanes, data = encode_items(lambda items: column_model.columns_items(values, scale, items, 0), 10)
     encoder = oracle.Encoder()
     oracle.columns(encoder, rows, scale.tolist(), values.tolist())
     assert encoder.words(lanes) == _words(data)
@@ -43,7 +43,7 @@ def test_columns(seed: int, rows: int, channels: int) -> None:
     assert oracle.columns(decoder, rows, scale.tolist(), None) == values.tolist()
     decoder.finish()
     found = np.zeros_like(values)
-    assert kernels.decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, scale)
+    assert column_model.decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, scale)
     np.testing.assert_array_equal(found, values)
 
 
@@ -57,11 +57,11 @@ def test_changes(seed: int, count: int, share: float, predicted: bool) -> None:
     delta = _numbers(rng, (len(rows), 3)) // 4
     latent = _numbers(rng, (len(rows), 24))
     scale = np.where(latent.any(axis=0), SCALES[rng.integers(0, 192, 24)], 0)
-    errors = kernels.position_errors(voxel[rows], delta, SALT) if predicted else delta
+    errors = change_model.position_errors(voxel[rows], delta, SALT) if predicted else delta
 
-    def model_pass(items: kernels.Array) -> int:
-        n = kernels.positions_items(errors, SCALES[50], items, kernels.rows_items(changed, items, 0))
-        return kernels.columns_items(latent, scale, items, n)
+    def model_pass(items: rans.Array) -> int:
+        n = change_model.positions_items(errors, SCALES[50], items, change_model.rows_items(changed, items, 0))
+        return column_model.columns_items(latent, scale, items, n)
 
     lanes, data = encode_items(model_pass, 10)
     at = [tuple(v) for v in voxel[rows].tolist()]
@@ -72,7 +72,7 @@ def test_changes(seed: int, count: int, share: float, predicted: bool) -> None:
     assert encoder.words(lanes) == _words(data)
     words = np.frombuffer(data, "<u2").astype(np.uint16)
     voxel32 = voxel.astype(np.int32)
-    sound, *found = kernels.decode_change(words, lanes, voxel32, SCALES[50], predicted, scale, np.uint64(1))
+    sound, *found = change_model.decode_change(words, lanes, voxel32, SCALES[50], predicted, scale, np.uint64(1))
     assert sound
     for expected, array in zip((rows, delta, latent), found, strict=True):
         np.testing.assert_array_equal(expected, array)
@@ -86,19 +86,19 @@ def test_octrees(seed: int, count: int, depth: int) -> None:
     leaves = np.unique(rng.integers(0, 2**spread, (count, 3)), axis=0)
     keys = np.array([_morton(leaf, depth) for leaf in leaves.tolist()])
     order = np.argsort(keys)
-    lanes, data = encode_items(lambda items: kernels.octree_items(keys[order], depth, items, 0), 10)
+    lanes, data = encode_items(lambda items: octree_model.octree_items(keys[order], depth, items, 0), 10)
     encoder = oracle.Encoder()
     wanted = [tuple(leaf) for leaf in leaves[order].tolist()]
     assert oracle.octree(encoder, depth, len(keys), wanted) == wanted
     assert encoder.words(lanes) == _words(data)
-    sound, nodes = kernels.decode_octree(np.frombuffer(data, "<u2").astype(np.uint16), lanes, depth, len(keys))
+    sound, nodes = octree_model.decode_octree(np.frombuffer(data, "<u2").astype(np.uint16), lanes, depth, len(keys))
     assert sound
     np.testing.assert_array_equal(nodes, leaves[order])
 
 
 @pytest.mark.parametrize("e", [0, 3, 4, 255, 256, 789, 790, 791, 1579, 1580, 10**6, 2**42])
 def test_bins_agree(e: int) -> None:
-    assert kernels.magnitude_bin(e) == oracle.magnitude_bin(e)
+    assert rans.magnitude_bin(e) == oracle.magnitude_bin(e)
 
 
 def test_tables_are_what_the_format_says() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codec import kernels
+from codec import column_model
 from codec.entropy import encode_items
 from core.entropy_model import BINS, SCALES, UNIT_BIN, bin_of, magnitude_bits
 
@@ -34,6 +34,6 @@ def test_the_table_matches_coded_bytes(mean: float) -> None:
     expected = np.abs(values).mean()
     q = int(np.clip(round(8 * np.log2(expected * 256)), 0, 191))
     scale = np.full(8, SCALES[q])
-    _, data = encode_items(lambda items: kernels.columns_items(values, scale, items, 0), values.size)
+    _, data = encode_items(lambda items: column_model.columns_items(values, scale, items, 0), values.size)
     model = magnitude_bits(100)[bin_of(float(expected))][np.abs(values)].sum()
     assert len(data) * 8 == pytest.approx(model, rel=0.04)
