@@ -39,6 +39,7 @@ def rasterise(
 
     Raises:
         InputError: the camera has lens distortion.
+        ModelError: the Gaussians are so large that the CPU backend's lists would not fit.
         ValueError: shapes do not fit each other.
     """
     count = len(means)

@@ -39,6 +39,7 @@ def render(cloud: GaussianCloud, camera: Camera, background: Float32) -> Rendere
 
     Raises:
         InputError: the camera has lens distortion.
+        ModelError: the Gaussians together cover more tiles than `frame.MAX_PAIRS`.
     """
     check_array("background", background, (3,), np.float32)
     workspace = POOL.acquire()

@@ -9,7 +9,7 @@ import numpy as np
 
 from core.arrays import Bool, Float32, Int32, Int64, UInt8
 from core.camera import Camera
-from core.errors import InputError
+from core.errors import InputError, ModelError
 from core.gaussians import GaussianCloud
 from core.render.cpu.kernels.backward import differentiate_tiles
 from core.render.cpu.kernels.binning import count_pairs, fill_lists
@@ -20,6 +20,7 @@ from core.render.cpu.kernels.project_backward import differentiate_projection
 from core.render.cpu.workspace import Workspace
 from core.render.tiles import tile_grid
 
+MAX_PAIRS = 1 << 27  # of a Gaussian and a tile: 512 MiB, seconds of work; sane scenes have a thousandth of it
 _EMPTY_TILE = 64  # cost of a tile without Gaussians, in pairs, for sharing tiles out
 
 
@@ -94,6 +95,10 @@ def forward(
         background: [3] float32.
         tile_mask: [tiles_y,tiles_x] bool, tiles to render; all by default.
         base: [H,W,3] float32 pixels outside the mask; zeros by default.
+
+    Raises:
+        InputError: the camera has lens distortion.
+        ModelError: the Gaussians are so large that their tile lists would not fit.
     """
     packed, width, height = pack_camera(camera), camera.width, camera.height
     count, workers = len(cloud), numba.get_num_threads()
@@ -113,7 +118,10 @@ def forward(
     offsets = workspace.take("offsets", (len(mask) + 1,), np.int64)
     order = rows[slots]
     count_pairs(workers, records, boxes, order, sorted_records, sorted_boxes, tiles_x, mask, cursors, offsets)
-    lists = workspace.take("lists", (int(offsets[-1]),), np.int32)
+    pairs = int(offsets[-1])
+    if pairs > MAX_PAIRS:
+        raise ModelError(f"Gaussians cover {pairs} tiles together, more than {MAX_PAIRS}: their scales are out of hand")
+    lists = workspace.take("lists", (pairs,), np.int32)
     fill_lists(workers, sorted_records, sorted_boxes, tiles_x, mask, cursors, lists)
 
     tiles, bounds = _share_tiles(mask, offsets, workers)

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.camera import Camera, pinhole
+from core.errors import ModelError
 from core.gaussians import GaussianCloud, concatenate
-from core.render.cpu import render
+from core.render.cpu import frame, render
 from tests.core.render.scenes import BACKGROUND, NAMES, Outcome, make_camera, make_cloud, relative, run
 
 CAMERA = make_camera()
@@ -167,6 +168,13 @@ def test_ten_thousand_layers_over_the_whole_screen() -> None:
     check_finite(outcome)
     assert float(outcome.transmittance.max()) < 0.11  # nothing more fits below 1e-4 / (1 - 0.999)
     assert len(outcome.probe.visible) > 5000
+
+
+def test_more_layers_than_memory_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame, "MAX_PAIRS", 500)
+    cloud = replace(make_cloud(200, spread=0.3), scales=np.full((200, 3), 50, np.float32))
+    with pytest.raises(ModelError, match="scales are out of hand"):
+        render(cloud, CAMERA, BACKGROUND)
 
 
 def test_a_gaussian_far_larger_than_the_screen_is_flat() -> None:
