@@ -80,8 +80,9 @@ class Lpips:
             elif step == "pool":
                 values = max_pool2d(values, first, second)
             else:
-                unit = values / (values.square().sum(dim=1, keepdim=True).sqrt() + _TINY)
-                total += ((unit[0] - unit[1]).square() * next(heads)[0]).sum(dim=0).mean()
+                length = torch.linalg.vector_norm(values, dim=1, keepdim=True) + _TINY
+                difference = (values[0] / length[0]).sub_(values[1] / length[1])
+                total += difference.square_().mul_(next(heads)[0]).sum(dim=0).mean()
         return total
 
 
