@@ -56,7 +56,7 @@ class WorkerSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     heartbeat_seconds: float = Field(
-        default=10.0, gt=0, description="a worker silent for so long is killed and restarted"
+        default=30.0, gt=0, description="a worker silent for so long is killed and restarted"
     )
     stall_seconds: float = Field(default=600.0, gt=0, description="so long without progress counts as a hang")
     memory_bytes: int = Field(

@@ -66,6 +66,7 @@ class Supervisor:
         self._process: SpawnProcess | None = None
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
+        self._handling = False
         self.restarts = 0
 
     @property
@@ -143,6 +144,7 @@ class Supervisor:
                 self._ending = Ending(failure["text"], fatal=failure["fatal"])
             else:
                 self._progressed = self._heard
+                self._handling = True
                 handled: Awaitable[None] = self._owner.on_message(tag, body)
                 try:
                     asyncio.run_coroutine_threadsafe(_await(handled), loop).result()
@@ -150,10 +152,14 @@ class Supervisor:
                     _LOG.exception("stream %s: a message of the worker is refused", self._spec.id)
                     self._ending = Ending(f"the worker sent something unusable ({error})")
                     return
+                finally:
+                    self._heard, self._handling = time.monotonic(), False
 
     def _complaint(self) -> str | None:
         """Why the worker has to go, if it has to."""
         now = time.monotonic()
+        if self._handling:  # heartbeats wait behind the message that is being handled
+            return None
         if now - self._heard > self._settings.heartbeat_seconds:
             return f"the worker was silent for {self._settings.heartbeat_seconds:g} s"
         if now - self._progressed > self._settings.stall_seconds:

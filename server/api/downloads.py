@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
-import struct
+import pathlib
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from server.api.access import Problem, StreamOf, need
-from server.api.ranges import FRESH, IMMUTABLE, Download, FilePart, Piece, respond
+from server.api.ranges import FRESH, IMMUTABLE, Download, respond
 from server.auth import Right
-from server.packets import Position
+from server.packets import Position, StreamPacket
+from server.splice import size_of, splice
 from server.stream import Stream
 
-_FILE_HEAD = b"SLOD\x01\x00\x00\x00"  # codec/FORMAT.md section 15
+Group = pathlib.Path | list[StreamPacket]  # a recorded file, or packets in memory
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
 _BOUND = 2**32 - 1
 _ANSWERS: dict[int | str, dict[str, object]] = {
@@ -49,11 +51,11 @@ async def packet(stream: StreamOf, epoch: Epoch, version: Version, request: Requ
 async def group(stream: StreamOf, epoch: Epoch, first: Version, request: Request) -> Response:
     """A keyframe and its residuals as a `.slod` file. Immutable once a later keyframe has come."""
     place = Position(epoch, first)
-    pieces = _groups(stream).get(place)
-    if pieces is None:
+    chosen = _groups(stream).get(place)
+    if chosen is None:
         raise _absent(stream, place)
     closed = stream.bus.key_after(place) is not None
-    return respond(request, _file(stream, {place: pieces}, IMMUTABLE if closed else FRESH, f"{epoch}-{first}"))
+    return respond(request, await _file(stream, {place: chosen}, IMMUTABLE if closed else FRESH, f"{epoch}-{first}"))
 
 
 @router.head("/bitstream", include_in_schema=False)
@@ -69,39 +71,26 @@ async def bitstream(
     groups = _groups(stream)
     newest = stream.newest
     wanted = epoch if epoch is not None else max((place.epoch for place in groups), default=0)
-    chosen = {place: pieces for place, pieces in groups.items() if place.epoch == wanted}
+    chosen = {place: group for place, group in groups.items() if place.epoch == wanted}
     if not chosen:
         raise _absent(stream, Position(wanted, 0)) if newest else Problem(404, "the stream has no packet yet")
-    return respond(request, _file(stream, chosen, FRESH, str(wanted)))
+    return respond(request, await _file(stream, chosen, FRESH, str(wanted)))
 
 
-def _groups(stream: Stream) -> dict[Position, list[Piece]]:
-    """Records of a `.slod` file for each retained group: from disk where it is recorded, else from memory.
+def _groups(stream: Stream) -> dict[Position, Group]:
+    """Retained groups: from disk where they are recorded, else from memory.
 
-    An unrecorded group (an early preview) counts only while nothing is recorded.
+    While something is recorded, what is not (early previews) does not count.
     """
-    recorded: dict[Position, list[Piece]] = {}
-    if stream.bus.recording is not None:
-        for s in stream.bus.recording.segments:
-            if s.packets:
-                recorded[s.first] = [FilePart(s.path, len(_FILE_HEAD), s.size_bytes + 4 * s.packets)]
-    if recorded:
-        return recorded
-    remembered: dict[Position, list[Piece]] = {}
-    for packets in stream.bus.window.groups():
-        records = b"".join(struct.pack("<I", len(p.data)) + p.data for p in packets)
-        remembered[packets[0].position] = [records]
-    return remembered
+    segments = stream.bus.recording.segments if stream.bus.recording is not None else []
+    recorded: dict[Position, Group] = {s.first: s.path for s in segments if s.packets}
+    return recorded or {packets[0].position: packets for packets in stream.bus.window.groups()}
 
 
-def _file(stream: Stream, groups: dict[Position, list[Piece]], caching: str, name: str) -> Download:
-    pieces: list[Piece] = [_FILE_HEAD]
-    state = f"{stream.spec.id} {stream.created_at.isoformat()}"
-    for place in sorted(groups):
-        pieces += groups[place]
-        sizes = [len(piece) if isinstance(piece, bytes) else piece.size for piece in groups[place]]
-        state += f" {place.epoch}.{place.version}:{sum(sizes)}"
-    return Download(tuple(pieces), _hash(state.encode()), _FILE_TYPE, caching, f"{stream.spec.id}-{name}.slod")
+async def _file(stream: Stream, groups: dict[Position, Group], caching: str, name: str) -> Download:
+    pieces = await asyncio.to_thread(splice, [groups[place] for place in sorted(groups)])
+    state = f"{stream.spec.id} {stream.created_at.isoformat()} {sorted(groups)} {list(map(size_of, pieces))}"
+    return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{stream.spec.id}-{name}.slod")
 
 
 def _hash(data: bytes) -> str:

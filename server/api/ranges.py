@@ -6,29 +6,17 @@ import asyncio
 import re
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
 from server.api.access import Problem
+from server.splice import FilePart, Piece, size_of
 
 _CHUNK_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")
 IMMUTABLE = "max-age=31536000, immutable"
 FRESH = "no-cache"
-
-
-@dataclass(frozen=True, slots=True)
-class FilePart:
-    """`size` bytes of a file from `offset` on."""
-
-    path: Path
-    offset: int
-    size: int
-
-
-Piece = bytes | FilePart
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +40,7 @@ class Download:
     @property
     def size(self) -> int:
         """Bytes of all pieces."""
-        return sum(len(piece) if isinstance(piece, bytes) else piece.size for piece in self.pieces)
+        return sum(map(size_of, self.pieces))
 
 
 def respond(request: Request, download: Download) -> Response:
@@ -105,7 +93,7 @@ def _parse_range(header: str | None, size: int) -> tuple[int, int] | None:
 async def _read(download: Download, begin: int, end: int) -> AsyncIterator[bytes]:
     at = 0
     for piece in download.pieces:
-        size = len(piece) if isinstance(piece, bytes) else piece.size
+        size = size_of(piece)
         first, last = max(begin - at, 0), min(end - at, size)
         at += size
         while first < last:

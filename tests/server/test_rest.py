@@ -83,6 +83,7 @@ def test_the_bitstream_is_the_recorded_file(client: httpx.Client, clip: Clip, tm
     with SlodReader(path) as reader:
         assert list(reader.packets()) == clip.packets
         assert not reader.torn
+        assert path.read_bytes() == clip.path.read_bytes()  # the index as well
 
 
 def test_downloads_answer_ranges_and_conditions(client: httpx.Client) -> None:

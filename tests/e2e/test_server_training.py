@@ -1,0 +1,36 @@
+"""A real training worker behind the server, killed in mid-frame."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from server.settings import Settings
+from server.spec import StreamSpec
+from tests.server.conftest import running, viewing
+
+CLIP = {"cameras": 4, "frames": 6, "width": 120, "height": 68}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_killed_trainer_goes_on_from_the_last_state(tmp_path: Path) -> None:
+    spec = StreamSpec(synthetic=CLIP, preset="live")
+    with running(Settings(state=tmp_path), spec) as server, viewing(server) as viewer:
+        viewer.hello()
+        assert viewer.welcome["window"] is None
+        server.wait(lambda stream: stream["state"] == "live", seconds=300)
+        server.wait(lambda stream: stream["report"] is not None, seconds=60)
+        pid = server.registry.streams["main"].worker_pid
+        assert pid is not None
+        os.kill(pid, signal.SIGKILL)
+        found = server.wait(lambda stream: stream["state"] in {"ended", "failed"}, seconds=300)
+        assert (found["state"], found["restarts"], found["epoch"]) == ("ended", 1, 2)
+        while not viewer.named("state") or viewer.named("state")[-1]["state"] != "ended":
+            viewer.step()
+        assert [event["state"] for event in viewer.named("state")] == ["live", "degraded", "live", "ended"]
+        assert len(set(viewer.decoder.versions)) == 1
+        assert viewer.decoder.versions[0] == found["version"]
