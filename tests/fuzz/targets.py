@@ -7,6 +7,7 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from functools import cache
 from pathlib import Path
 
@@ -43,18 +44,22 @@ def repair(data: bytes) -> bytes:
 
 
 @cache
-def _streams() -> tuple[tuple[bytes, ...], ...]:
-    files = ("valid-growth-profile1", "valid-extremes-profile1", "valid-levels-apart")
-    return tuple(tuple(read_stream(FOLDER / f"{name}.slps")) for name in files)
+def _decoders() -> tuple[SceneDecoder, ...]:
+    """Decoders without a state, and with states that the last packet of a stream fits."""
+    decoders = [SceneDecoder(LIMITS)]
+    for name in ("valid-growth-profile1", "valid-extremes-profile1", "valid-levels-apart"):
+        decoder = SceneDecoder(LIMITS)
+        for earlier in read_stream(FOLDER / f"{name}.slps")[:-1]:
+            decoder.push(earlier)
+        decoders.append(decoder)
+    return tuple(decoders)
 
 
 def packet(data: bytes) -> None:
     """One packet, as it is and repaired, for a decoder without and with a state."""
     for candidate in (data, repair(data)):
-        for stream in ((), *(s[:-1] for s in _streams())):
-            decoder = SceneDecoder(LIMITS)
-            for earlier in stream:
-                decoder.push(earlier)
+        for ready in _decoders():
+            decoder = copy(ready)
             before = decoder.scene, decoder.versions
             try:
                 decoder.push(candidate)
