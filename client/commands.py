@@ -66,9 +66,8 @@ def view(
     with tqdm(total=frames, unit="picture", desc="view", delay=0.5) as bar:
 
         def tell(text: str) -> None:
-            if text.startswith("picture"):
-                bar.update()
-            bar.set_postfix_str(text)
+            bar.set_postfix_str(text, refresh=False)
+            bar.update(1 if text.startswith("picture") else 0)
 
         count = asyncio.run(record_stream(url, out, viewpoint, frames, wishes, tell))
     return f"{count} pictures in {out}"
@@ -88,7 +87,7 @@ def evaluate(
     with tqdm(unit="frame", desc="evaluate", delay=0.5) as bar:
 
         def tell(score: FrameScore) -> None:
-            bar.set_postfix_str(f"{score.psnr:.2f} dB")
+            bar.set_postfix_str(f"{score.psnr:.2f} dB", refresh=False)
             bar.update()
 
         figures = evaluate_file(scene, data, test, images, layout, tell)

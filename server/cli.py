@@ -90,6 +90,8 @@ def train(
 ) -> None:
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
+    _call("server.commands:check_outputs", out, json, trace)
+    _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
     job = _load("server.pipeline:TrainJob")(
         data=data,
         layout=layout,
@@ -155,6 +157,9 @@ def serve(
     chosen = {name: value for name, value in given.items() if value is not None}
     loaded = _load("server.settings:load_settings")(config) if config is not None else None
     settings = _load("server.settings:Settings")(**({} if loaded is None else loaded.model_dump()) | chosen)
+    if data is not None:
+        _require_folder(data)
+        _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
     streams: tuple[Any, ...] = ()
     if data is not None or play is not None:
         spec = _load("server.spec:StreamSpec")(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _BENCHES = "tests.bench"
 _SUFFIX = "_bench"
+_LARGEST_DOWNSCALE = 64
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -49,13 +50,34 @@ def synth(folder: Path, cameras: int, frames: int, size: str, seed: int, overwri
     return f"{folder}: {cameras} cameras, {frames} frames of {size}"
 
 
+def check_recording(
+    data: Path, layout: str | None, train: tuple[str, ...], test: tuple[str, ...], views: int | None, downscale: float
+) -> None:
+    """Refuse an unusable recording or choice of cameras within a second, before the training libraries are loaded."""
+    from core.data import linspace_split, open_dataset
+
+    if layout is not None:
+        from core.data import LAYOUTS
+
+        if layout not in LAYOUTS:
+            raise InputError("--layout", f"{layout} is not one of {', '.join(LAYOUTS)}")
+    if downscale > _LARGEST_DOWNSCALE:
+        raise InputError("--downscale", f"must lie between 1 and {_LARGEST_DOWNSCALE}, not {downscale:g}")
+    names = open_dataset(data, layout=layout, downscale=downscale).names
+    if not train:
+        linspace_split(names, views, test)
+    both = sorted(set(train) & set(test))
+    if both:
+        raise InputError("--train", f"{', '.join(both)} cannot both train and be held out")
+    unknown = sorted({*train, *test} - set(names))
+    if unknown:
+        raise InputError("--train", f"there is no camera {', '.join(unknown)} in {data}; there are {', '.join(names)}")
+
+
 def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:
     """Train a clip into a `.slod` file, with figures beside it."""
     from server.pipeline import train_clip
 
-    for path in (out, figures, trace):
-        if path is not None:
-            _prepare(path)
     encoded: list[EncodedFrame] = []
     with tqdm(total=100, unit="%", desc="first frame") as first, tqdm(unit="frame", desc="frames") as later:
 
@@ -127,16 +149,19 @@ def _benches() -> list[str]:
     raise BackendUnavailable("the benchmark suite", "it comes with a source checkout: run it there")
 
 
-def _prepare(path: Path) -> None:
-    """Refuse a place that cannot be written before any work is done."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(path, f"cannot be written ({error.strerror})") from error
-    if path.is_dir():
-        raise InputError(path, "is a folder; name a file")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(path, "cannot be written (no permission for the folder)")
+def check_outputs(*paths: Path | None) -> None:
+    """Refuse places that cannot be written before any work is done."""
+    for path in paths:
+        if path is None:
+            continue
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(path, f"cannot be written ({error.strerror})") from error
+        if path.is_dir():
+            raise InputError(path, "is a folder; name a file")
+        if not os.access(path.parent, os.W_OK):
+            raise InputError(path, "cannot be written (no permission for the folder)")
 
 
 def _write_json(path: Path, value: Any) -> None:
