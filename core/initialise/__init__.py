@@ -4,3 +4,8 @@
 `consistency`), depth of a VGGT model placed into the known cameras (`vggt`), a file of points (`points_file`), or, as
 a last resort, random points in the common view volume (`scatter`).
 """
+
+from core.initialise.first import METHODS, first_points
+from core.initialise.points_file import read_points
+
+__all__ = ["METHODS", "first_points", "read_points"]

@@ -13,25 +13,28 @@ import numpy as np
 from core.arrays import Bool, Float32, Float64
 from core.frames import PointCloud
 from core.initialise.sweep import DepthMap
-from core.initialise.views import Views, inside, pixel_centres, project, unproject
+from core.initialise.views import Views, inside, project
 
 TOLERANCE = 0.02  # relative depth within which two views agree
 _WORST_COST = 0.6
 _MANY_VIEWS = 9  # from so many views on, two must agree
 _COMPANY = 3  # points that a cell must hold
 _CELL = 0.01  # of the scene's extent
+_MOST = 200_000  # points that a cloud keeps: far more than a first frame has anchors
 
 
 def consistent_points(views: Views, maps: Sequence[DepthMap], tolerance: float = TOLERANCE) -> PointCloud:
     """The points of all maps that pass, coloured by the view whose depth they are."""
     positions, colours = [], []
     for index, depth_map in enumerate(maps):
-        world = _world(depth_map)
+        world = depth_map.points()
         good = trusted(world, index, maps, tolerance)
         positions.append(world[good])
         colours.append(views.images[index].reshape(-1, 3)[good])
     points, rgb = np.concatenate(positions), np.concatenate(colours)
-    kept = with_company(points)
+    kept = np.flatnonzero(with_company(points))
+    if len(kept) > _MOST:
+        kept = kept[np.linspace(0, len(kept) - 1, _MOST).astype(np.int64)]
     return PointCloud(points[kept].astype(np.float32), rgb[kept].astype(np.float32))
 
 
@@ -68,8 +71,3 @@ def extent(points: Float64 | Float32) -> float:
     """Diagonal of the box that holds the points without the outer 2 % on each side."""
     low, high = np.quantile(points, (0.02, 0.98), axis=0)
     return float(np.linalg.norm(high - low))
-
-
-def _world(depth_map: DepthMap) -> Float64:
-    """[H*W,3] the world points of a map."""
-    return unproject(depth_map.camera, pixel_centres(depth_map.camera), depth_map.depth.astype(np.float64).ravel())

@@ -16,7 +16,7 @@ import numpy as np
 from core.arrays import Float32, Float64
 from core.camera import Camera
 from core.initialise.sweep_kernel import cost_volume
-from core.initialise.views import Views
+from core.initialise.views import Views, pixel_centres, unproject
 
 _NEIGHBOURS, _BEST = 4, 2
 
@@ -34,6 +34,10 @@ class DepthMap:
     camera: Camera
     depth: Float32
     cost: Float32
+
+    def points(self) -> Float64:
+        """[H*W,3] the world point of every pixel, row by row."""
+        return unproject(self.camera, pixel_centres(self.camera), self.depth.astype(np.float64).ravel())
 
 
 def sweep_views(

@@ -60,7 +60,9 @@ def _plane_cost(
 
 
 @numba.njit(nogil=True, cache=True, fastmath=True)
-def _pair_cost(reference: Float32, source: Float32, rays: Float64, shift: Float64, cost: Float32) -> None:
+def _pair_cost(  # noqa: PLR0915  (one pass over the rows: splitting it would cost the compiler its registers)
+    reference: Float32, source: Float32, rays: Float64, shift: Float64, cost: Float32
+) -> None:
     """[H,W] `cost` of one plane against one source [H,W,3].
 
     Five rows of window sums are kept: warped grey, its square, its product with the reference's grey, colour
@@ -84,15 +86,11 @@ def _pair_cost(reference: Float32, source: Float32, rays: Float64, shift: Float6
                 x0, y0 = int(u), int(v)
                 x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
                 fu, fv = np.float32(u - x0), np.float32(v - y0)
-                a, b, c, d = (one - fu) * (one - fv), fu * (one - fv), (one - fu) * fv, fu * fv
                 grey, own, difference = np.float32(0), np.float32(0), np.float32(0)
                 for channel in range(3):
-                    value = (
-                        a * source[y0, x0, channel]
-                        + b * source[y0, x1, channel]
-                        + c * source[y1, x0, channel]
-                        + d * source[y1, x1, channel]
-                    )
+                    upper = source[y0, x0, channel] * (one - fu) + source[y0, x1, channel] * fu
+                    lower = source[y1, x0, channel] * (one - fu) + source[y1, x1, channel] * fu
+                    value = upper * (one - fv) + lower * fv
                     mine = reference[y, x, channel]
                     grey += value
                     own += mine
@@ -112,8 +110,7 @@ def _pair_cost(reference: Float32, source: Float32, rays: Float64, shift: Float6
             for x in range(width):
                 count = (high - low + 1) * (min(x + HALF, width - 1) - max(x - HALF, 0) + 1)
                 share = one / np.float32(count)
-                s0, s1, s2 = np.float32(0), np.float32(0), np.float32(0)
-                s3, s4, s5 = np.float32(0), np.float32(0), np.float32(0)
+                s0 = s1 = s2 = s3 = s4 = s5 = np.float32(0)
                 for other in range(low, high + 1):
                     r = other % _SPAN
                     s0 += rows[r, 0, x]

@@ -1,0 +1,76 @@
+"""How near and how far a rig can see in stereo, when nobody has said how deep the scene is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.camera import Camera
+from core.errors import InputError
+from core.initialise.consistency import trusted
+from core.initialise.sweep import DepthMap, sweep_views
+from core.initialise.views import Views, inside, project, unproject
+
+_COARSE_HEIGHT, _COARSE_PLANES, _COARSE_TOLERANCE = 120, 96, 0.05
+_GRID = 8  # rays a side that stand for a picture
+_PARALLAX = 1.5 / 240  # of a picture's height: less parallax against infinity than this tells nothing
+_SEARCH = (1e-2, 1e3, 101)  # depths tried, in units of the rig's width
+_ENOUGH = 200  # trusted pixels that make the coarse depths worth believing
+_QUANTILES, _MARGINS = (0.005, 0.995), (0.8, 1.3)
+
+
+def estimate_bounds(views: Views) -> tuple[float, float]:
+    """(near, far) depth of the scene in world units: from the rig's geometry, then narrowed by a coarse plane sweep.
+
+    Raises:
+        InputError: all cameras stand at one place, or no two of them see the same space.
+    """
+    widest = geometric_bounds(views.cameras)
+    coarse = views.resized(_COARSE_HEIGHT)
+    maps = sweep_views(coarse, widest, _COARSE_PLANES)
+    depth = np.concatenate([_trusted_depth(index, maps) for index in range(len(maps))])
+    if len(depth) < _ENOUGH:
+        return widest
+    near, far = (m * q for m, q in zip(_MARGINS, np.quantile(depth, _QUANTILES), strict=True))
+    return max(float(near), widest[0]), min(float(far), widest[1])
+
+
+def geometric_bounds(cameras: Sequence[Camera]) -> tuple[float, float]:
+    """(near, far) depth in world units between which a rig can measure at all.
+
+    Near: half the rays of half the cameras are seen by another camera. Far: the parallax between neighbours, against
+    infinity, is a pixel and a half of 240. Holds for rigs that look forward and for rigs that look inward.
+
+    Raises:
+        InputError: all cameras stand at one place, or no two of them see the same space.
+    """
+    centres = np.stack([camera.centre for camera in cameras])
+    between = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    width = float(between.max())
+    if width <= 0:
+        raise InputError("cameras", "at least two of them must stand at different places to find depth")
+    depths = width * np.geomspace(*_SEARCH)
+    shared = np.array([np.median([_shared(cameras, index, d) for index in range(len(cameras))]) for d in depths])
+    if shared.max() <= 0:
+        raise InputError("cameras", "no two of them see the same space; check the poses")
+    near = float(depths[np.argmax(shared >= 0.5 * min(1.0, 2 * shared.max()))])
+    between[between <= 1e-6 * width] = np.inf  # a camera is not its own neighbour
+    focal = np.median([camera.intrinsics[1, 1] / camera.height for camera in cameras])
+    far = float(np.median(between.min(axis=1)) * focal / _PARALLAX)
+    return near, max(far, 4 * near)
+
+
+def _shared(cameras: Sequence[Camera], index: int, depth: float) -> float:
+    """The fraction of camera `index`'s picture that another camera also sees, of things at `depth`."""
+    camera = cameras[index]
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    pixels = np.stack(np.meshgrid(steps * camera.width, steps * camera.height), axis=-1).reshape(-1, 2)
+    points = unproject(camera, pixels, np.full(len(pixels), depth))
+    seen = [inside(other, *project(other, points)) for other in cameras if other is not camera]
+    return float(np.mean(np.any(seen, axis=0)))
+
+
+def _trusted_depth(index: int, maps: Sequence[DepthMap]) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
+    """[n] depths of map `index` that other views confirm."""
+    return maps[index].depth.ravel()[trusted(maps[index].points(), index, maps, _COARSE_TOLERANCE)]

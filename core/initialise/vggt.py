@@ -1,0 +1,191 @@
+"""First points from VGGT (Wang et al. 2025), an optional package, placed into cameras that are already known.
+
+VGGT cannot be told poses: it predicts its own, in its own scale. Its depth maps are therefore unprojected with the
+given cameras, after one global scale and then a scale and shift per view that make the views agree, and what still
+does not agree is dropped.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from core.arrays import Float32, Float64
+from core.camera import Camera
+from core.errors import BackendUnavailable, InputError
+from core.frames import PointCloud
+from core.initialise.consistency import consistent_points
+from core.initialise.sweep import DepthMap
+from core.initialise.views import Views, inside, pixel_centres
+
+WEIGHTS_VARIABLE = "STREAMLOD_VGGT"
+_SIDE, _PATCH = 518, 14  # the longer side of a picture, and what sides are multiples of
+_DOUBTFUL = 0.2  # the fraction of pixels, those of least confidence, that is not used
+_ROUNDS = 30
+_STEP = 3  # every so many pixels in each direction vote on scale and shift
+_GATE = (0.3, 0.02)  # relative depth difference that still counts, in the first and the last round
+_PRIOR = 1e-3  # weight of no change, relative to the votes
+_REFUSED = 2.0  # the cost of a pixel that is not used
+
+
+def vggt_points(views: Views) -> PointCloud:
+    """Points from the VGGT package and the weights that the variable STREAMLOD_VGGT names.
+
+    Raises:
+        InputError: fewer than two views, or weights that cannot be read.
+        BackendUnavailable: the package or the weights are missing.
+    """
+    if len(views) < 2:
+        raise InputError("VGGT points", "need pictures of at least two cameras; use a points file or random")
+    small = model_views(views)
+    depth, confidence, predicted = _predict(small)
+    return place_depth(small, depth, confidence, predicted)
+
+
+def model_views(views: Views) -> Views:
+    """The views at the size that VGGT takes: the longer side 518 pixels, both multiples of 14."""
+    width, height = views.size
+    factor = _SIDE / max(width, height)
+    columns, rows = (max(_PATCH, _PATCH * round(side * factor / _PATCH)) for side in (width, height))
+    images = [cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA) for image in views.images]
+    return Views(tuple(camera.scaled(columns, rows) for camera in views.cameras), np.stack(images))
+
+
+def place_depth(views: Views, depth: Float32, confidence: Float32, predicted: Float64) -> PointCloud:
+    """Points of predicted depth maps in the space of the known cameras.
+
+    Args:
+        depth: [V,H,W] along the optical axis, in the prediction's own scale.
+        confidence: [V,H,W], higher is better.
+        predicted: [V,3,4] or [V,4,4] world_to_camera of the prediction.
+    """
+    start = global_scale(views.cameras, predicted)
+    usable = (confidence > np.quantile(confidence, _DOUBTFUL)) & (depth > 0) & np.isfinite(depth)
+    scale, shift = fit_scale_and_shift(views.cameras, np.where(usable, depth, 0.0).astype(np.float64), start)
+    maps = []
+    for index, camera in enumerate(views.cameras):
+        placed = np.asarray(scale[index] * depth[index] + shift[index], np.float32)
+        good = usable[index] & (placed > 0)
+        cost = np.where(good, 0, _REFUSED).astype(np.float32)
+        maps.append(DepthMap(camera, np.where(good, placed, 1).astype(np.float32), cost))
+    return consistent_points(views, maps)
+
+
+def global_scale(cameras: Sequence[Camera], predicted: Float64) -> float:
+    """World units per unit of the prediction: the median ratio of distances between camera centres.
+
+    Raises:
+        InputError: all cameras stand at one place, in the world or in the prediction.
+    """
+    given = np.stack([camera.centre for camera in cameras])
+    found = np.stack([-pose[:3, :3].T @ pose[:3, 3] for pose in predicted])
+    first, second = np.triu_indices(len(cameras), 1)
+    ours = np.linalg.norm(given[first] - given[second], axis=1)
+    theirs = np.linalg.norm(found[first] - found[second], axis=1)
+    valid = (ours > 1e-9) & (theirs > 1e-9)
+    if not valid.any():
+        raise InputError("VGGT points", "its cameras stand at one place, which gives no scale")
+    return float(np.median(ours[valid] / theirs[valid]))
+
+
+def fit_scale_and_shift(cameras: Sequence[Camera], depth: Float64, start: float) -> tuple[Float64, Float64]:
+    """([V] scale, [V] shift) of each view's depth with which the views agree best.
+
+    A pixel of view i at depth d lies, for view j, at a depth that is linear in d, and should be what view j says there.
+    With the pixel in j held, this is a linear equation in the scales and shifts of both; the pixels are looked up anew
+    each round, with a gate that closes, as in iterated closest points.
+
+    Args:
+        depth: [V,H,W]; 0 where nothing is known.
+        start: the global scale to begin with.
+    """
+    count = len(cameras)
+    scale: Float64 = np.full(count, start)
+    shift: Float64 = np.zeros(count)
+    for gate in np.geomspace(*_GATE, _ROUNDS):
+        normal, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+        for i in range(count):
+            for j in range(count):
+                if i != j:
+                    rows, values = _equations(cameras, depth, (i, j), scale, shift, gate)
+                    columns = [i, count + i, j, count + j]
+                    normal[np.ix_(columns, columns)] += rows.T @ rows
+                    right[columns] += rows.T @ values
+        # The unknowns are of different size: the prior is relative to what each one's votes weigh.
+        prior = _PRIOR * np.maximum(np.diag(normal), 1e-12)
+        right += prior * np.concatenate([scale, shift])
+        solution: Float64 = np.linalg.solve(normal + np.diag(prior), right).astype(np.float64)
+        scale, shift = solution[:count], solution[count:]
+    return scale, shift
+
+
+def _equations(
+    cameras: Sequence[Camera],
+    depth: Float64,
+    pair: tuple[int, int],
+    scale: Float64,
+    shift: Float64,
+    gate: float,
+) -> tuple[Float64, Float64]:
+    """([n,4], [n]) equations, relative to depth, in scale and shift of view i and of view j."""
+    i, j = pair
+    shape = depth.shape[1:]
+    chosen = np.zeros(shape, np.bool_)
+    chosen[::_STEP, ::_STEP] = True
+    of = np.flatnonzero(chosen & (depth[i] > 0))
+    mine = depth[i].ravel()[of]
+    to_j = cameras[j].world_to_camera @ np.linalg.inv(cameras[i].world_to_camera)
+    pixels = np.concatenate([pixel_centres(cameras[i])[of], np.ones((len(of), 1))], axis=1)
+    rays = pixels @ np.linalg.inv(cameras[i].intrinsics).T @ to_j[:3, :3].T
+    now = rays * (scale[i] * mine + shift[i])[:, None] + to_j[:3, 3]
+    at, z = project_seen(cameras[j], now)
+    good = inside(cameras[j], at, z)
+    column, row = at[good].astype(np.int64).T
+    there, mine, slope, z = depth[j][row, column], mine[good], rays[good, 2], z[good]
+    agrees = (there > 0) & (np.abs(scale[j] * there + shift[j] - z) < gate * z)
+    there, mine, slope, z = there[agrees], mine[agrees], slope[agrees], z[agrees]
+    equations = np.stack([slope * mine, slope, -there, -np.ones_like(there)], axis=1) / z[:, None]
+    return equations, -to_j[2, 3] / z
+
+
+def project_seen(camera: Camera, seen: Float64) -> tuple[Float64, Float64]:
+    """[N,3] points in `camera`'s own axes to ([N,2] pixels, [N] depth)."""
+    z = seen[:, 2]
+    safe = np.where(np.abs(z) < 1e-12, 1e-12, z)
+    return seen[:, :2] / safe[:, None] @ camera.intrinsics[:2, :2].T + camera.intrinsics[:2, 2], z
+
+
+def _predict(views: Views) -> tuple[Float32, Float32, Float64]:
+    """([V,H,W] depth, [V,H,W] confidence, [V,3,4] world_to_camera) of the model."""
+    try:
+        import torch
+        from vggt.models.vggt import VGGT
+        from vggt.utils.pose_enc import pose_encoding_to_extri_intri
+    except ImportError as error:
+        raise BackendUnavailable("the package vggt", "install it from its repository, or use sweep") from error
+    weights = os.environ.get(WEIGHTS_VARIABLE)
+    if not weights or not Path(weights).is_file():
+        raise BackendUnavailable("the VGGT weights", f"set {WEIGHTS_VARIABLE} to the file model.pt, or use sweep")
+    model: Any = VGGT()
+    try:
+        model.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+    except Exception as error:  # what torch raises for damaged files has no common base
+        raise InputError(weights, "does not hold the weights of VGGT-1B") from error
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    model = model.to(device).eval()
+    pictures = torch.from_numpy(views.images).permute(0, 3, 1, 2).to(device)
+    half = device == "cuda"
+    kind = torch.bfloat16 if half and torch.cuda.get_device_capability()[0] >= 8 else torch.float16
+    with torch.no_grad(), torch.autocast(device, kind, enabled=half):
+        answer = model(pictures)
+    poses, _ = pose_encoding_to_extri_intri(answer["pose_enc"].float(), tuple(pictures.shape[2:]))
+
+    def array(values: Any) -> Any:
+        return values.float().cpu().numpy()
+
+    return array(answer["depth"])[0, ..., 0], array(answer["depth_conf"])[0], array(poses)[0].astype(np.float64)
