@@ -20,7 +20,8 @@ def make_scene(anchors: int = 600, view_dependent: bool = True) -> Scene:
     """A fresh keyframe with about `anchors` anchors on three levels."""
     header = make_header(view_dependent)
     shares = (0.15, 0.3, 0.55)
-    levels = tuple(_level(header, number, round(anchors * share)) for number, share in enumerate(shares))
+    size = 0.09 * min(1.0, (600 / anchors) ** 0.5)
+    levels = tuple(_level(header, number, round(anchors * share), size) for number, share in enumerate(shares))
     return Scene(header, make_weights(view_dependent), levels, 0, 0)
 
 
@@ -75,7 +76,7 @@ def _half(values: Float64) -> Float32:
     return values.astype(np.float16).astype(np.float32)
 
 
-def _level(header: SceneHeader, number: int, count: int) -> AnchorLevel:
+def _level(header: SceneHeader, number: int, count: int, size: float) -> AnchorLevel:
     points, colours = _surface(count)
     voxel = header.octree.voxel_of(points, number)
     order = np.argsort(morton_key(voxel), kind="stable")
@@ -95,7 +96,7 @@ def _level(header: SceneHeader, number: int, count: int) -> AnchorLevel:
         position=np.round(rest / float(header.position_steps[number])).astype(np.int32),
         feature=np.round(feature / _FEATURE_STEP).astype(np.int16),
         offset=np.round(0.5 * spread / _OFFSET_STEP).astype(np.int16),
-        scaling=np.full((len(voxel), SCALINGS), round((np.log(0.09) - 0.35 * number) / _SCALING_STEP), np.int16),
+        scaling=np.full((len(voxel), SCALINGS), round((np.log(size) - 0.35 * number) / _SCALING_STEP), np.int16),
         extra_level=np.zeros(len(voxel), np.int16),
         latent=np.zeros((len(voxel), LATENTS), np.int16),
         alive=np.ones(len(voxel), np.bool_),
