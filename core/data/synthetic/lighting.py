@@ -170,22 +170,33 @@ def _openness(position: Float64, normal: Float64, own: int, parts: Parts, near: 
         p = near[c]
         if p == own and parts.kind[p] != ROOM:
             continue
+        # everything that counts lies in the outermost sphere, which contains the inner ones
         x, y, z = (
-            position[0] - parts.translation[p, 0],
-            position[1] - parts.translation[p, 1],
-            position[2] - parts.translation[p, 2],
+            position[0] + high * normal[0] - parts.translation[p, 0],
+            position[1] + high * normal[1] - parts.translation[p, 1],
+            position[2] + high * normal[2] - parts.translation[p, 2],
         )
-        if x * x + y * y + z * z > (parts.bound[p] + 2.0 * high) ** 2:
+        if x * x + y * y + z * z > (parts.bound[p] + high) ** 2:
             continue
         x, y, z = to_local(parts, p, x, y, z)
         kind, size = parts.kind[p], parts.size[p]
         sx, sy, sz = _extent(kind, size)
-        if kind != ROOM and max(abs(x) - sx, abs(y) - sy, abs(z) - sz) > 2.0 * high:
+        if kind != ROOM and max(abs(x) - sx, abs(y) - sy, abs(z) - sz) > high:
             continue
         u, v, w = to_local(parts, p, normal[0], normal[1], normal[2])
-        free_high = min(free_high, _distance(kind, size[0], size[1], size[2], x + high * u, y + high * v, z + high * w))
-        free_mid = min(free_mid, _distance(kind, size[0], size[1], size[2], x + mid * u, y + mid * v, z + mid * w))
-        free_low = min(free_low, _distance(kind, size[0], size[1], size[2], x + low * u, y + low * v, z + low * w))
+        free_high = min(free_high, _distance(kind, size[0], size[1], size[2], x, y, z))
+        free_mid = min(
+            free_mid,
+            _distance(
+                kind, size[0], size[1], size[2], x + (mid - high) * u, y + (mid - high) * v, z + (mid - high) * w
+            ),
+        )
+        free_low = min(
+            free_low,
+            _distance(
+                kind, size[0], size[1], size[2], x + (low - high) * u, y + (low - high) * v, z + (low - high) * w
+            ),
+        )
     share = 1.0 - _WEIGHTS[0] * (low - max(free_low, 0.0)) / low
     share *= 1.0 - _WEIGHTS[1] * (mid - max(free_mid, 0.0)) / mid
     return share * (1.0 - _WEIGHTS[2] * (high - max(free_high, 0.0)) / high)

@@ -20,10 +20,10 @@ _OAK, _WALNUT, _WHITE, _STEEL = (0.72, 0.52, 0.32), (0.40, 0.24, 0.15), (0.90, 0
 
 LAMPS = Lamps(
     position=np.array([[0.35, 1.35, 2.30], [-2.75, 1.75, 1.65]]),
-    radius=np.array([0.11, 0.42]),
-    colour=np.array([[3.3, 2.95, 2.45], [2.4, 2.75, 3.2]]),
+    radius=np.array([0.11, 0.30]),
+    colour=np.array([[7.0, 6.2, 5.0], [0.85, 1.0, 1.2]]),
 )
-AMBIENT = np.array([0.27, 0.28, 0.31])
+AMBIENT = np.array([0.115, 0.12, 0.14])
 
 
 def furniture(generator: np.random.Generator) -> list[Part]:
