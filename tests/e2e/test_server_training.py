@@ -22,15 +22,15 @@ def test_a_killed_trainer_goes_on_from_the_last_state(tmp_path: Path) -> None:
     with running(Settings(state=tmp_path), spec) as server, viewing(server) as viewer:
         viewer.hello()
         assert viewer.welcome["window"] is None
-        server.wait(lambda stream: stream["state"] == "live", seconds=300)
-        server.wait(lambda stream: stream["report"] is not None, seconds=60)
+        assert viewer.until("state", 120)["state"] == "live"  # after progress and early pictures
+        assert viewer.named("progress")
         pid = server.registry.streams["main"].worker_pid
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
-        found = server.wait(lambda stream: stream["state"] in {"ended", "failed"}, seconds=300)
+        while viewer.named("state")[-1]["state"] != "ended":
+            viewer.step(60)
+        found = server.stream()
         assert (found["state"], found["restarts"], found["epoch"]) == ("ended", 1, 2)
-        while not viewer.named("state") or viewer.named("state")[-1]["state"] != "ended":
-            viewer.step()
         assert [event["state"] for event in viewer.named("state")] == ["live", "degraded", "live", "ended"]
         assert len(set(viewer.decoder.versions)) == 1
         assert viewer.decoder.versions[0] == found["version"]

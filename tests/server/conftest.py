@@ -150,10 +150,10 @@ class Viewer:
             self.send(type="ack", bytes=self.received, epoch=1, version=0)
         return message
 
-    def until(self, name: str) -> dict[str, Any]:
+    def until(self, name: str, seconds: float = 10) -> dict[str, Any]:
         """Step to the next event of that name."""
         while True:
-            message = self.step()
+            message = self.step(seconds)
             if isinstance(message, dict) and message["event"] == name:
                 return message
 

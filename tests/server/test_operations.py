@@ -1,0 +1,52 @@
+"""The operations page names what exists; metrics say what happened; the server loads nothing heavy."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from prometheus_client import generate_latest
+from pydantic import BaseModel
+
+from server.metrics import collector_registry
+from server.settings import Limits, Retention, Settings, WorkerSettings
+from server.spec import StreamSpec
+from tests.server.conftest import Clip, running, viewing
+
+PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
+
+
+def test_every_setting_is_documented_with_its_default() -> None:
+    models: tuple[tuple[str, type[BaseModel]], ...] = (
+        ("", Settings), ("limits.", Limits), ("retention.", Retention), ("worker.", WorkerSettings)
+    )  # fmt: skip
+    for prefix, model in models:
+        for name, field in model.model_fields.items():
+            if field.default_factory is not None:
+                continue
+            default = {None: "none", (): "[]", False: "false", True: "true"}.get(field.default, str(field.default))
+            if type(field.default) in (int, float):
+                default = str(field.default)
+            assert f"| `{prefix}{name}` | {default} | {field.description} |" in PAGE, name
+
+
+def test_metrics_count_and_are_documented(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        with viewing(server) as viewer:
+            viewer.hello()
+            viewer.until("caught_up")
+            text = generate_latest(collector_registry(server.registry)).decode()
+        assert 'streamlod_viewers{stream="main"} 1.0' in text
+        assert 'streamlod_joins_total{stream="main"} 1.0' in text
+        names = {line.split("{")[0].split(" ")[0] for line in text.splitlines() if not line.startswith("#")}
+        assert names
+        for name in names:
+            assert f"`{name}`" in PAGE, name
+
+
+def test_serving_loads_no_training_library() -> None:
+    heavy = "import sys, server.run, server.worker; print([m for m in ('torch', 'cv2', 'av') if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", heavy], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
