@@ -10,13 +10,16 @@ from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import HTMLResponse
+from fastapi.responses import HTMLResponse, PlainTextResponse
 from fastapi.staticfiles import StaticFiles
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
 from server.api import downloads, live, streams
-from server.api.access import Problem, problem_response, registry_of
+from server.api.access import Problem, need, problem_response, registry_of
 from server.api.schemas import Health
+from server.auth import Right
+from server.metrics import collector_registry
 from server.registry import Registry
 from server.settings import Settings
 from server.spec import StreamSpec
@@ -116,6 +119,12 @@ def _add_health(app: FastAPI) -> None:
             detail = "the disk is full up to its reserve"
         response.status_code = 503 if detail else 200
         return Health(status="not ready" if detail else "ok", detail=detail)
+
+    @app.get("/metrics", tags=["health"], summary="Prometheus metrics", dependencies=[need(Right.METRICS)])
+    async def metrics(request: Request) -> PlainTextResponse:
+        """The same as on the port of the metrics, for those with the right."""
+        text = generate_latest(collector_registry(registry_of(request)))
+        return PlainTextResponse(text, media_type=CONTENT_TYPE_LATEST)
 
 
 def _add_page(app: FastAPI) -> None:

@@ -44,7 +44,7 @@ class LocalBus:
         self._published = asyncio.Event()
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
-        self.window.append(packet)
+        self.window.append(packet.without_frames())
         if self.recording is not None and record:
             self.recording.append(packet)
         self._published.set()

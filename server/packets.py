@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from codec.packet import PacketInfo, PacketKind, drop_levels, peek
 
@@ -51,13 +51,20 @@ class StreamPacket:
         """Whether a decoder at `position` can take this packet."""
         return self.is_key or (self.position.epoch == position.epoch and self.info.from_version == position.version)
 
+    def restricted(self, levels: int) -> bytes:
+        """The packet with its coarsest `levels` levels."""
+        return self.data if levels >= self.info.level_mask.bit_length() else drop_levels(self.data, levels - 1)
+
     def framed(self, levels: int) -> bytes:
-        """The packet with its coarsest `levels` levels as one websocket frame, made once and shared by all viewers."""
+        """`restricted` as one websocket frame, made once and shared by all viewers."""
         levels = min(levels, self.info.level_mask.bit_length())
         if levels not in self._framed:
-            whole = levels == self.info.level_mask.bit_length()
-            self._framed[levels] = binary_frame(self.data if whole else drop_levels(self.data, levels - 1))
+            self._framed[levels] = binary_frame(self.restricted(levels))
         return self._framed[levels]
+
+    def without_frames(self) -> StreamPacket:
+        """The same packet for keeping: what viewers share stays with the original."""
+        return replace(self, _framed={})
 
 
 def stream_packet(number: int, epoch: int, data: bytes) -> StreamPacket:

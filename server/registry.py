@@ -41,8 +41,12 @@ class Registry:
                 raise InputError(f"stream {spec.id}", "two streams cannot have one id")
             self._add(spec)
         for name, definition in (self.store.definitions() if self.store else {}).items():
-            if name not in self.streams:
+            if name in self.streams:
+                continue
+            try:
                 self._add(spec_from_json(definition))
+            except InputError as error:
+                _LOG.warning("a remembered stream is left out: %s", error)
 
     def start(self) -> None:
         """Start the streams of the command line."""

@@ -21,7 +21,7 @@ from server.supervisor import Ending, Supervisor
 from server.worker import Resume, Tag
 
 _LOG = logging.getLogger(__name__)
-_HUB_BYTES = 32_000_000  # packets that viewers may lag behind within; seeking reads the bus
+_HUB_BYTES = 16_000_000  # packets that viewers may lag behind within; seeking reads the bus
 
 
 @dataclass(slots=True)
@@ -213,8 +213,9 @@ class Stream:
 
     def _tell(self, message: dict[str, Any]) -> None:
         for queue in self._events:
-            if not queue.full():
-                queue.put_nowait(message)
+            if queue.full():  # a viewer that takes nothing; the newest events tell most
+                queue.get_nowait()
+            queue.put_nowait(message)
         self.hub.wake()
 
     def _recording_state(self) -> str:

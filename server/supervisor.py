@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Awaitable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -104,7 +105,8 @@ class Supervisor:
         await asyncio.to_thread(self._process.start)
         theirs.close()
         loop = asyncio.get_running_loop()
-        pump = loop.run_in_executor(None, self._pump, ours, loop)
+        thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool could run dry
+        pump = loop.run_in_executor(thread, self._pump, ours, loop)
         reason = None
         try:
             while not pump.done():
@@ -118,6 +120,7 @@ class Supervisor:
             with contextlib.suppress(asyncio.CancelledError):
                 await asyncio.shield(asyncio.wait([pump], timeout=2))
             ours.close()
+            thread.shutdown(wait=False)
         process = self._process
         await asyncio.to_thread(process.join, 5)
         return self._last_words() or Ending(reason or f"the worker ended by {_cause(process.exitcode)}")

@@ -204,8 +204,8 @@ class ViewerSession:
             return False
         following = self._hub.window.after(self._live)
         if following is not None and now - following.arrived <= self._limits.viewer_lag_seconds:
-            await self._packet(following)
-            self._live = following.number
+            self._last, self._live = following, following.number
+            await self._frame(following.framed(self._levels.levels))
             return True
         await self._overtake(now)
         return True
@@ -266,7 +266,7 @@ class ViewerSession:
         elif due > now:
             return False
         self._replay.popleft()
-        await self._packet(packet)
+        await self._past_packet(packet)
         return True
 
     async def _load(self, place: Position) -> None:
@@ -279,7 +279,7 @@ class ViewerSession:
         if packets:
             self._clock = time.monotonic() - packets[-1].info.time_ns / 1e9
             for packet in packets:
-                await self._packet(packet)
+                await self._past_packet(packet)
 
     async def _load_more(self) -> None:
         """The next versions of the past, or the change to live where it ends."""
@@ -318,12 +318,9 @@ class ViewerSession:
         self._held_seconds += _TICK_SECONDS
         return True
 
-    async def _packet(self, packet: StreamPacket) -> None:
+    async def _past_packet(self, packet: StreamPacket) -> None:
         self._last = packet
-        if packet.number >= 0:
-            await self._frame(packet.framed(self._levels.levels))
-        else:
-            await self._frame(binary_frame(packet.data))
+        await self._frame(binary_frame(packet.restricted(self._levels.levels)))
 
     async def _frame(self, frame: bytes) -> None:
         size = len(frame) - _overhead(len(frame))
