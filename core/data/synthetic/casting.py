@@ -151,42 +151,35 @@ def _sieve_cone(origins: Float64, directions: Float64, parts: Parts, near: Int32
 
 
 @_jit
-def packet_bounds(
-    position: Float64,
-    directions: Float64,
-    per_packet: int,
-    distance: Float64,
-    centre: Float64,
-    reach: Float64,
-    axis: Float64,
-    angle: Float64,
-    far: Float64,
-) -> None:
-    """What bounds each packet of `per_packet` rays from one eye: a sphere round its hits, a cone round its rays.
-
-    Args:
-        position, directions: [N,3]; distance: [N].
-        centre [M,3], reach [M], axis [M,3], angle [M], far [M]: the results.
-    """
+def balls_round(points: Float64, per_packet: int, centre: Float64, reach: Float64) -> None:
+    """A sphere round each packet of `per_packet` of the `points` [N,3]: centre [M,3] and radius [M]."""
     for m in range(len(reach)):
-        start, stop = m * per_packet, min((m + 1) * per_packet, len(distance))
+        start, stop = m * per_packet, min((m + 1) * per_packet, len(points))
+        square = 0.0
         for k in range(3):
-            centre[m, k], axis[m, k] = 0.0, 0.0
+            centre[m, k] = 0.0
             for i in range(start, stop):
-                centre[m, k] += position[i, k] / (stop - start)
+                centre[m, k] += points[i, k] / (stop - start)
+        for i in range(start, stop):
+            x, y, z = points[i, 0] - centre[m, 0], points[i, 1] - centre[m, 1], points[i, 2] - centre[m, 2]
+            square = max(square, x * x + y * y + z * z)
+        reach[m] = math.sqrt(square)
+
+
+@_jit
+def cones_round(directions: Float64, per_packet: int, axis: Float64, angle: Float64) -> None:
+    """A cone round each packet of `per_packet` of the unit `directions` [N,3]: axis [M,3] and half angle [M]."""
+    for m in range(len(angle)):
+        start, stop = m * per_packet, min((m + 1) * per_packet, len(directions))
+        for k in range(3):
+            axis[m, k] = 0.0
+            for i in range(start, stop):
                 axis[m, k] += directions[i, k]
         axis[m] /= max(math.sqrt(axis[m, 0] ** 2 + axis[m, 1] ** 2 + axis[m, 2] ** 2), 1e-12)
-        square, spread, far[m] = 0.0, 1.0, 0.0
+        spread = 1.0
         for i in range(start, stop):
-            square = max(
-                square,
-                (position[i, 0] - centre[m, 0]) ** 2
-                + (position[i, 1] - centre[m, 1]) ** 2
-                + (position[i, 2] - centre[m, 2]) ** 2,
-            )
-            spread = min(
-                spread,
-                axis[m, 0] * directions[i, 0] + axis[m, 1] * directions[i, 1] + axis[m, 2] * directions[i, 2],
-            )
-            far[m] = max(far[m], distance[i])
-        reach[m], angle[m] = math.sqrt(square), math.acos(min(max(spread, -1.0), 1.0))
+            cosine = 0.0
+            for k in range(3):
+                cosine += axis[m, k] * directions[i, k]
+            spread = min(spread, cosine)
+        angle[m] = math.acos(min(max(spread, -1.0), 1.0))

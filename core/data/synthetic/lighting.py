@@ -11,7 +11,8 @@ from core.arrays import Bool, Float64, Int32, Int64
 from core.data.synthetic.shapes import CAPSULE, CYLINDER, ELLIPSOID, PACKET, ROOM, Lamps, Parts, slab, to_local
 
 _OFFSET = 1e-4  # metres by which a ray to a lamp starts above its surface
-_REACHES = (0.04, 0.13, 0.4)  # metres at which ambient occlusion samples the free space above a surface
+AIR = 0.4  # metres above a surface up to which ambient occlusion looks
+_REACHES = (0.04, 0.13, AIR)  # at which it samples the free space
 _WEIGHTS = (0.30, 0.38, 0.42)
 
 _jit = numba.njit(cache=True, nogil=True, fastmath=True)
@@ -63,7 +64,7 @@ def light(
     visible = np.ones(lamp_count + 1)
     for start in range(0, count, PACKET):
         stop = min(start + PACKET, count)
-        _sieve_occluders(position[start:stop], parts, lamps, near, found)
+        _sieve_occluders(position[start:stop], normal[start:stop], parts, lamps, near, found)
         for first in range(start, stop, group):
             together = True
             for i in range(first + 1, min(first + group, stop)):
@@ -129,15 +130,23 @@ def _shade(
 
 
 @_jit
-def _sieve_occluders(position: Float64, parts: Parts, lamps: Lamps, near: Int32, found: Int64) -> None:
+def _sieve_occluders(position: Float64, normal: Float64, parts: Parts, lamps: Lamps, near: Int32, found: Int64) -> None:
     """Parts that can shade a packet of points from each lamp, and (last row) those close enough to occlude."""
     count, lamp_count = len(position), len(lamps.radius)
-    cx, cy, cz, reach = 0.0, 0.0, 0.0, 0.0
+    cx, cy, cz, reach, ax, ay, az, air = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(count):
         cx, cy, cz = cx + position[i, 0] / count, cy + position[i, 1] / count, cz + position[i, 2] / count
+        ax, ay, az = ax + normal[i, 0] / count, ay + normal[i, 1] / count, az + normal[i, 2] / count
+    ax, ay, az = cx + AIR * ax, cy + AIR * ay, cz + AIR * az
     for i in range(count):
         reach = max(reach, (position[i, 0] - cx) ** 2 + (position[i, 1] - cy) ** 2 + (position[i, 2] - cz) ** 2)
-    reach = math.sqrt(reach)
+        x, y, z = (
+            position[i, 0] + AIR * normal[i, 0] - ax,
+            position[i, 1] + AIR * normal[i, 1] - ay,
+            position[i, 2] + AIR * normal[i, 2] - az,
+        )
+        air = max(air, x * x + y * y + z * z)
+    reach, air = math.sqrt(reach), math.sqrt(air)
     for k in range(lamp_count + 1):
         found[k] = 0
     for p in range(len(parts.kind)):
@@ -146,8 +155,8 @@ def _sieve_occluders(position: Float64, parts: Parts, lamps: Lamps, near: Int32,
             found[lamp_count] += 1
             continue
         x, y, z = parts.translation[p, 0] - cx, parts.translation[p, 1] - cy, parts.translation[p, 2] - cz
-        square = x * x + y * y + z * z
-        if square < (parts.bound[p] + reach + 2.0 * _REACHES[2]) ** 2:
+        ux, uy, uz = parts.translation[p, 0] - ax, parts.translation[p, 1] - ay, parts.translation[p, 2] - az
+        if ux * ux + uy * uy + uz * uz < (parts.bound[p] + air + AIR) ** 2:
             near[lamp_count, found[lamp_count]] = p
             found[lamp_count] += 1
         if not parts.casts[p]:
@@ -306,6 +315,8 @@ def touched(
     axis: Float64,
     angle: Float64,
     far: Float64,
+    air: Float64,
+    air_reach: Float64,
     parts: Parts,
     first: int,
     lamps: Lamps,
@@ -324,7 +335,8 @@ def touched(
                     out[m] = True
                     break
             x, y, z = place[0] - centre[m, 0], place[1] - centre[m, 1], place[2] - centre[m, 2]
-            out[m] = x * x + y * y + z * z < (bound + reach[m] + 2.0 * _REACHES[2]) ** 2
+            ux, uy, uz = place[0] - air[m, 0], place[1] - air[m, 1], place[2] - air[m, 2]
+            out[m] = ux * ux + uy * uy + uz * uz < (bound + air_reach[m] + AIR) ** 2
             for k in range(len(lamps.radius)):
                 lx, ly, lz = (
                     lamps.position[k, 0] - centre[m, 0],

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from core.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from core.camera import Camera
-from core.data.synthetic.casting import cast, packet_bounds
-from core.data.synthetic.lighting import distances, light, touched
+from core.data.synthetic.casting import balls_round, cast, cones_round
+from core.data.synthetic.lighting import AIR, distances, light, touched
 from core.data.synthetic.movers import movers
 from core.data.synthetic.parts import Scene, assemble
 from core.data.synthetic.room import AMBIENT, LAMPS, furniture
@@ -61,6 +61,8 @@ class _EmptyRoom:
     axis: Float64
     angle: Float64
     far: Float64
+    air: Float64
+    air_reach: Float64
     mirrored: Bool
 
 
@@ -119,7 +121,7 @@ def render_image(spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
     camera, scene = cameras(spec)[camera_index], scene_at(spec, index)
     room = _empty_room(spec, camera_index)
     dirty = np.empty(len(room.reach), np.bool_)
-    bounds = (camera.centre, room.centre, room.reach, room.axis, room.angle, room.far)
+    bounds = (camera.centre, room.centre, room.reach, room.axis, room.angle, room.far, room.air, room.air_reach)
     touched(*bounds, scene.solid, room.parts, LAMPS, dirty)
     pixels = np.flatnonzero(np.repeat(dirty | room.mirrored, _SPAN)[: spec.width * spec.height])
     colour = room.colour.astype(np.float64)
@@ -193,12 +195,18 @@ def _empty_room(spec: SyntheticSpec, camera_index: int) -> _EmptyRoom:
     origins, directions = _rays(camera, pixels, _CENTRE)
     hits = _hits(scene, origins, directions)
     spans = -(-len(pixels) // _SPAN)
-    centre, axis = np.empty((spans, 3)), np.empty((spans, 3))
-    reach, angle, far = np.empty(spans), np.empty(spans), np.empty(spans)
-    packet_bounds(hits.world_point, directions, _SPAN, hits.distance, centre, reach, axis, angle, far)
+    centre, axis, air = np.empty((3, spans, 3))
+    reach, angle, air_reach = np.empty((3, spans))
+    balls_round(hits.world_point, _SPAN, centre, reach)
+    balls_round(hits.world_point + AIR * hits.world_normal, _SPAN, air, air_reach)
+    cones_round(directions, _SPAN, axis, angle)
+    far = np.maximum.reduceat(hits.distance, np.arange(0, len(pixels), _SPAN)) + 0.1
     pixel = 1.0 / float(camera.intrinsics[0, 0])  # the samples lie up to a pixel outside the centres' bounds
+    slack = 2 * pixel * far
     mirrored = np.logical_or.reduceat(scene.mirror[hits.part] > 0, np.arange(0, len(pixels), _SPAN))
-    return _EmptyRoom(colour, len(parts), centre, reach + 2 * pixel * far, axis, angle + pixel, far + 0.1, mirrored)
+    return _EmptyRoom(
+        colour, len(parts), centre, reach + slack, axis, angle + pixel, far, air, air_reach + slack, mirrored
+    )
 
 
 def _in_batches(pixels: Int64, work: Callable[[Int64], NDArray[_T]]) -> NDArray[_T]:
