@@ -62,13 +62,17 @@ def geometric_bounds(cameras: Sequence[Camera]) -> tuple[float, float]:
 
 
 def _shared(cameras: Sequence[Camera], index: int, depth: float) -> float:
-    """The fraction of camera `index`'s picture that another camera also sees, of things at `depth`."""
+    """The fraction of camera `index`'s picture that another camera also sees, from the same side, at `depth`."""
     camera = cameras[index]
     steps = (np.arange(_GRID) + 0.5) / _GRID
     pixels = np.stack(np.meshgrid(steps * camera.width, steps * camera.height), axis=-1).reshape(-1, 2)
     points = unproject(camera, pixels, np.full(len(pixels), depth))
-    seen = [inside(other, *project(other, points)) for other in cameras if other is not camera]
-    return float(np.mean(np.any(seen, axis=0)))
+    axis = camera.world_to_camera[2, :3]
+    seen = np.zeros(len(points), np.bool_)
+    for other in cameras:
+        if other is not camera and other.world_to_camera[2, :3] @ axis > 0:
+            seen |= inside(other, *project(other, points))
+    return float(seen.mean())
 
 
 def _trusted_depth(index: int, maps: Sequence[DepthMap]) -> np.ndarray[tuple[int], np.dtype[np.float32]]:

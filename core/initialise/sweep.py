@@ -53,13 +53,14 @@ def sweep_views(
     inverse = np.linspace(1 / bounds[1], 1 / bounds[0], planes)
     width, height = views.size
     volume = np.empty((planes, height, width), np.float32)
+    images = _balanced(views.images)
     maps = []
     for index, camera in enumerate(views.cameras):
         sources = neighbours(views, index)
         pairs = [_pair_geometry(camera, views.cameras[source]) for source in sources]
         rays, shifts = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
         best = min(_BEST, len(sources))
-        cost_volume(views.images[index], views.images[sources], rays, shifts, inverse, best, volume)
+        cost_volume(images[index], images[sources], rays, shifts, inverse, best, volume)
         depth, cost = _minimum(volume, inverse)
         maps.append(DepthMap(camera, depth, cost))
         if progress is not None:
@@ -72,6 +73,12 @@ def neighbours(views: Views, index: int) -> list[int]:
     centres = np.stack([camera.centre for camera in views.cameras])
     distance = np.linalg.norm(centres - centres[index], axis=1)
     return [int(i) for i in np.argsort(distance, kind="stable") if i != index][:_NEIGHBOURS]
+
+
+def _balanced(images: Float32) -> Float32:
+    """[V,H,W,3] pictures with each channel's mean brought to that of all views: cameras differ in exposure."""
+    means = images.mean(axis=(1, 2), keepdims=True)
+    return np.asarray(images * (means.mean(axis=0) / np.maximum(means, 1e-3)), np.float32)
 
 
 def _pair_geometry(reference: Camera, source: Camera) -> tuple[Float64, Float64]:

@@ -29,7 +29,7 @@ _DOUBTFUL = 0.2  # the fraction of pixels, those of least confidence, that is no
 _ROUNDS = 30
 _STEP = 3  # every so many pixels in each direction vote on scale and shift
 _GATE = (0.3, 0.02)  # relative depth difference that still counts, in the first and the last round
-_PRIOR = 1e-3  # weight of no change, relative to the votes
+_PRIOR, _GAUGE = 1e-3, 1e3  # weights of no change of a view, and of the mean of all views, relative to the votes
 _REFUSED = 2.0  # the cost of a pixel that is not used
 
 
@@ -98,7 +98,8 @@ def fit_scale_and_shift(cameras: Sequence[Camera], depth: Float64, start: float)
 
     A pixel of view i at depth d lies, for view j, at a depth that is linear in d, and should be what view j says there.
     With the pixel in j held, this is a linear equation in the scales and shifts of both; the pixels are looked up anew
-    each round, with a gate that closes, as in iterated closest points.
+    each round, with a gate that closes, as in iterated closest points. Cameras side by side leave the common scale
+    almost free in these equations, so the mean of the scales stays at `start` and that of the shifts at zero.
 
     Args:
         depth: [V,H,W]; 0 where nothing is known.
@@ -116,10 +117,15 @@ def fit_scale_and_shift(cameras: Sequence[Camera], depth: Float64, start: float)
                     columns = [i, count + i, j, count + j]
                     normal[np.ix_(columns, columns)] += rows.T @ rows
                     right[columns] += rows.T @ values
-        # The unknowns are of different size: the prior is relative to what each one's votes weigh.
+        # The unknowns are of different size: weights are relative to what each one's votes weigh.
         prior = _PRIOR * np.maximum(np.diag(normal), 1e-12)
         right += prior * np.concatenate([scale, shift])
-        solution: Float64 = np.linalg.solve(normal + np.diag(prior), right).astype(np.float64)
+        normal += np.diag(prior)
+        for block, mean in ((slice(0, count), start), (slice(count, None), 0.0)):
+            weight = _GAUGE * np.diag(normal)[block].mean() / count
+            normal[block, block] += weight
+            right[block] += weight * count * mean
+        solution: Float64 = np.linalg.solve(normal, right).astype(np.float64)
         scale, shift = solution[:count], solution[count:]
     return scale, shift
 

@@ -1,0 +1,142 @@
+"""First points against a scene whose depth is known, and on real recordings."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.camera import look_at, pinhole
+from core.data import open_dataset
+from core.data.synthetic import SyntheticSpec, open_synthetic, render_frame
+from core.errors import InputError
+from core.frames import FrameSet, PointCloud
+from core.initialise import first_points
+from core.initialise.bounds import geometric_bounds
+from core.initialise.views import inside, project
+
+SPEC = SyntheticSpec(cameras=5, frames=1, width=160, height=90)
+DATASET = open_synthetic(SPEC)
+
+
+@pytest.fixture(scope="module")
+def frame() -> FrameSet:
+    return next(iter(DATASET.frames()))
+
+
+@pytest.fixture(scope="module")
+def swept(frame: FrameSet) -> PointCloud:
+    return first_points(frame, DATASET.cameras, depth_bounds=DATASET.depth_bounds, method="sweep")
+
+
+def surface_error(points: PointCloud) -> np.ndarray:
+    """[N] the least relative distance, over the cameras, between a point's depth and the true depth there."""
+    error = np.full(len(points), np.inf)
+    for index, camera in enumerate(DATASET.cameras):
+        pixels, depth = project(camera, points.positions.astype(np.float64))
+        seen = inside(camera, pixels, depth)
+        column, row = pixels[seen].astype(int).T
+        truth = render_frame(SPEC, 0, index).depth[row, column]
+        error[seen] = np.minimum(error[seen], np.abs(depth[seen] / truth - 1))
+    return error
+
+
+def test_swept_points_lie_on_the_surfaces(swept: PointCloud) -> None:
+    error = surface_error(swept)
+    assert len(swept) > 15_000
+    assert (error < 0.02).mean() > 0.9
+    assert (error < 0.05).mean() > 0.96
+
+
+def test_swept_points_carry_the_colours_of_the_pictures(frame: FrameSet, swept: PointCloud) -> None:
+    camera = DATASET.cameras[0]
+    pixels, depth = project(camera, swept.positions.astype(np.float64))
+    seen = inside(camera, pixels, depth)
+    column, row = pixels[seen].astype(int).T
+    visible = np.abs(depth[seen] / render_frame(SPEC, 0, 0).depth[row, column] - 1) < 0.02
+    difference = np.abs(frame.images[0][row, column] / 255 - swept.colours[seen])[visible]
+    assert np.median(difference) < 0.03
+
+
+def test_bounds_need_not_be_known(frame: FrameSet) -> None:
+    points = first_points(frame, DATASET.cameras, depth_bounds=None, method="sweep")
+    assert len(points) > 12_000
+    assert (surface_error(points) < 0.05).mean() > 0.94
+
+
+def test_absent_cameras_are_left_out(frame: FrameSet, swept: PointCloud) -> None:
+    present = np.array([True, True, True, False, False])
+    images = np.where(present[:, None, None, None], frame.images, np.uint8(0))
+    points = first_points(
+        FrameSet(0, 0, images, present), DATASET.cameras, depth_bounds=DATASET.depth_bounds, method="sweep"
+    )
+    assert 1000 < len(points) < len(swept)
+    assert points.colours.mean() > 0.5 * swept.colours.mean()
+
+
+def test_auto_keeps_the_points_of_the_data_set(frame: FrameSet) -> None:
+    known = PointCloud(np.array([[0, 2, 1]], np.float32), np.array([[1, 0, 0]], np.float32))
+    points = first_points(frame, DATASET.cameras, depth_bounds=DATASET.depth_bounds, dataset_points=known)
+    assert len(points) > 15_000
+    assert (points.positions == known.positions).all(axis=1).any()
+    only = first_points(frame, DATASET.cameras, depth_bounds=None, method="colmap", dataset_points=known)
+    np.testing.assert_array_equal(only.positions, known.positions)
+
+
+def test_flat_pictures_fall_back_on_random_points_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    images = np.full((5, 90, 160, 3), 128, np.uint8)
+    flat = FrameSet(0, 0, images, np.ones(5, np.bool_))
+    near, far = 2.0, 7.0
+    with caplog.at_level(logging.WARNING):
+        points = first_points(flat, DATASET.cameras, depth_bounds=(near, far), method="random", seed=3)
+    assert "random points" in caplog.text
+    np.testing.assert_allclose(points.colours, 128 / 255, atol=1e-6)
+    views = np.zeros(len(points))
+    for camera in DATASET.cameras:
+        views += inside(camera, *project(camera, points.positions.astype(np.float64)))
+    assert views.min() >= 2
+    again = first_points(flat, DATASET.cameras, depth_bounds=(near, far), method="random", seed=3)
+    np.testing.assert_array_equal(points.positions, again.positions)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "magic"}, "neither one of"),
+        ({"method": "colmap"}, "the data set has none"),
+        ({"depth_bounds": (3.0, 1.0)}, "positive and in order"),
+        ({"method": "nowhere.ply"}, "cannot be read"),
+    ],
+)
+def test_refusals_say_what_is_wrong(frame: FrameSet, options: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        first_points(frame, DATASET.cameras, **{"depth_bounds": None, **options})
+
+
+def test_one_camera_has_no_depth(frame: FrameSet) -> None:
+    present = np.array([True, False, False, False, False])
+    with pytest.raises(InputError, match="one camera alone"):
+        first_points(FrameSet(0, 0, frame.images, present), DATASET.cameras, depth_bounds=None)
+
+
+def test_bounds_of_a_ring_hold_what_it_looks_at() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    ring = [
+        pinhole(
+            f"{i}", (300, 300), (160, 120), (320, 240), look_at(3 * np.array([np.cos(a), np.sin(a), 0.1]), 0 * up, up)
+        )
+        for i, a in enumerate(np.linspace(0, 2 * np.pi, 8, endpoint=False))
+    ]
+    near, far = geometric_bounds(ring)
+    assert 0.1 < near < 2.9
+    assert far > 4
+
+
+def test_real_inward_facing_rig_with_different_exposures(real_data: Path) -> None:
+    dataset = open_dataset(real_data / "caliscope_4cam", downscale=6)
+    points = first_points(next(iter(dataset.frames())), dataset.cameras, depth_bounds=None)
+    assert len(points) > 300
+    centre = np.median(points.positions, axis=0)
+    assert np.linalg.norm(centre - [0.2, 0.25, 0.07]) < 2.5  # the room round where the cameras' axes meet, metres
