@@ -73,7 +73,7 @@ async def watch(url: str, wishes: Wishes = Wishes(), attempts: int = 8) -> Async
         except (OSError, WebSocketException, SessionError) as error:
             if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == _DONE:
                 return
-            reason = _reason(url, error, repeated=failures > 0)
+            reason = _reason(url, error, repeated=failures > 0 or not ever)
         failures += 1
         if not ever or failures > attempts:
             raise InputError(url, f"cannot be reached ({reason}); is the server running?")
@@ -97,7 +97,7 @@ def _reason(url: str, error: Exception, repeated: bool) -> str:
         case ConnectionClosed(rcvd=close) if close is not None:
             text = f"{close.reason or 'the connection broke'} [{close.code}]"
             if close.code in _FINAL_CODES:
-                raise SessionError(close.code, f"the server closed the connection: {close.reason}") from error
+                raise SessionError(close.code, f"{url} closed the connection: {close.reason}") from error
             return text
         case SessionError() if repeated:
             raise error

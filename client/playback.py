@@ -107,7 +107,8 @@ class Playback:
         if message.get("version") != PROTOCOL_VERSION:
             raise SessionError(4415, f"the server speaks protocol version {message.get('version')!r}, not 1")
         self._welcomed = True
-        self._epoch = _whole(message, "epoch")
+        if message.get("epoch") is not None:  # there is none before the first keyframe; an event tells it then
+            self._epoch = _whole(message, "epoch")
         self._ack_every = max(1, _whole(message, "ack_every"))
         levels, fps = message.get("levels"), message.get("fps")
         return Welcome(

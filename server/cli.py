@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import sys
+import traceback
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -38,6 +39,16 @@ class Device(StrEnum):
     cuda = "cuda"
 
 
+class Layout(StrEnum):
+    """Of recordings: `core.data.LAYOUTS`, which is not loaded for a help text."""
+
+    n3dv = "n3dv"
+    meetroom = "meetroom"
+    colmap = "colmap"
+    transforms = "transforms"
+    caliscope = "caliscope"
+
+
 class SnapshotFormat(StrEnum):
     """Of exported snapshots."""
 
@@ -47,9 +58,7 @@ class SnapshotFormat(StrEnum):
 
 SlodFile = Annotated[Path, typer.Argument(metavar="FILE.slod", help="A recorded bitstream.")]
 Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recording; its layout is detected.")]
-Layout = Annotated[
-    str | None, typer.Option(help="Layout, if detection is wrong: n3dv, meetroom, colmap, transforms or caliscope.")
-]
+LayoutOption = Annotated[Layout | None, typer.Option(help="Layout of DATA, where detection is wrong.")]
 Test = Annotated[str, typer.Option(metavar="cam00[,...]", help="Held-out cameras, never trained on.")]
 DeviceOption = Annotated[Device, typer.Option(help="auto takes a CUDA device where there is one.")]
 Views = Annotated[int | None, typer.Option(min=1, help="So many training cameras, evenly spread over the rest.")]
@@ -86,7 +95,7 @@ def train(
     seed: Seed = 0,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the figures here.")] = None,
     trace: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the stages as a Chrome trace.")] = None,
-    layout: Layout = None,
+    layout: LayoutOption = None,
 ) -> None:
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
@@ -116,7 +125,7 @@ def evaluate(
     save_images: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write truth, rendering and difference side by side.")
     ] = None,
-    layout: Layout = None,
+    layout: LayoutOption = None,
 ) -> None:
     """Decode a file, render the held-out cameras, and measure quality, size and speed."""
     _require_folder(data)
@@ -137,7 +146,7 @@ def serve(
     frames: Frames = None,
     downscale: Downscale = 1.0,
     seed: Seed = 0,
-    layout: Layout = None,
+    layout: LayoutOption = None,
     loop: Annotated[bool, typer.Option(help="Begin a played file again at its end.")] = True,
     state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
     config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,
@@ -236,7 +245,6 @@ def demo(
     given = {"out": out, "cameras": cameras, "frames": frames, "size": size, "port": port}
     stay = os.environ.get("DEMO_EXIT", "") not in {"1", "true", "yes"}
     settings = _load("server.demo:DemoSettings")(**{k: v for k, v in given.items() if v is not None}, stay=stay)
-    logging.getLogger().setLevel(min(logging.getLogger().level, logging.INFO))
     _call("server.demo:run_demo", settings)
 
 
@@ -278,8 +286,8 @@ def main() -> NoReturn:
         sys.stderr.write("\ninterrupted\n")
         code = INTERRUPTED
     except Exception as error:
-        if debug and not hasattr(error, "exit_code"):
-            raise
+        if debug:
+            traceback.print_exc()
         code = _explain(error)
     raise SystemExit(code or 0)
 

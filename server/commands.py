@@ -56,11 +56,6 @@ def check_recording(
     """Refuse an unusable recording or choice of cameras within a second, before the training libraries are loaded."""
     from core.data import linspace_split, open_dataset
 
-    if layout is not None:
-        from core.data import LAYOUTS
-
-        if layout not in LAYOUTS:
-            raise InputError("--layout", f"{layout} is not one of {', '.join(LAYOUTS)}")
     if downscale > _LARGEST_DOWNSCALE:
         raise InputError("--downscale", f"must lie between 1 and {_LARGEST_DOWNSCALE}, not {downscale:g}")
     names = open_dataset(data, layout=layout, downscale=downscale).names

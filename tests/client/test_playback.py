@@ -54,6 +54,13 @@ def test_welcome_and_packets_become_scenes() -> None:
     assert playback.position == (3, 3)
 
 
+def test_a_stream_without_a_keyframe_has_no_epoch_yet() -> None:
+    playback = welcomed(epoch=None, levels=None, fps=None, state="starting")
+    playback.receive_text('{"type":"event","event":"epoch","epoch":7}')
+    playback.receive_packet(packets(states(1))[0], 0.0)
+    assert playback.position == (7, 0)
+
+
 def test_a_keyframe_in_parts_shows_more_and_more_levels() -> None:
     playback, scenes = welcomed(), states(2)
     key, residual = packets(scenes)
