@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-TILE_WIDTH, TILE_HEIGHT = 32, 16  # pixels
+# Pixels. Two vectors wide, so that a Gaussian's part of a row is one or two of them and kernels need no loop. 32 x 16 is
+# as fast for whole pictures and 15 % slower for dirty tiles.
+TILE_WIDTH, TILE_HEIGHT = 16, 16
 
 
 class Box(NamedTuple):

@@ -16,7 +16,7 @@ from core.render import rasterise
 from core.render.cpu import POOL, render
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, run
 
-SIZES = [(48, 40), (1, 1), (33, 17), (64, 32), (131, 5)]
+SIZES = [(48, 40), (1, 1), (33, 17), (64, 32), (131, 5), (9, 50)]
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)

@@ -55,7 +55,7 @@ from core.render.cpu.kernels.inline.simd import (
     splat,
     store,
 )
-from core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part, row_chunks
+from core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part
 
 _AHEAD = 8
 _CHECK = 32
@@ -118,48 +118,32 @@ def _broadcast(record: Float32) -> Any:
 
 
 @njit(**INLINE)
-def _sum_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int, row_alive: Int32) -> Any:
+def _sum_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) -> Any:
     """The nine sums of one Gaussian over a tile, as vectors."""
     gaussian, conic_b, conic_c = _broadcast(record), record[CONIC_B], record[CONIC_C]
     zero = splat(ZERO)
     sums = (zero, zero, zero, zero, zero, zero, zero, zero, zero)
     top, bottom, left, right = reached_part(record, x, y, rows)
-    if right - left <= 1:
-        dx_left = lane_numbers() + (np.float32(left * LANES) - x)
-        dx_right = lane_numbers() + (np.float32(right * LANES) - x)
-        for row in range(top, bottom + 1):
-            dy = np.float32(row) - y
-            by, cyy, dy = splat(conic_b * dy), splat(conic_c * dy * dy), splat(dy)
-            sums = _accumulate(pixels, row * TILE_WIDTH + left * LANES, gaussian, dx_left, dy, by, cyy, sums)
-            if right > left:
-                sums = _accumulate(pixels, row * TILE_WIDTH + right * LANES, gaussian, dx_right, dy, by, cyy, sums)
-        return sums
+    dx_left = lane_numbers() + (np.float32(left * LANES) - x)
+    dx_right = lane_numbers() + (np.float32(right * LANES) - x)
     for row in range(top, bottom + 1):
-        if row_alive[row] == 0:
-            continue
         dy = np.float32(row) - y
-        left, right = row_chunks(record, x, dy)
         by, cyy, dy = splat(conic_b * dy), splat(conic_c * dy * dy), splat(dy)
-        for chunk in range(left, right + 1):
-            dx = lane_numbers() + (np.float32(chunk * LANES) - x)
-            sums = _accumulate(pixels, row * TILE_WIDTH + chunk * LANES, gaussian, dx, dy, by, cyy, sums)
+        sums = _accumulate(pixels, row * TILE_WIDTH + left * LANES, gaussian, dx_left, dy, by, cyy, sums)
+        if right > left:
+            sums = _accumulate(pixels, row * TILE_WIDTH + right * LANES, gaussian, dx_right, dy, by, cyy, sums)
     return sums
 
 
 @njit(**INLINE)
-def _pass_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int, row_alive: Int32) -> None:
+def _pass_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) -> None:
     """One Gaussian whose gradient nobody wants: the pixels advance, nothing is summed."""
     gaussian, conic_b, conic_c = _broadcast(record), record[CONIC_B], record[CONIC_C]
     top, bottom, left, right = reached_part(record, x, y, rows)
     for row in range(top, bottom + 1):
-        if row_alive[row] == 0:
-            continue
         dy = np.float32(row) - y
         by, cyy = splat(conic_b * dy), splat(conic_c * dy * dy)
-        first, last = left, right
-        if right - left > 1:
-            first, last = row_chunks(record, x, dy)
-        for chunk in range(first, last + 1):
+        for chunk in range(left, right + 1):
             dx = lane_numbers() + (np.float32(chunk * LANES) - x)
             _absorb(pixels, row * TILE_WIDTH + chunk * LANES, gaussian, dx, by, cyy)
 
@@ -208,14 +192,11 @@ def _differentiate_tile(
     light_gradient: Float32,
     sums: Float32,
     pixels: Float32,
-    row_alive: Int32,
 ) -> None:
     tile_y = tile // tiles_x
     x0, y0 = (tile - tile_y * tiles_x) * TILE_WIDTH, tile_y * TILE_HEIGHT
     rows, columns = min(TILE_HEIGHT, image.shape[0] - y0), min(TILE_WIDTH, image.shape[1] - x0)
     _load_tile(x0, y0, rows, columns, image, transmittance, image_gradient, light_gradient, pixels)
-    for row in range(TILE_HEIGHT):
-        row_alive[row] = 1
     start, stop, wanted = offsets[tile], offsets[tile + 1], sums.shape[0]
     for entry in range(start, stop):
         ahead = lists[min(entry + _AHEAD, stop - 1)]
@@ -225,20 +206,14 @@ def _differentiate_tile(
         record, slot = records[rank], np.int64(slots[rank])
         x, y = record[MEAN_X] - (np.float32(x0) + HALF), record[MEAN_Y] - (np.float32(y0) + HALF)
         if slot < wanted:
-            red, green, blue, s1, sx, sy, sxx, sxy, syy = _sum_gaussian(pixels, record, x, y, rows, row_alive)
+            red, green, blue, s1, sx, sy, sxx, sxy, syy = _sum_gaussian(pixels, record, x, y, rows)
             at = slot * SUMS
             store(sums, at, load(sums, at) + lane_sums(red, green, blue, s1, sx, sy, sxx, sxy))
             sums[slot, SUMS - 1] += lane_sum(syy)
         else:
-            _pass_gaussian(pixels, record, x, y, rows, row_alive)
-        if (entry - start) % _CHECK == _CHECK - 1:
-            unfinished = 0
-            for row in range(rows):
-                if row_alive[row]:
-                    row_alive[row] = 1 if any_unfinished(pixels, row) else 0
-                    unfinished |= row_alive[row]
-            if unfinished == 0:
-                break
+            _pass_gaussian(pixels, record, x, y, rows)
+        if (entry - start) % _CHECK == _CHECK - 1 and not any_unfinished(pixels):
+            break
 
 
 @njit(**KERNEL)
@@ -265,7 +240,7 @@ def differentiate_tiles(
         sums: out, [workers,G,9] see `constants`.
     """
     for w in prange(bounds.shape[0] - 1):
-        pixels, row_alive = np.empty(5 * TILE_PIXELS, np.float32), np.empty(TILE_HEIGHT, np.int32)
+        pixels = np.empty(5 * TILE_PIXELS, np.float32)
         own = sums[w]
         own[:] = ZERO
         for k in range(bounds[w], bounds[w + 1]):
@@ -282,5 +257,4 @@ def differentiate_tiles(
                 light_gradient,
                 own,
                 pixels,
-                row_alive,
             )

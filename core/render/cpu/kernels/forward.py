@@ -46,10 +46,10 @@ from core.render.cpu.kernels.inline.simd import (
     splat,
     store,
 )
-from core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part, row_chunks
+from core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part
 
 _AHEAD = 8  # list entries between asking for a record and using it
-_CHECK = 32  # Gaussians between looks at which rows are finished
+_CHECK = 32  # Gaussians between looks at whether the tile is finished
 
 
 @njit(**INLINE)
@@ -70,7 +70,7 @@ def _blend(pixels: Float32, at: Any, gaussian: Any, dx: Any, by: Any, cyy: Any) 
 
 
 @njit(**INLINE)
-def _blend_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int, row_alive: Int32) -> None:
+def _blend_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) -> None:
     """Add one Gaussian to a tile; x, y: its mean relative to the tile's first pixel centre."""
     gaussian = (
         splat(record[CONIC_A]),
@@ -82,26 +82,14 @@ def _blend_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int,
     )
     conic_b, conic_c = record[CONIC_B], record[CONIC_C]
     top, bottom, left, right = reached_part(record, x, y, rows)
-    if right - left <= 1:
-        # The common case: a constant number of chunks a row, so that branches are predicted.
-        dx_left = lane_numbers() + (np.float32(left * LANES) - x)
-        dx_right = lane_numbers() + (np.float32(right * LANES) - x)
-        for row in range(top, bottom + 1):
-            dy = np.float32(row) - y
-            by, cyy = splat(conic_b * dy), splat(conic_c * dy * dy)
-            _blend(pixels, row * TILE_WIDTH + left * LANES, gaussian, dx_left, by, cyy)
-            if right > left:
-                _blend(pixels, row * TILE_WIDTH + right * LANES, gaussian, dx_right, by, cyy)
-        return
+    dx_left = lane_numbers() + (np.float32(left * LANES) - x)
+    dx_right = lane_numbers() + (np.float32(right * LANES) - x)
     for row in range(top, bottom + 1):
-        if row_alive[row] == 0:
-            continue
         dy = np.float32(row) - y
         by, cyy = splat(conic_b * dy), splat(conic_c * dy * dy)
-        left, right = row_chunks(record, x, dy)
-        for chunk in range(left, right + 1):
-            dx = lane_numbers() + (np.float32(chunk * LANES) - x)
-            _blend(pixels, row * TILE_WIDTH + chunk * LANES, gaussian, dx, by, cyy)
+        _blend(pixels, row * TILE_WIDTH + left * LANES, gaussian, dx_left, by, cyy)
+        if right > left:
+            _blend(pixels, row * TILE_WIDTH + right * LANES, gaussian, dx_right, by, cyy)
 
 
 @njit(**SERIAL)
@@ -115,33 +103,23 @@ def _blend_tile(
     image: Float32,
     transmittance: Float32,
     pixels: Float32,
-    row_alive: Int32,
 ) -> None:
     tile_y = tile // tiles_x
     x0, y0 = (tile - tile_y * tiles_x) * TILE_WIDTH, tile_y * TILE_HEIGHT
     rows, columns = min(TILE_HEIGHT, image.shape[0] - y0), min(TILE_WIDTH, image.shape[1] - x0)
     for p in range(TILE_PIXELS):
-        pixels[p] = ONE
+        inside = p // TILE_WIDTH < rows and p % TILE_WIDTH < columns
+        pixels[p] = ONE if inside else -ONE  # outside the picture: finished
     for p in range(TILE_PIXELS, 4 * TILE_PIXELS):
         pixels[p] = ZERO
-    for row in range(TILE_HEIGHT):
-        row_alive[row] = 1
-        for column in range(columns, TILE_WIDTH):
-            pixels[row * TILE_WIDTH + column] = -ONE  # outside the picture: finished
     start, stop = offsets[tile], offsets[tile + 1]
     for entry in range(start, stop):
         prefetch(records, np.int64(lists[min(entry + _AHEAD, stop - 1)]) * RECORD)
         record = records[lists[entry]]
         x, y = record[MEAN_X] - (np.float32(x0) + HALF), record[MEAN_Y] - (np.float32(y0) + HALF)
-        _blend_gaussian(pixels, record, x, y, rows, row_alive)
-        if (entry - start) % _CHECK == _CHECK - 1:
-            unfinished = 0
-            for row in range(rows):
-                if row_alive[row]:
-                    row_alive[row] = 1 if any_unfinished(pixels, row) else 0
-                    unfinished |= row_alive[row]
-            if unfinished == 0:
-                break
+        _blend_gaussian(pixels, record, x, y, rows)
+        if (entry - start) % _CHECK == _CHECK - 1 and not any_unfinished(pixels):
+            break
     for row in range(rows):
         for column in range(columns):
             p = row * TILE_WIDTH + column
@@ -173,6 +151,6 @@ def blend_tiles(
         background: [3]. image [H,W,3], transmittance [H,W]: out, the pixels of `tiles` only.
     """
     for w in prange(bounds.shape[0] - 1):
-        pixels, row_alive = np.empty(4 * TILE_PIXELS, np.float32), np.empty(TILE_HEIGHT, np.int32)
+        pixels = np.empty(4 * TILE_PIXELS, np.float32)
         for k in range(bounds[w], bounds[w + 1]):
-            _blend_tile(tiles[k], tiles_x, records, offsets, lists, background, image, transmittance, pixels, row_alive)
+            _blend_tile(tiles[k], tiles_x, records, offsets, lists, background, image, transmittance, pixels)

@@ -25,6 +25,7 @@ from core.render.cpu.kernels.inline.constants import (
     REACH,
     SKEW,
     TILE_HEIGHT,
+    TILE_PIXELS,
     TILE_WIDTH,
     ZERO,
 )
@@ -86,7 +87,7 @@ def tile_span(record: Float32, first: Any, last: Any, tile_y: Any, single: Any) 
 
 @njit(**INLINE)
 def reached_part(record: Float32, x: Any, y: Any, rows: Any) -> Any:
-    """Rows [top, bottom] and chunks of eight pixels [left, right] of a tile inside the Gaussian's box.
+    """Rows [top, bottom] and chunks of eight pixels [left, right], one or two, of a tile inside the Gaussian's box.
 
     x, y: the mean relative to the tile's first pixel centre.
     """
@@ -98,24 +99,9 @@ def reached_part(record: Float32, x: Any, y: Any, rows: Any) -> Any:
 
 
 @njit(**INLINE)
-def row_chunks(record: Float32, x: Any, dy: Any) -> Any:
-    """Chunks [left, right] of a pixel row that the ellipse reaches; right < left where it reaches none."""
-    square = record[REACH] - record[DETERMINANT] * dy * dy
-    left, right = 0, -1
-    if square >= ZERO:
-        half = math.sqrt(square) * record[INVERSE_A]
-        middle = x + record[CONIC_B] * EIGHT * record[INVERSE_A] * dy
-        end = min(middle + half, np.float32(TILE_WIDTH - 1))
-        if end >= ZERO:
-            left = max(0, int(max(middle - half, ZERO)) // LANES)
-            right = int(end) // LANES
-    return left, right
-
-
-@njit(**INLINE)
-def any_unfinished(pixels: Float32, row: Any) -> Any:
-    """Whether a pixel of the row still lets light through: finished pixels hold minus their transmittance."""
-    best = load(pixels, row * TILE_WIDTH)
-    for chunk in range(1, TILE_WIDTH // LANES):
-        best = higher_of(best, load(pixels, row * TILE_WIDTH + chunk * LANES))
+def any_unfinished(pixels: Float32) -> Any:
+    """Whether a pixel of the tile still lets light through: finished pixels hold minus their transmittance."""
+    best = load(pixels, 0)
+    for at in range(LANES, TILE_PIXELS, LANES):
+        best = higher_of(best, load(pixels, at))
     return lane_sum(keep_where(above(best, ZERO), splat(ONE))) > ZERO
