@@ -206,7 +206,7 @@ async function start(viewer) {
   const wake = () => {
     document.body.classList.remove("idle");
     clearTimeout(idle);
-    idle = window.setTimeout(() => document.body.classList.add("idle"), IDLE_MS);
+    idle = window.setTimeout(() => document.body.classList.toggle("idle", viewer.status?.mode !== "paused"), IDLE_MS);
   };
   for (const name of ["pointermove", "pointerdown", "keydown", "focusin"]) window.addEventListener(name, wake);
   wake();

@@ -9,18 +9,23 @@ export const QUALITIES = [
   { name: "high", label: "High", note: "all levels" },
   { name: "low", label: "Low", note: "saves data" },
 ];
+const MOST_LEVELS = 16;
 const SLOW_FPS = 20, FAST_FPS = 45, PATIENCE = 4; // heartbeats in a row before a change
-const RESOLUTIONS = [1, 0.75, 0.5];
+const COOL_DOWN = 120; // heartbeats before a step that proved too slow is tried again
+
+/** What auto gives up, little by little: fraction of the screen's resolution, finest levels left out. */
+const STEPS = [[1, 0], [0.75, 0], [0.5, 0], [0.5, 1], [0.5, 2]];
 
 export class Quality {
   /** @param {Viewer} viewer @param {string | null} wanted */
   constructor(viewer, wanted) {
     this.viewer = viewer;
     this.total = 0; // levels of the stream
-    this.step = 0; // of RESOLUTIONS, in auto
+    this.step = 0; // of STEPS, in auto
     this.slow = 0;
     this.fast = 0;
     this.frames = 0;
+    this.resting = 0; // heartbeats until a finer step may be tried
     /** @type {Name} */
     this.name = wanted === "high" || wanted === "low" ? wanted : "auto";
     this.#apply();
@@ -43,12 +48,13 @@ export class Quality {
   }
 
   get #levels() {
-    return this.name === "low" && this.total ? Math.max(1, this.total - 1) : 16;
+    const without = this.name === "low" ? 1 : this.name === "auto" ? STEPS[this.step][1] : 0;
+    return this.total && without ? Math.max(1, this.total - without) : MOST_LEVELS;
   }
 
   /** What to ask the server for. */
   wishes() {
-    return { levels: this.name === "low" && this.total ? this.#levels : null };
+    return { levels: this.#levels === MOST_LEVELS ? null : this.#levels };
   }
 
   /** Twice a second: draw coarser where drawing is slow, finer where there is room. */
@@ -59,17 +65,21 @@ export class Quality {
     if (this.name !== "auto" || drawn < 3) return;
     this.slow = viewer.fps < SLOW_FPS ? this.slow + 1 : 0;
     this.fast = viewer.fps > FAST_FPS ? this.fast + 1 : 0;
-    const change = this.slow >= PATIENCE ? 1 : this.fast >= 4 * PATIENCE ? -1 : 0;
-    const step = Math.min(Math.max(this.step + change, 0), RESOLUTIONS.length - 1);
+    this.resting = Math.max(0, this.resting - 1);
+    const change = this.slow >= PATIENCE ? 1 : this.fast >= 4 * PATIENCE && !this.resting ? -1 : 0;
+    const step = Math.min(Math.max(this.step + change, 0), STEPS.length - 1);
     if (step === this.step) return;
+    const levels = this.#levels;
     this.step = step;
     this.slow = this.fast = 0;
+    if (change > 0) this.resting = COOL_DOWN;
     this.#apply();
+    if (this.#levels !== levels) viewer.tell({ type: "wishes", wishes: this.wishes() });
   }
 
   #apply() {
     const { viewer } = this;
-    viewer.resolution = this.name === "low" ? 0.75 : this.name === "high" ? 1 : RESOLUTIONS[this.step];
+    viewer.resolution = this.name === "low" ? 0.75 : this.name === "high" ? 1 : STEPS[this.step][0];
     viewer.resize();
     if (viewer.levels === this.#levels) return;
     viewer.levels = this.#levels;

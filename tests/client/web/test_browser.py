@@ -92,7 +92,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 def test_same_picture_splats_and_state_as_python(page: Any, clip: Clip) -> None:
     """The picture of every rig camera, the splats and the integer state are those of the Python side."""
     with serving(create_app(clip, Behaviour(newest=7))) as url:
-        page.goto(f"{url}/?ui=0")
+        page.goto(f"{url}/?ui=0&quality=high")
         shows(page, "s.version === 7")
         scene = clip.states[7]
         for number in (0, 2, 4):
@@ -109,7 +109,7 @@ def test_same_picture_splats_and_state_as_python(page: Any, clip: Clip) -> None:
 def test_seek_pause_step_and_the_way_back(page: Any, clip: Clip) -> None:
     """A frame that is asked for is the frame that is shown, to the bit."""
     with serving(create_app(clip, Behaviour(fps=60))) as url:
-        page.goto(url)
+        page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 39")
         page.evaluate("streamlod.pause()")
         shows(page, "s.phase === 'paused'")
@@ -132,7 +132,7 @@ def test_corrupt_packet_is_refused_and_mended(page: Any, clip: Clip) -> None:
     """A damaged packet changes nothing; the page asks anew and is right again."""
     behaviour = Behaviour(fps=60, corrupt={9}, newest=8)
     with serving(create_app(clip, behaviour)) as url:
-        page.goto(url)
+        page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 8")
         page.evaluate("window.refused = []; streamlod.on('refused', (r) => refused.push(r.code)); 0")
         behaviour.newest = 9
@@ -148,7 +148,7 @@ def test_reconnects_after_the_server_restarts(page: Any, clip: Clip) -> None:
     """The last picture stays while the server is away, then it goes on."""
     port = free_port()
     with serving(create_app(clip, Behaviour(newest=5)), port) as url:
-        page.goto(url)
+        page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 5")
     shows(page, "s.phase === 'reconnecting'")
     assert page.locator("#card").is_hidden()
@@ -164,7 +164,7 @@ def test_recording_plays_without_a_server(page: Any, clip: Clip, tmp_path: Path)
         for version in range(1, 30):
             writer.append(clip.residual(version - 1, version))
     with serving(create_app(clip, Behaviour(), tmp_path)) as url:
-        page.goto(f"{url}/?src=files/clip.slod")
+        page.goto(f"{url}/?src=files/clip.slod&quality=high")
         shows(page, "s.version === 29 && s.phase === 'ended'")
         page.evaluate("streamlod.seek(11)")
         shows(page, "s.version === 11 && s.phase === 'paused'")
@@ -178,7 +178,7 @@ def test_recording_plays_without_a_server(page: Any, clip: Clip, tmp_path: Path)
 def test_orbit_keys_and_focus(page: Any, clip: Clip) -> None:
     """Dragging orbits around the target; keys walk; double-click turns to a surface; R comes back."""
     with serving(create_app(clip, Behaviour(newest=3))) as url:
-        page.goto(url)
+        page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 3")
         page.wait_for_timeout(200)
         poses = [page.evaluate("streamlod.state.camera")]
@@ -219,7 +219,7 @@ def test_frees_the_graphics_card(page: Any, clip: Clip) -> None:
     """Frames create no objects, and destroy() deletes all."""
     page.add_init_script(COUNT_OBJECTS)
     with serving(create_app(clip, Behaviour(fps=60))) as url:
-        page.goto(url)
+        page.goto(f"{url}/?quality=high")
         shows(page, "s.version >= 1")
         before = page.evaluate("({ ...objects })")
         shows(page, "s.version >= 30")
@@ -242,7 +242,7 @@ def test_frees_the_graphics_card(page: Any, clip: Clip) -> None:
 def test_says_what_is_going_on(page: Any, clip: Clip, behaviour: Behaviour, title: str) -> None:
     """A card explains why there is no picture."""
     with serving(create_app(clip, behaviour)) as url:
-        page.goto(url)
+        page.goto(f"{url}/?quality=high")
         page.locator("#card-title", has_text=title).wait_for(**WAIT)
 
 
@@ -250,7 +250,7 @@ def test_says_when_there_is_no_webgl(page: Any, clip: Clip) -> None:
     """No WebGL2, no exception."""
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     with serving(create_app(clip, Behaviour())) as url:
-        page.goto(url)
+        page.goto(f"{url}/?quality=high")
         page.locator("#card-title", has_text="This browser cannot show the scene").wait_for(**WAIT)
 
 
@@ -281,7 +281,7 @@ def test_real_server_live_seek_restart(page: Any, clip: Clip, tmp_path: Path) ->
         for version in range(1, len(clip.states)):
             writer.append(clip.residual(version - 1, version))
     with running(Settings(), StreamSpec(play=recording, loop=False)) as server:
-        page.goto(server.url)
+        page.goto(f"{server.url}/?quality=high")
         shows(page, "s.version === 39")
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[39].levels]
         page.evaluate("streamlod.pause()")

@@ -1,0 +1,42 @@
+"""The page left running: no errors, no objects piling up, flat memory. On request: `pytest -m slow`."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import pytest
+
+from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
+from tests.client.web.scenes import make_scene
+from tests.client.web.test_browser import COUNT_OBJECTS, page, shows
+
+__all__ = ["page"]
+
+pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(900)]
+
+ORBIT_SECONDS = int(os.environ.get("STREAMLOD_ORBIT_SECONDS", "30"))
+
+
+def test_orbiting_while_frames_arrive(page: Any) -> None:
+    """A 5k-splat stream in a loop under a turning camera."""
+    page.add_init_script(COUNT_OBJECTS)
+    clip = make_clip(make_scene(1250), 60)
+    with serving(create_app(clip, Behaviour(fps=20))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version >= 1")
+        page.evaluate("streamlod.loop(true)")
+        page.evaluate("window.pictures = 0; streamlod.on('picture', () => pictures++); 0")
+        session = page.context.new_cdp_session(page)
+        heaps, objects = [], []
+        page.keyboard.down("ArrowLeft")
+        for _ in range(6):
+            page.wait_for_timeout(ORBIT_SECONDS * 1000 / 6)
+            session.send("HeapProfiler.collectGarbage")
+            heaps.append(session.send("Runtime.getHeapUsage")["usedSize"])
+            objects.append(page.evaluate("({ ...objects })"))
+        page.keyboard.up("ArrowLeft")
+        assert page.evaluate("pictures") > ORBIT_SECONDS
+    assert all(count == objects[0] for count in objects)
+    assert heaps[-1] < heaps[1] + 1_000_000
+    page.complaints.forgive("WebSocket connection to")
