@@ -15,11 +15,11 @@ from codec.decoder import SceneDecoder
 from codec.encoder import encode_residual
 from codec.limits import DEFAULT_LIMITS, Limits
 from codec.packet import PacketKind, select_levels, split_levels
-from core.anchors import Scene
+from core.anchors import AnchorLevel, Scene
 from core.residual import difference
 from server.packets import PacketWindow, StreamPacket, binary_frame
 
-_STATE_BYTES = 48_000_000  # decoded states kept, to begin skip packets from
+_STATE_BYTES = 24_000_000  # decoded states kept, to begin skip packets from
 _RESIDUALS = 32  # encoded on demand and kept
 
 
@@ -159,11 +159,13 @@ class Hub:
 
 
 def _size_bytes(state: _State) -> int:
-    """Memory of the columns that differ from state to state."""
-    return sum(level.position.nbytes + level.latent.nbytes + level.alive.nbytes for level in state.scene.levels) + 1000
+    """Memory that a state takes beside the one before it: a keyframe's columns are all its own."""
+    own = AnchorLevel.__slots__ if state.packet.is_key else ("position", "latent", "alive")
+    return sum(getattr(level, name).nbytes for level in state.scene.levels for name in own)
 
 
 def _encode(before: _State, after: _State) -> bytes:
     residual = difference(before.scene, after.scene)
     kind = PacketKind.CATCH_UP if before.scene.version == before.scene.keyframe else PacketKind.SKIP
-    return encode_residual(before.scene, residual, kind=kind, time_ns=after.packet.info.time_ns)
+    info = after.packet.info
+    return encode_residual(before.scene, residual, kind=kind, time_ns=info.time_ns, profile=info.profile)

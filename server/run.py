@@ -7,6 +7,7 @@ import logging
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from types import FrameType
 
@@ -19,6 +20,7 @@ from server.metrics import collector_registry
 from server.registry import Registry
 from server.settings import Settings
 from server.spec import StreamSpec
+from server.warming import warm_codec
 from server.wire import websocket_class
 
 _LOG = logging.getLogger(__name__)
@@ -56,6 +58,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         if settings.metrics_port is not None:
             _start_metrics(settings, registry)
         server = Server(config, registry)
+        threading.Thread(target=warm_codec, name="warm", daemon=True).start()
         with _reload_on_hangup(config, registry):
             host, port = listener.getsockname()[:2]
             scheme = "https" if settings.certificate else "http"

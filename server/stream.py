@@ -21,7 +21,7 @@ from server.supervisor import Ending, Supervisor
 from server.worker import Resume, Tag
 
 _LOG = logging.getLogger(__name__)
-_HUB_BYTES = 16_000_000  # packets that viewers may lag behind within; seeking reads the bus
+_HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
 
 
 @dataclass(slots=True)
