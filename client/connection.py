@@ -25,6 +25,7 @@ SUBPROTOCOL = "streamlod.v1"
 _FIRST_DELAY = 0.5
 _LONGEST_DELAY = 15.0
 _OPEN_SECONDS = 10.0
+_CLOSE_SECONDS = 0.5  # packets on their way may stand before the server's answer, and nobody reads them any more
 _DONE = 1000
 _FINAL_CODES = frozenset({1009, 4400, 4401, 4403, 4404, 4415})
 _REFUSED = {401: "it needs a token", 403: "the token lacks the right", 404: "there is no such stream"}
@@ -120,6 +121,7 @@ def _open(url: str, wishes: Wishes) -> connect:
         compression=None,
         max_size=DEFAULT_LIMITS.packet_bytes,
         open_timeout=_OPEN_SECONDS,
+        close_timeout=_CLOSE_SECONDS,
     )
 
 
