@@ -81,7 +81,11 @@ class Supervisor:
         try:
             while True:
                 begun = self._progressed = time.monotonic()
-                ending = await self._run_once()
+                try:
+                    ending = await self._run_once()
+                except Exception as error:
+                    _LOG.exception("stream %s: its worker could not be run", self._spec.id)
+                    ending = Ending(f"the worker could not be run ({error})")
                 failures = 1 if self._progressed > begun else failures + 1
                 if ending.done or ending.fatal or failures > self._settings.attempts:
                     self._owner.on_finish(ending)
@@ -102,7 +106,7 @@ class Supervisor:
         self._process = context.Process(
             target=run_worker, args=(self._spec, resume, theirs), name=f"streamlod-{self._spec.id}", daemon=True
         )
-        await asyncio.to_thread(self._process.start)
+        self._process.start()  # in the loop, so that a cancellation cannot come between start and kill
         theirs.close()
         loop = asyncio.get_running_loop()
         thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool could run dry

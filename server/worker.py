@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import signal
 import threading
@@ -59,7 +60,7 @@ class Sender:
 
     def send(self, tag: Tag, body: bytes | dict[str, Any] = b"") -> None:
         """Send one message; blocks while the supervisor is behind."""
-        data = body if isinstance(body, bytes) else json.dumps(body).encode()
+        data = body if isinstance(body, bytes) else json.dumps(_plain(body)).encode()
         with self._lock:
             self._pipe.send_bytes(bytes((tag,)) + data)
 
@@ -107,7 +108,7 @@ def train(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
         for packet in encoded.packets:
             sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
         if not encoded.preview:
-            sender.send(Tag.REPORT, _plain(encoded.report))
+            sender.send(Tag.REPORT, encoded.report)
 
 
 def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
@@ -180,9 +181,15 @@ def _decode(packets: tuple[bytes, ...]) -> Any:
     return decoder.scene
 
 
-def _plain(report: dict[str, Any]) -> dict[str, Any]:
-    """Figures as JSON has them."""
-    return json.loads(json.dumps(report, default=float))  # type: ignore[no-any-return]
+def _plain(value: Any) -> Any:
+    """`value` as JSON has it: plain numbers, and none that are not finite."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    return float(value) if math.isfinite(float(value)) else None
 
 
 def _beat(sender: Sender) -> None:

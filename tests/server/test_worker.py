@@ -1,0 +1,83 @@
+"""Messages between worker and supervisor, and a worker that hangs or grows."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.errors import InputError
+from server.settings import Settings
+from server.spec import StreamSpec, spec_from_json
+from server.worker import Resume, Sender, Tag, play
+from tests.server.conftest import Clip, running
+
+
+def received(clip: Clip, resume: Resume) -> list[tuple[Tag, bytes]]:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    messages = []
+    with ours, theirs:
+        play(StreamSpec(play=clip.path, loop=False), resume, Sender(theirs))
+        while ours.poll():
+            data = ours.recv_bytes()
+            messages.append((Tag(data[0]), data[1:]))
+    return messages
+
+
+def test_a_file_is_played_packet_by_packet(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    monkeypatch.setattr("server.worker.Sender.send", collect := Collector())
+    received(clip, Resume())
+    assert [body for tag, body in collect.messages if tag is Tag.PACKET] == clip.packets
+    collect.messages.clear()
+    received(clip, Resume(frames=75))
+    assert [body for tag, body in collect.messages if tag is Tag.PACKET] == clip.packets[60:]
+
+
+class Collector:
+    """Stands in for a pipe that somebody empties."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[Tag, object]] = []
+
+    def __call__(self, tag: Tag, body: object = b"") -> None:
+        self.messages.append((tag, body))
+
+
+def test_figures_become_plain_json() -> None:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    with ours, theirs:
+        figures = {"loss": math.nan, "seconds": {"train": np.float32(0.5)}, "frames": np.int64(3), "text": "x"}
+        Sender(theirs).send(Tag.REPORT, figures)
+        data = ours.recv_bytes()
+    assert data[0] == Tag.REPORT
+    assert json.loads(data[1:]) == {"loss": None, "seconds": {"train": 0.5}, "frames": 3.0, "text": "x"}
+
+
+def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) -> None:
+    settings = Settings.model_validate({"worker": {"heartbeat_seconds": 2.5}})
+    with running(settings, StreamSpec(play=clip.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        pid = server.registry.streams["main"].worker_pid
+        assert pid is not None
+        os.kill(pid, signal.SIGSTOP)
+        found = server.wait(lambda stream: stream["restarts"] >= 1)
+        assert "silent" in found["detail"]
+    settings = Settings.model_validate({"worker": {"memory_bytes": 1_000_000, "attempts": 1}})
+    with running(settings, StreamSpec(play=clip.path)) as server:
+        found = server.wait(lambda stream: stream["restarts"] >= 1)
+        assert "memory" in found["detail"] or found["state"] == "starting"
+
+
+def test_specifications_travel_as_json() -> None:
+    spec = StreamSpec("a-1", data=Path("x"), train=("cam01",), views=3)
+    assert spec_from_json(json.loads(json.dumps(spec.to_json()))) == spec
+    for values in ({"id": "a"}, {"id": "A", "play": "x"}, {"id": "a", "play": "x", "data": "y"}, {"other": 1}):
+        with pytest.raises(InputError):
+            spec_from_json(values)
