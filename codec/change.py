@@ -44,8 +44,9 @@ def decode(data: bytes, voxel: Int32) -> tuple[Int64, Int32, Int32]:
         raise corrupt("a change ends before its position scale")
     scale, at = decode_scales(data, 2, LATENTS)
     predicted = not data[1] & _NOT_PREDICTED
+    nodes = np.array(voxel, np.int32, order="C")  # a plain array, whatever came: another layout would be compiled anew
     sound, rows, position, latent = change_model.decode_change(
-        words_of(data, at), data[0], voxel, SCALES[data[1] & _SCALE_MASK], predicted, scale, _salt()
+        words_of(data, at), data[0], nodes, SCALES[data[1] & _SCALE_MASK], predicted, scale, _salt()
     )
     if not sound:
         raise corrupt("an entropy-coded chunk does not end as it must")
