@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,28 +55,28 @@ def test_only_what_changed_is_listed() -> None:
     assert residual.removed.tolist() == [11]
 
 
-def _change(scene: Scene = START, **parts: object) -> Scene:
+def _change(parts: dict[str, Any], scene: Scene = START) -> Scene:
     empty = difference(START, replace(START, version=1))
-    whole: dict[str, object] = {name: getattr(empty.levels[0], name) for name in LevelResidual.__slots__}
-    level = LevelResidual(**{**whole, **parts})  # type: ignore[arg-type]
+    whole: dict[str, Any] = {name: getattr(empty.levels[0], name) for name in LevelResidual.__slots__}
+    level = LevelResidual(**{**whole, **parts})
     return apply(scene, replace(empty, levels=(level, empty.levels[1])))
 
 
 @pytest.mark.parametrize("rows", [[-1, 2], [2, 2], [3, 2], [0, 6]])
 def test_bad_rows_are_refused(rows: list[int]) -> None:
     with pytest.raises(ValueError, match="ascend"):
-        _change(rows=np.array(rows), position=np.zeros((2, 3), np.int32), latent=np.zeros((2, 24), np.int32))
+        _change({"rows": np.array(rows), "position": np.zeros((2, 3), np.int32), "latent": np.zeros((2, 24), np.int32)})
 
 
 def test_overflow_is_refused() -> None:
     one = {"rows": np.array([1]), "position": np.zeros((1, 3), np.int32), "latent": np.zeros((1, 24), np.int32)}
-    _change(**{**one, "latent": np.full((1, 24), 32767, np.int32)})
+    _change({**one, "latent": np.full((1, 24), 32767, np.int32)})
     with pytest.raises(ValueError, match="range"):
-        _change(**{**one, "latent": np.full((1, 24), 32768, np.int32)})
+        _change({**one, "latent": np.full((1, 24), 32768, np.int32)})
     ones = replace(START.levels[0], position=np.ones_like(START.levels[0].position))
     scene = replace(START, levels=(ones, START.levels[1]))
     with pytest.raises(ValueError, match="range"):
-        _change(scene, **{**one, "position": np.full((1, 3), 2**31 - 1, np.int32)})
+        _change({**one, "position": np.full((1, 3), 2**31 - 1, np.int32)}, scene)
 
 
 def test_states_that_do_not_fit_are_refused() -> None:
