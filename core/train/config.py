@@ -82,8 +82,10 @@ class PredictConfig:
         posterior: threshold of the mixture's dynamic component (paper: 0.8).
         noise_floor: smallest change of grey value, in units of [0, 1], that counts as motion.
         partition_interval: frames between partitions (paper's star variant: 4).
+        growth_at: share of the frame's steps after which anchors are added where Gaussians pull hard.
+        growth_threshold: view-space gradient norm from which that happens.
+        growth_share: added anchors a frame, at most this share of all.
         everything: treat all anchors as dynamic, for studies.
-        quantised: round the residuals (False only for studies: such a state can't be sent).
     """
 
     epochs: int = 10
@@ -100,6 +102,9 @@ class PredictConfig:
     posterior: float = 0.8
     noise_floor: float = 0.02
     partition_interval: int = 1
+    growth_at: float = 0.3
+    growth_threshold: float = 4e-4
+    growth_share: float = 0.01
     everything: bool = False
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -59,15 +60,32 @@ class Field:
     def to(self, device: str) -> Field:
         """The same anchors on another device."""
         network = Network(*(value.to(device) for value in self.network.parameters()))
-        moved = {name: getattr(self, name).to(device) for name in _ARRAYS}
-        return replace(self, network=network, **moved)
+        return replace(self._mapped(lambda _, value: value.to(device)), network=network)
 
     def with_rows(self, rows: Tensor) -> Field:
         """Only the anchors of `rows`."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
+        return self._mapped(lambda _, value: value[rows])
 
+    def with_values(self, rows: Tensor, other: Field) -> Field:
+        """The values of `other` at `rows`, these everywhere else."""
+        return self._mapped(lambda name, value: value.index_copy(0, rows, getattr(other, name)[rows]))
 
-_ARRAYS = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")
+    def with_appended(self, rows: dict[str, Tensor]) -> Field:
+        """These anchors, then `rows`, which names all seven arrays."""
+        return self._mapped(lambda name, value: torch.cat([value, rows[name]]))
+
+    def _mapped(self, change: Callable[[str, Tensor], Tensor]) -> Field:
+        """`change` of the name and value of each of the seven arrays."""
+        return replace(
+            self,
+            level=change("level", self.level),
+            voxel=change("voxel", self.voxel),
+            extra_level=change("extra_level", self.extra_level),
+            position=change("position", self.position),
+            feature=change("feature", self.feature),
+            offset=change("offset", self.offset),
+            scaling=change("scaling", self.scaling),
+        )
 
 
 def visible_levels(field: Field, centre: Tensor, highest: int) -> Tensor:

@@ -57,12 +57,16 @@ class NewAnchors:
         return len(self.level)
 
 
-def grow(field: Field, gradient: Tensor, config: KeyframeConfig, highest: int) -> NewAnchors:
+def grow(
+    field: Field, gradient: Tensor, first_threshold: float, highest: int, occupied: Field | None = None
+) -> NewAnchors:
     """Where Gaussians pull hardest, an anchor at their own level; where harder still, one at the next finer level.
 
     Args:
         gradient: [N*K] mean view-space gradient norms.
+        first_threshold: norm from which level 0 grows; it rises with the level.
         highest: finest level that may receive anchors.
+        occupied: all anchors there are, where `field` holds some of them only.
     """
     with torch.no_grad():
         means = field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]
@@ -71,12 +75,12 @@ def grow(field: Field, gradient: Tensor, config: KeyframeConfig, highest: int) -
     pull = gradient.cpu().numpy()
     found: list[NewAnchors] = []
     for level in range(field.octree.levels):
-        threshold = config.growth_threshold * _LEVEL_FACTOR**level
+        threshold = first_threshold * _LEVEL_FACTOR**level
         own = (slot_level == level) & (pull >= threshold) & (pull < threshold * _LEVEL_FACTOR)
         next_level = (slot_level == level) & (pull >= threshold * _LEVEL_FACTOR)
         for target, candidates in ((level, own), (level + 1, next_level)):
             if target <= highest and candidates.any():
-                found.append(_free_nodes(field, centres, np.flatnonzero(candidates), target))
+                found.append(_free_nodes(field, occupied or field, centres, np.flatnonzero(candidates), target))
     if not found:
         return NewAnchors(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), np.zeros(0, np.int64))
     return _unique(
@@ -96,12 +100,12 @@ def earned_extra_level(field: Field, gradient: Tensor, config: KeyframeConfig) -
     return mean >= _EXTRA_SHARE * threshold
 
 
-def _free_nodes(field: Field, centres: Float64, candidates: Int64, level: int) -> NewAnchors:
+def _free_nodes(field: Field, occupied: Field, centres: Float64, candidates: Int64, level: int) -> NewAnchors:
     """The nodes of `level` nearest to the candidate Gaussians that hold no anchor yet, one each."""
     voxels = field.octree.voxel_of(centres[candidates], level)
     inside = np.abs(voxels).max(axis=1) < _REACH
     voxels, candidates = voxels[inside], candidates[inside]
-    taken = field.voxel.cpu().numpy()[field.level.cpu().numpy() == level]
+    taken = occupied.voxel.cpu().numpy()[occupied.level.cpu().numpy() == level]
     unique, first = np.unique(voxels, axis=0, return_index=True)
     free = ~np.isin(_key(unique), _key(taken))
     parent = candidates[first[free]] // field.slots

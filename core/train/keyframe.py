@@ -180,7 +180,7 @@ class KeyframeTrainer:
         field, config = self.field, self._config
         gradient = self._statistics.mean_gradient()
         extra = earned_extra_level(field, gradient, config).float() * config.extra_level_gain
-        new = grow(field, gradient, config, self._highest)
+        new = grow(field, gradient, config.growth_threshold, self._highest)
         if len(field) + len(new) > self._model.max_anchors:
             new = type(new)(new.voxel[:0], new.level[:0], new.parent[:0])
         kept = torch.nonzero(~self._statistics.faint(config.prune_opacity))[:, 0]

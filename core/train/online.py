@@ -6,45 +6,63 @@ cannot drift apart. Between the rounds the latents are real numbers whose forwar
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from core.anchors import FEATURE_LATENTS, LATENTS, Scene, empty_level
-from core.arrays import Int32, Int64
+from core.anchors import FEATURE_LATENTS, LATENTS, AnchorLevel, Scene, empty_level
+from core.arrays import Bool, Int32, Int64
 from core.render.backends import Backend
 from core.residual import LevelResidual, Residual
 from core.train.config import PredictConfig
 from core.train.convert import level_starts
-from core.train.decode import Splats, decode
+from core.train.decode import Splats
 from core.train.exposure import Exposure
 from core.train.field import Field
+from core.train.growth import GrowthStatistics, grow
 from core.train.keyframe import Views
 from core.train.losses import photometric_loss
+from core.train.newcomers import added_levels, newcomers, strongest
 from core.train.optimiser import RowAdam
 from core.train.rounding import round_through
 from core.train.schedule import ViewOrder
 from core.train.stage import Stage, make_stage
 
+_TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quanta:
-    """Integer differences of n anchors: latent [n,24] and position [n,3], both int32, with the training's figures."""
+    """What one frame's training found, in integers.
+
+    Attributes:
+        latent: [n,24] int32, position: [n,3] int32: differences of the n dynamic anchors.
+        removed: [n] bool, those that have become transparent.
+        added: new anchors by level, or None for none.
+        steps, loss, repaired: figures of the training.
+    """
 
     latent: Int32
     position: Int32
-    steps: int
-    loss: float
-    repaired: int
+    removed: Bool
+    added: tuple[AnchorLevel, ...] | None = None
+    steps: int = 0
+    loss: float = 0.0
+    repaired: int = 0
+
+
+def no_quanta(anchors: int) -> Quanta:
+    """Nothing changes."""
+    return Quanta(np.zeros((anchors, LATENTS), np.int32), np.zeros((anchors, 3), np.int32), np.zeros(anchors, np.bool_))
 
 
 class ResidualTrainer:
     """Fits the residuals of `rows` of `field` to one instant.
 
     Args:
-        field: the dequantised state of `scene`.
+        scene: the state before; field: the same, dequantised.
         rows: [n] rows of the dynamic anchors.
         static: [m] rows of the other anchors alive.
         views: pictures of the instant.
@@ -53,18 +71,24 @@ class ResidualTrainer:
     def __init__(
         self, scene: Scene, field: Field, rows: Tensor, static: Tensor, views: Views, exposure: Exposure | None
     ) -> None:
-        self._field, self._rows, self._views, self._exposure = field, rows, views, exposure
+        self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
+        self._known = len(rows)
+        self._header = scene.header
         device = field.feature.device
         self._background = torch.zeros(3, device=device)
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         self._feature_decoder = torch.from_numpy(scene.weights.feature_decoder).to(device)
         self._offset_decoder = torch.from_numpy(scene.weights.offset_decoder).to(device)
-        steps = torch.from_numpy(scene.header.position_steps).to(device)
-        self._position_step = steps[field.level[rows]][:, None]
-        self._latent = torch.zeros(len(rows), LATENTS, device=device, requires_grad=True)
-        self._position = torch.zeros(len(rows), 3, device=device, requires_grad=True)
+        self._position_steps = torch.from_numpy(scene.header.position_steps).to(device)
+        self._optimiser = RowAdam(
+            {
+                "latent": torch.zeros(len(rows), LATENTS, device=device, requires_grad=True),
+                "position": torch.zeros(len(rows), 3, device=device, requires_grad=True),
+            }
+        )
         self._static = _static_splats(field, static, self._centres)
         self._stages: dict[int, Stage] = {}
+        self._statistics = GrowthStatistics(len(rows), field.slots, device)
 
     def run(self, config: PredictConfig, backend: Backend, generator: torch.Generator) -> Quanta:
         """Train as configured and round."""
@@ -73,47 +97,81 @@ class ResidualTrainer:
                 self._stages[number] = self._stage(number, self._dynamic_splats(number), backend)
         views = [number for number in self._views.usable if not self._stages[number].is_empty]
         if not views:
-            return _nothing(len(self._rows))
+            return no_quanta(self._known)
         total = max(config.epochs * len(views), config.minimum_steps)
-        order, optimiser = ViewOrder(views, generator), RowAdam({"latent": self._latent, "position": self._position})
-        losses: list[Tensor] = []
+        order, losses = ViewOrder(views, generator), list[Tensor]()
         for step in range(total):
-            loss = self._loss(order.next(), config, backend)
-            loss.backward()  # type: ignore[no-untyped-call]
-            decay = config.final_rate ** (step / total)
-            optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
-            losses.append(loss.detach())
-        latent, position = _finite_quanta(self._latent), _finite_quanta(self._position)
-        return Quanta(latent, position, total, float(torch.stack(losses[-len(views) :]).mean()), optimiser.broken)
+            losses.append(self._step(order.next(), config, backend, config.final_rate ** (step / total)))
+            if step + 1 == round(config.growth_at * total):
+                self._grow(config)
+        return self._quanta(total, float(torch.stack(losses[-len(views) :]).mean()))
 
-    def _loss(self, number: int, config: PredictConfig, backend: Backend) -> Tensor:
-        dynamic = self._dynamic_splats(number)
-        stage = self._stages[number]
+    def _step(self, number: int, config: PredictConfig, backend: Backend, decay: float) -> Tensor:
+        """One view, one update; returns the detached loss."""
+        dynamic, stage = self._dynamic_splats(number), self._stages[number]
         if not stage.covers(dynamic):
             stage = self._stages[number] = self._stage(number, dynamic.detached(), backend)
-        render = stage.render(dynamic, self._background, backend)
-        image = render if self._exposure is None else self._exposure.apply(render, number)
+        raster = stage.render(dynamic, self._background, backend)
+        image = raster.image if self._exposure is None else self._exposure.apply(raster.image, number)
         loss = photometric_loss(image, self._views.targets[number], config.dssim_weight, stage.region)
         if config.rate_weight:
-            bits = torch.log2(1 + self._latent.abs()).sum() + torch.log2(1 + self._position.abs()).sum()
+            parameters = self._optimiser.parameters.values()
+            bits = torch.stack([torch.log2(1 + value.abs()).sum() for value in parameters]).sum()
             loss = loss + config.rate_weight * bits / image.numel()
-        return loss
+        loss.backward()  # type: ignore[no-untyped-call]
+        visible, norms = raster.probe.visible, raster.probe.gradients.norm(dim=1)
+        nobody = visible[:0]
+        self._statistics.add(visible, norms, nobody, norms[:0])
+        self._optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
+        return loss.detach()
 
     def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
         return make_stage(self._views.cameras[number], dynamic, self._static[number], self._background, backend)
 
-    def _dynamic_splats(self, number: int) -> Splats:
-        field, rows = self._field, self._rows
-        latent, position = round_through(self._latent), round_through(self._position)
+    def _dynamic_field(self) -> Field:
+        """The dynamic anchors with their residuals, rounded as they will be sent."""
+        base, parameters = self._base, self._optimiser.parameters
+        latent, position = round_through(parameters["latent"]), round_through(parameters["position"])
         offset = latent[:, FEATURE_LATENTS:] @ self._offset_decoder
-        return decode(
-            field.feature[rows] + latent[:, :FEATURE_LATENTS] @ self._feature_decoder,
-            field.offset[rows] + offset.reshape(len(rows), -1, 3),
-            field.scaling[rows],
-            field.position[rows] + position * self._position_step,
-            field.network,
-            field.view(self._centres[number]),
+        return replace(
+            base,
+            feature=base.feature + latent[:, :FEATURE_LATENTS] @ self._feature_decoder,
+            offset=base.offset + offset.reshape(base.offset.shape),
+            position=base.position + position * self._position_steps[base.level][:, None],
         )
+
+    def _dynamic_splats(self, number: int) -> Splats:
+        return self._dynamic_field().decode(self._centres[number])
+
+    def _grow(self, config: PredictConfig) -> None:
+        """Add anchors where the dynamic Gaussians pull hardest: what has just come into view has none yet."""
+        with torch.no_grad():
+            current = self._dynamic_field()
+        gradient = self._statistics.mean_gradient()
+        highest = self._all.octree.levels - 1
+        new = grow(current, gradient, config.growth_threshold, highest, occupied=self._all)
+        new = strongest(new, gradient.reshape(len(current), -1), int(config.growth_share * len(self._all)))
+        if len(new) == 0:
+            return
+        self._base = newcomers(self._base, current, new, self._header)
+        device = current.feature.device
+        nothing = {"latent": torch.zeros(len(new), LATENTS, device=device)}
+        nothing["position"] = torch.zeros(len(new), 3, device=device)
+        self._optimiser.replace_rows(torch.arange(len(current), device=device), nothing)
+        self._statistics = GrowthStatistics(len(self._base), self._base.slots, device)
+
+    def _quanta(self, steps: int, loss: float) -> Quanta:
+        latent, position = (_finite_quanta(self._optimiser.parameters[name]) for name in ("latent", "position"))
+        with torch.no_grad():
+            opacity = self._dynamic_splats(self._views.usable[0]).opacities.reshape(len(latent), -1).amax(dim=1)
+        # a view-dependent anchor may be transparent from one side only
+        shown = (opacity > _TRANSPARENT).cpu().numpy() | self._all.view_dependent
+        known, new = slice(None, self._known), np.flatnonzero(shown[self._known :]) + self._known
+        added = None
+        if len(new):
+            chosen = self._base.with_rows(torch.from_numpy(new).to(opacity.device))
+            added = added_levels(chosen, latent[new], position[new], self._header)
+        return Quanta(latent[known], position[known], ~shown[known], added, steps, loss, self._optimiser.broken)
 
 
 def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:
@@ -132,27 +190,23 @@ def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[
 def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Residual:
     """The residual of `scene` to `version` that `quanta` of `rows` (numbered over all levels) stand for."""
     starts = level_starts(scene)
-    changed = quanta.latent.any(axis=1) | quanta.position.any(axis=1)
-    rows, latent, position = rows[changed], quanta.latent[changed], quanta.position[changed]
+    changed = (quanta.latent.any(axis=1) | quanta.position.any(axis=1)) & ~quanta.removed
     levels = []
     for number, level in enumerate(scene.levels):
-        here = (rows >= starts[number]) & (rows < starts[number + 1])
-        own = rows[here] - starts[number]
-        total = np.clip(level.latent[own].astype(np.int64) + latent[here], -32768, 32767)
+        inside = (rows >= starts[number]) & (rows < starts[number + 1])
+        own, dead = rows[inside & changed] - starts[number], rows[inside & quanta.removed] - starts[number]
+        total = np.clip(level.latent[own].astype(np.int64) + quanta.latent[inside & changed], -32768, 32767)
+        empty = empty_level(level.feature.shape[1], scene.header.gaussians_per_anchor)
         levels.append(
             LevelResidual(
                 rows=own,
-                position=position[here],
+                position=quanta.position[inside & changed],
                 latent=(total - level.latent[own]).astype(np.int32),
-                removed=np.zeros(0, np.int64),
-                added=empty_level(level.feature.shape[1], scene.header.gaussians_per_anchor),
+                removed=dead,
+                added=empty if quanta.added is None else quanta.added[number],
             )
         )
     return Residual(scene.keyframe, scene.version, version, tuple(levels))
-
-
-def _nothing(anchors: int) -> Quanta:
-    return Quanta(np.zeros((anchors, LATENTS), np.int32), np.zeros((anchors, 3), np.int32), 0, 0.0, 0)
 
 
 def _finite_quanta(values: Tensor) -> Int32:

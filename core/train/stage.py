@@ -12,6 +12,7 @@ from core.gaussians import GaussianCloud
 from core.render.backends import Backend
 from core.render.differentiable import rasterise
 from core.render.dirty import DirtyPlan, plan_dirty
+from core.render.raster import Raster
 from core.render.tiles import Box
 from core.train.decode import Splats, join
 
@@ -49,10 +50,10 @@ class Stage:
         """Whether `dynamic`, where they are now, stay inside the planned tiles."""
         return self.plan is None or self.plan.covers(_cloud(dynamic))
 
-    def render(self, dynamic: Splats, background: Tensor, backend: Backend) -> Tensor:
-        """[H,W,3] picture with gradients for `dynamic`."""
+    def render(self, dynamic: Splats, background: Tensor, backend: Backend) -> Raster:
+        """The picture, with gradients for `dynamic`."""
         mask = None if self.plan is None else torch.from_numpy(self.plan.tile_mask)
-        raster = rasterise(
+        return rasterise(
             *join(dynamic, self.static).astuple(),
             camera=self.camera,
             background=background,
@@ -61,7 +62,6 @@ class Stage:
             base=self.base,
             backend=backend,
         )
-        return raster.image
 
 
 def make_stage(camera: Camera, dynamic: Splats, static: Splats, background: Tensor, backend: Backend) -> Stage:

@@ -21,7 +21,7 @@ from core.train.convert import field_of, level_starts, scene_of
 from core.train.exposure import neutral
 from core.train.field import Field
 from core.train.keyframe import KeyframeTrainer, Views
-from core.train.online import Quanta, ResidualTrainer, residual_of
+from core.train.online import ResidualTrainer, no_quanta, residual_of
 from core.train.partition import change_masks, partition
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from core.train.seeding import seed_field
@@ -153,7 +153,7 @@ class Trainer:
                 source = state.canonical if config.cue == "canonical" else state.field
                 dynamic = partition(source, alive, references, views, masks, dynamic, config, self._backend)
         rows = torch.from_numpy(np.flatnonzero(dynamic)).to(self._device)
-        quanta = Quanta(np.zeros((0, 24), np.int32), np.zeros((0, 3), np.int32), 0, 0.0, 0)
+        quanta = no_quanta(0)
         if len(rows):
             with watch.stage("train"):
                 static = torch.nonzero(alive & ~torch.from_numpy(dynamic).to(self._device))[:, 0]
@@ -165,9 +165,7 @@ class Trainer:
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
             renewed = torch.where(masks[..., None], views.targets, references)
-            self._state = replace(
-                state, scene=scene, field=_updated(state.field, scene, residual), references=renewed, dynamic=dynamic
-            )
+            self._state = _next(state, scene, residual, renewed, dynamic)
         report = FrameReport(watch.seconds, quanta.steps, scene.anchor_count, len(rows), quanta.loss, quanta.repaired)
         return TrainedFrame(scene, residual, report)
 
@@ -199,14 +197,13 @@ def _rows(scene: Scene) -> int:
     return int(level_starts(scene)[-1])
 
 
-def _updated(field: Field, scene: Scene, residual: Residual) -> Field:
-    """`field` after `residual` led to `scene`: changed rows are dequantised again, as the decoder does it."""
-    device = field.feature.device
+def _next(state: _State, scene: Scene, residual: Residual, references: Tensor, dynamic: Bool) -> _State:
+    """The state after `residual` led to `scene`; changed rows are dequantised again, as the decoder does it."""
     if any(len(part.added) for part in residual.levels):
-        return field_of(scene).to(str(device))
-    starts = level_starts(scene)
-    feature, offset = field.feature.clone(), field.offset.clone()
-    position = field.position.clone()
+        return _relaid(state, scene, residual, references, dynamic)
+    field, starts = state.field, level_starts(scene)
+    device = field.feature.device
+    feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
     for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
         if len(part.rows) == 0:
             continue
@@ -215,4 +212,25 @@ def _updated(field: Field, scene: Scene, residual: Residual) -> Field:
         feature[rows] = torch.from_numpy(new_feature).to(device)
         offset[rows] = torch.from_numpy(new_offset).to(device)
         position[rows] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
-    return replace(field, feature=feature, offset=offset, position=position)
+    field = replace(field, feature=feature, offset=offset, position=position)
+    return replace(state, scene=scene, field=field, references=references, dynamic=dynamic)
+
+
+def _relaid(state: _State, scene: Scene, residual: Residual, references: Tensor, dynamic: Bool) -> _State:
+    """As `_next`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
+    device = str(state.field.feature.device)
+    before, parts = level_starts(state.scene), []
+    for number, part in enumerate(residual.levels):
+        parts += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
+    origin = np.concatenate(parts)
+    field, is_new = field_of(scene).to(device), origin < 0
+    new = torch.from_numpy(np.flatnonzero(is_new)).to(device)
+    canonical = state.canonical.with_rows(torch.from_numpy(np.maximum(origin, 0)).to(device)).with_values(new, field)
+    return replace(
+        state,
+        scene=scene,
+        field=field,
+        canonical=canonical,
+        references=references,
+        dynamic=np.where(is_new, True, dynamic[np.maximum(origin, 0)]),
+    )

@@ -11,7 +11,7 @@ from core.train.optimiser import RowAdam
 from core.train.schedule import ViewOrder, dropout_keep, unlocked_level
 from tests.core.train.fields import random_field
 
-CONFIG = KeyframeConfig(growth_threshold=1.0)
+THRESHOLD = 1.0
 
 
 def test_new_anchors_stand_on_free_nodes_near_the_gaussian_that_asked() -> None:
@@ -19,7 +19,7 @@ def test_new_anchors_stand_on_free_nodes_near_the_gaussian_that_asked() -> None:
     gradient = torch.zeros(len(field) * field.slots)
     asking = torch.arange(0, len(gradient), 7)
     gradient[asking] = 1.05 * 2 ** (0.2 * field.level[asking // field.slots].float())
-    new = grow(field, gradient, CONFIG, highest=2)
+    new = grow(field, gradient, THRESHOLD, highest=2)
     assert len(new) > 0
     assert np.isin(new.parent, (asking // field.slots).numpy()).all()
     np.testing.assert_array_equal(new.level, field.level.numpy()[new.parent])
@@ -36,9 +36,9 @@ def test_new_anchors_stand_on_free_nodes_near_the_gaussian_that_asked() -> None:
 def test_strong_gradients_grow_one_level_finer_but_never_past_the_highest() -> None:
     field = random_field(60)
     gradient = torch.full((len(field) * field.slots,), 100.0)
-    assert grow(field, gradient, CONFIG, highest=2).level.max() == 2
-    assert grow(field, gradient, CONFIG, highest=1).level.max() == 1
-    assert len(grow(field, torch.zeros_like(gradient), CONFIG, highest=2)) == 0
+    assert grow(field, gradient, THRESHOLD, highest=2).level.max() == 2
+    assert grow(field, gradient, THRESHOLD, highest=1).level.max() == 1
+    assert len(grow(field, torch.zeros_like(gradient), THRESHOLD, highest=2)) == 0
 
 
 def test_only_anchors_seen_often_are_called_faint() -> None:
