@@ -6,8 +6,8 @@
 #
 #   docker/test_engine.sh [PYTHON]        PYTHON: interpreter of that environment (default .venv/bin/python)
 #
-# BASE_IMAGE=name uses an image that the engine can pull; COMPOSE names the compose command; WORK keeps the scratch
-# folder (and the base image) for the next run.
+# BASE_IMAGE=name uses an image that the engine can pull; COMPOSE names the compose command; PORT (8000) must be free;
+# WORK=folder keeps scratch files and the base image for the next run.
 set -eu
 cd "$(dirname "$0")/.."
 PYTHON=${1:-.venv/bin/python}
@@ -20,7 +20,8 @@ DOCKER_HOST=unix://$WORK/docker.sock
 DOCKER_BUILDKIT=0
 COMPOSE_DOCKER_CLI_BUILD=0
 CLIP_FOLDER=$WORK/clip
-export DOCKER_HOST DOCKER_BUILDKIT COMPOSE_DOCKER_CLI_BUILD CLIP_FOLDER
+PORT=${PORT:-8000}
+export PORT DOCKER_HOST DOCKER_BUILDKIT COMPOSE_DOCKER_CLI_BUILD CLIP_FOLDER
 files="-f docker/compose.yaml -f docker/compose.ci.yaml"
 
 dockerd --data-root "$WORK/data" --exec-root "$WORK/exec" --pidfile "$WORK/pid" -H "$DOCKER_HOST" \
@@ -71,12 +72,14 @@ $COMPOSE $files up --detach --wait --no-build
 echo "healthy"
 
 "$PYTHON" - <<'WATCH'
-import json, time, urllib.request
+import json, os, subprocess, time, urllib.request
 from websockets.sync.client import connect
 from tests.server.conftest import Viewer
 
+port = os.environ["PORT"]
+
 def stream():
-    return json.load(urllib.request.urlopen("http://127.0.0.1:8000/v1/streams/main", timeout=5))
+    return json.load(urllib.request.urlopen(f"http://127.0.0.1:{port}/v1/streams/main", timeout=5))
 
 def wait(done):
     limit = time.monotonic() + 30
@@ -85,9 +88,8 @@ def wait(done):
         time.sleep(0.1)
     return found
 
-import subprocess
 found = wait(lambda s: s["state"] == "live")
-address = "ws://127.0.0.1:8000" + found["live_path"]
+address = f"ws://127.0.0.1:{port}" + found["live_path"]
 with connect(address, subprotocols=["streamlod.v1"], compression=None, max_size=2**24, proxy=None) as connection:
     viewer = Viewer(connection).hello()
     viewer.until("caught_up")
@@ -105,9 +107,9 @@ assert found["restarts"] == 1, found
 print("live again:", {key: found[key] for key in ("state", "epoch", "restarts", "recording")})
 WATCH
 
-before=$(curl -fsS http://127.0.0.1:8000/v1/streams/main/manifest | "$PYTHON" -c "import json,sys; print(len(json.load(sys.stdin)['gops']))")
+before=$(curl -fsS "http://127.0.0.1:$PORT/v1/streams/main/manifest" | "$PYTHON" -c "import json,sys; print(len(json.load(sys.stdin)['gops']))")
 $COMPOSE $files restart --timeout 12
 $COMPOSE $files up --detach --wait --no-build
-after=$(curl -fsS http://127.0.0.1:8000/v1/streams/main/manifest | "$PYTHON" -c "import json,sys; print(len(json.load(sys.stdin)['gops']))")
+after=$(curl -fsS "http://127.0.0.1:$PORT/v1/streams/main/manifest" | "$PYTHON" -c "import json,sys; print(len(json.load(sys.stdin)['gops']))")
 [ "$after" -ge "$before" ] || { echo "the volume lost recordings: $before groups before, $after after" >&2; exit 1; }
 echo "kept $before groups over a restart"
