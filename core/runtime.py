@@ -10,9 +10,10 @@ import hashlib
 import os
 from pathlib import Path
 
-# What is compiled into kernels of other files: numba's cache does not notice when such a file changes.
+# The rasteriser's kernels and what is compiled into them: numba's cache notices a change of the calling file only, and
+# code that mixes two versions writes where it must not.
 _RENDER = Path(__file__).parent / "render"
-_INLINED = (_RENDER / "tiles.py", *sorted((_RENDER / "cpu" / "kernels" / "inline").glob("*.py")))
+_INLINED = (_RENDER / "tiles.py", *sorted((_RENDER / "cpu" / "kernels").rglob("*.py")))
 
 
 def prepare_environment() -> None:
@@ -30,7 +31,7 @@ def prepare_environment() -> None:
 
 
 def kernel_cache_folder() -> Path:
-    """Where compiled kernels are kept: below ``XDG_CACHE_HOME`` (``~/.cache``), a folder a version of inlined code."""
+    """Where compiled kernels are kept: below ``XDG_CACHE_HOME`` (``~/.cache``), a folder a version of the kernels."""
     digest = hashlib.blake2b(digest_size=6)
     for path in _INLINED:
         digest.update(path.read_bytes())

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-# Pixels. Two vectors wide, so that a Gaussian's part of a row is one or two of them and kernels need no loop. 32 x 16 is
-# as fast for whole pictures and 15 % slower for dirty tiles.
+# Pixels. Two vectors wide, so that a Gaussian's part of a row is one or two of them and kernels need no loop; 32 x 16
+# is as fast for whole pictures and 15 % slower for dirty tiles.
 TILE_WIDTH, TILE_HEIGHT = 16, 16
 
 

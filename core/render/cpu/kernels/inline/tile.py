@@ -93,8 +93,10 @@ def reached_part(record: Float32, x: Any, y: Any, rows: Any) -> Any:
     """
     top = max(0, math.ceil(max(y - record[EXTENT_Y], ZERO)))
     bottom = math.floor(min(y + record[EXTENT_Y], np.float32(rows - 1)))
-    left = max(0, int(max(x - record[EXTENT_X], ZERO)) // LANES)
-    right = max(0, int(min(x + record[EXTENT_X], np.float32(TILE_WIDTH - 1)))) // LANES
+    # Both held inside the tile: by rounding, a list may name a Gaussian that ends a hair before the tile's edge.
+    edge = np.float32(TILE_WIDTH - 1)
+    left = int(min(max(x - record[EXTENT_X], ZERO), edge)) // LANES
+    right = int(max(min(x + record[EXTENT_X], edge), ZERO)) // LANES
     return top, bottom, left, right
 
 
