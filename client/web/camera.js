@@ -12,6 +12,7 @@
  * @property {Vec3} position - camera centre, world units
  * @property {number} distance - to the point that orbiting goes around, world units
  * @property {number} focal - focal length as a fraction of the picture's height
+ * @property {number} stretch - horizontal focal length over the vertical one
  * @property {[number, number]} shift - principal point minus picture centre, as fractions of the picture's height
  */
 
@@ -125,7 +126,7 @@ export function fromCamera(camera, distance) {
   /** @type {Vec3} */
   const position = [0, 0, 0];
   for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) position[i] -= rotation[3 * j + i] * t[j];
-  return { rotation, position, distance, focal: k[4] / h, shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h] };
+  return { rotation, position, distance, focal: k[4] / h, stretch: k[0] / k[4], shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h] };
 }
 
 /** What points up for most of the rig. @type {(cameras: RigCamera[]) => Vec3} */
@@ -155,6 +156,7 @@ export function between(a, b, t) {
     position: add(a.position, add(b.position, a.position, -1), t),
     distance: mix(a.distance, b.distance),
     focal: mix(a.focal, b.focal),
+    stretch: mix(a.stretch, b.stretch),
     shift: [mix(a.shift[0], b.shift[0]), mix(a.shift[1], b.shift[1])],
   };
 }
@@ -170,15 +172,15 @@ function orthonormal(r) {
 /** A pose as text for a link, and back. @type {(pose: Pose) => string} */
 export function toText(pose) {
   const numbers = [...pose.position, ...row(pose.rotation, 2), ...row(pose.rotation, 1), pose.distance, pose.focal];
-  return [...numbers, ...pose.shift].map((x) => Number(x.toFixed(4))).join(",");
+  return [...numbers, ...pose.shift, pose.stretch].map((x) => Number(x.toFixed(4))).join(",");
 }
 
 /** @type {(text: string | null) => Pose | null} null when the text is not a pose */
 export function fromText(text) {
   const n = (text ?? "").split(",").map(Number);
-  if (n.length !== 13 || !n.every(Number.isFinite) || n[9] <= 0 || n[10] <= 0) return null;
-  const [px, py, pz, fx, fy, fz, dx, dy, dz, distance, focal, sx, sy] = n;
+  if (n.length !== 14 || !n.every(Number.isFinite) || n[9] <= 0 || n[10] <= 0 || n[13] <= 0) return null;
+  const [px, py, pz, fx, fy, fz, dx, dy, dz, distance, focal, sx, sy, stretch] = n;
   if (Math.hypot(...cross([dx, dy, dz], [fx, fy, fz])) < 1e-3) return null;
   const rotation = orthonormal([0, 0, 0, dx, dy, dz, fx, fy, fz]);
-  return { rotation, position: [px, py, pz], distance, focal, shift: [sx, sy] };
+  return { rotation, position: [px, py, pz], distance, focal, stretch, shift: [sx, sy] };
 }

@@ -25,7 +25,7 @@ export class Viewer extends EventTarget {
     this.worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" });
     this.worker.onmessage = ({ data }) => this.#hear(data);
     /** @type {Pose} */
-    this.pose = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, shift: [0, 0] };
+    this.pose = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, stretch: 1, shift: [0, 0] };
     /** @type {Vec3} */
     this.up = [0, -1, 0];
     /** @type {Pose | null} */
@@ -175,12 +175,12 @@ export class Viewer extends EventTarget {
   /** @returns {import("./renderer.js").View} */
   view() {
     const { width, height } = this.canvas;
-    const { rotation, position, focal, shift } = this.pose;
+    const { rotation, position, focal, stretch, shift } = this.pose;
     // A picture narrower than a square would show very little of what a camera sees: keep what fits the width.
     const unit = Math.min(height, width);
     const translation = [0, 1, 2].map((i) => -rotation[3 * i] * position[0] - rotation[3 * i + 1] * position[1] - rotation[3 * i + 2] * position[2]);
     const scale = focal * unit;
-    return { rotation, translation, focal: [scale, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit] };
+    return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit] };
   }
 
   #frame() {

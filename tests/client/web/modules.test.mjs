@@ -12,7 +12,7 @@ import { clock, words } from "../../../client/web/states.js";
 import { bin, FREQUENCY, SCALE } from "../../../client/web/tables.js";
 
 const near = (a, b, tolerance = 1e-9) => a.forEach((x, i) => assert.ok(Math.abs(x - b[i]) <= tolerance, `${a} is not ${b}`));
-const POSE = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, shift: [0, 0] };
+const POSE = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, stretch: 1, shift: [0, 0] };
 const UP = [0, -1, 0];
 
 test("crc32 is that of zlib", () => assert.equal(crc32(new TextEncoder().encode("123456789")), 0xcbf43926));
@@ -41,16 +41,16 @@ test("a pose survives its text", () => {
   const back = camera.fromText(camera.toText(pose));
   near(back.rotation, pose.rotation, 1e-3);
   near(back.position, pose.position, 1e-3);
-  for (const text of [null, "", "1,2,3", "0,0,0,0,0,1,0,0,1,1,1,0,0", "0,0,0,0,0,1,0,1,0,1,-1,0,0", "a,0,0,0,0,1,0,1,0,1,1,0,0"]) {
+  for (const text of [null, "", "1,2,3", "0,0,0,0,0,1,0,0,1,1,1,0,0,1", "0,0,0,0,0,1,0,1,0,1,-1,0,0,1", "a,0,0,0,0,1,0,1,0,1,1,0,0,1"]) {
     assert.equal(camera.fromText(text), null);
   }
 });
 
 test("a rig camera's pose has its centre, focal length and principal point", () => {
-  const rig = { name: "a", width: 400, height: 200, intrinsics: [300, 0, 210, 0, 300, 90, 0, 0, 1], worldToCamera: [0, 0, 1, 4, 0, 1, 0, 5, -1, 0, 0, 6, 0, 0, 0, 1] };
+  const rig = { name: "a", width: 400, height: 200, intrinsics: [330, 0, 210, 0, 300, 90, 0, 0, 1], worldToCamera: [0, 0, 1, 4, 0, 1, 0, 5, -1, 0, 0, 6, 0, 0, 0, 1] };
   const pose = camera.fromCamera(rig, 2);
   near(pose.position, [6, -5, -4]);
-  near([pose.focal, ...pose.shift], [1.5, 0.05, -0.05]);
+  near([pose.focal, pose.stretch, ...pose.shift], [1.5, 1.1, 0.05, -0.05]);
 });
 
 test("sorted far to near, nothing behind the camera", () => {

@@ -46,7 +46,7 @@ def make_header(view_dependent: bool) -> SceneHeader:
 
 def _camera(number: int, angle: float, target: Float64, up: Float64) -> Camera:
     eye = np.array([3.2 * np.sin(angle), -0.9, -3.2 * np.cos(angle)])
-    return pinhole(f"cam{number:02d}", (300.0, 300.0), (160.0, 120.0), (320, 240), look_at(eye, target, up))
+    return pinhole(f"cam{number:02d}", (310.0, 300.0), (163.0, 118.0), (320, 240), look_at(eye, target, up))
 
 
 def make_weights(view_dependent: bool) -> AnchorWeights:
