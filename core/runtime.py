@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from pathlib import Path
 
 # The rasteriser's kernels and what is compiled into them: numba's cache notices a change of the calling file only, and
@@ -28,6 +29,10 @@ def prepare_environment() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
     os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache_folder()))
+    numba = sys.modules.get("numba")
+    if numba is not None:  # someone else loaded it first and it has read its settings, but not used these yet
+        numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+        numba.config.THREADING_LAYER = os.environ["NUMBA_THREADING_LAYER"]
 
 
 def kernel_cache_folder() -> Path:
