@@ -19,7 +19,7 @@ from core.anchors import AnchorLevel, Scene
 from core.residual import difference
 from server.packets import PacketWindow, StreamPacket, binary_frame
 
-_STATE_BYTES = 24_000_000  # decoded states kept, to begin skip packets from
+_STATE_BYTES = 16_000_000  # decoded states kept, to begin skip packets from
 _RESIDUALS = 32  # encoded on demand and kept
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import logging
 import signal
 import socket
@@ -25,6 +26,7 @@ from server.wire import websocket_class
 
 _LOG = logging.getLogger(__name__)
 _BACKLOG = 2048
+_M_ARENA_MAX = -8  # of malloc.h
 
 
 class Server(uvicorn.Server):
@@ -50,6 +52,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         InputError: an address in use, or settings, tokens or state that cannot be used.
     """
     settings.check()
+    _bound_arenas()
     listener = _bind(settings.host, settings.port)
     try:
         app = create_app(settings, tuple(streams))
@@ -88,6 +91,12 @@ def server_config(app: object, settings: Settings) -> uvicorn.Config:
         ssl_certfile=settings.certificate,
         ssl_keyfile=settings.certificate_key,
     )
+
+
+def _bound_arenas() -> None:
+    """Let threads share glibc's heap: decoded states come and go on several, and each would keep a heap of its own."""
+    with contextlib.suppress(OSError, AttributeError):  # not glibc
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 def _bind(host: str, port: int) -> socket.socket:
