@@ -18,6 +18,7 @@ TRANSMITTANCE_MIN = 1e-4
 NEAR, FAR = 0.01, 1e10
 LOW_PASS = 0.3
 FIELD_MARGIN = 0.3
+COLOUR_MAX = 1e15
 FINITE = 1e30
 
 
@@ -120,18 +121,19 @@ def _visible(
     mean, covariance, z = project(means, quaternions, scales, camera)
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     determinant = xx * yy - xy * xy
-    total = mean.sum(-1) + determinant + colours.sum(-1)
+    size, colour = mean.abs().sum(-1) + determinant, colours.abs().sum(-1)
     good = (
         (z > NEAR)
         & (z < FAR)
         & (opacities >= ALPHA_MIN)
         & (opacities < FINITE)
         & (determinant > 1e-12)
-        & (total.abs() < FINITE)
+        & (size < FINITE)
+        & (colour < COLOUR_MAX)
     )
     reach = (2 * torch.log(opacities.clamp(max=OPACITY_MAX) * 255)).clamp(min=0)
     extent = torch.sqrt(reach[:, None] * torch.stack([xx, yy], -1))
-    size = mean.new_tensor([camera.width, camera.height])
+    picture = mean.new_tensor([camera.width, camera.height])
     first = torch.ceil((mean - extent - 0.5).clamp(min=0))
-    last = torch.floor(torch.minimum(mean + extent - 0.5, size - 1))
+    last = torch.floor(torch.minimum(mean + extent - 0.5, picture - 1))
     return torch.nonzero(good & (last >= first).all(-1)).squeeze(1)

@@ -12,6 +12,7 @@ from core.render.cpu.kernels.inline.constants import (
     ALPHA_MIN,
     CENTRE_X,
     CENTRE_Y,
+    COLOUR_MAX,
     EIGHTH,
     FAR,
     FINITE,
@@ -90,8 +91,10 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
         determinant = m0 * m0 + m1 * m1 + m2 * m2 + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS
         xx += LOW_PASS
         yy += LOW_PASS
-        total = mean_x + mean_y + determinant + colours[i, 0] + colours[i, 1] + colours[i, 2]
-        if not (determinant > _SMALLEST) or not (abs(total) < FINITE):
+        colour = abs(colours[i, 0]) + abs(colours[i, 1]) + abs(colours[i, 2])
+        if not (colour < COLOUR_MAX) or not (abs(mean_x) + abs(mean_y) + determinant < FINITE):
+            continue
+        if not (determinant > _SMALLEST):
             continue
 
         # Box of the ellipse where alpha falls to 1/255: sigma = cut.

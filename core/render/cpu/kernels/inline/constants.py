@@ -17,6 +17,7 @@ NEAR = np.float32(0.01)  # world units
 FAR = np.float32(1e10)
 LOW_PASS = np.float32(0.3)  # pixels^2 added to both variances
 FIELD_MARGIN = np.float32(0.3)  # Jacobian clamped beyond 1.3 times the half field of view
+COLOUR_MAX = np.float32(1e15)  # larger sums of colours would overflow in gradients
 FINITE = np.float32(1e30)  # sums beyond are taken as overflowed
 
 LANES = 8
