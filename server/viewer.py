@@ -183,9 +183,9 @@ class ViewerSession:
             clamped = place != self._target
             if place == newest:
                 self._mode = "live"
-            else:
-                await self._load(place)
         await self._send(event("position", mode=self._mode, **place.to_json(), clamped=clamped))
+        if self._mode == "replay":
+            await self._load(place)
 
     async def _step_live(self, now: float) -> bool:
         newest = self._hub.newest

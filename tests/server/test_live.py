@@ -109,7 +109,7 @@ def test_a_hello_may_start_in_the_past(server: Running, clip: Clip) -> None:
         place = viewer.until("position")
         assert place == {"type": "event", "event": "position", "mode": "replay", "epoch": 1, "version": 3,
                          "clamped": False}  # fmt: skip
-        while viewer.decoder.versions[0] < 8:
+        while not viewer.decoder.versions or viewer.decoder.versions[0] < 8:
             viewer.step()
         check(viewer, clip)
 
