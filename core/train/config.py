@@ -21,16 +21,18 @@ class ModelConfig:
         view_dependent: feed direction and distance to the network (paper: yes).
         cell_pixels: width of a level-0 cell as seen from the reference distance, in pixels.
         levels: number of octree levels, or None to derive it from the distances (paper section III-A).
+        finer_levels: levels beyond those; pictures hold more detail than first points do.
         max_anchors: growing stops there.
         selection: draw all levels, or per camera only those that its distance calls for (paper).
         exposure: fit a gain and an offset a channel for each training camera.
     """
 
     gaussians_per_anchor: int = 4
-    features: int = 32
+    features: int = 16
     view_dependent: bool = False
-    cell_pixels: float = 6.0
+    cell_pixels: float = 4.0
     levels: int | None = None
+    finer_levels: int = 1
     max_anchors: int = 60_000
     selection: LevelSelection = "all"
     exposure: bool = False
@@ -48,12 +50,12 @@ class KeyframeConfig:
     feature_rate: float = 0.02
     offset_rate: float = 0.1
     scaling_rate: float = 0.1
-    network_rate: float = 0.01
+    network_rate: float = 0.02
     final_rate: float = 0.05
     dssim_weight: float = 0.2
     scale_weight: float = 0.01
-    dropout_base: float = 0.1  # gamma = base + slope * level, ramped over the run (paper section III-A)
-    dropout_slope: float = 0.05
+    dropout_base: float = 0.05  # gamma = base + slope * level, ramped over the run (paper section III-A)
+    dropout_slope: float = 0.025
     dropout_cap: float = 0.5
     progressive_until: float = 0.0  # levels unlock until this fraction of the run; 0: all from the start
     level_cap_share: float = 0.15  # share of steps that draw only levels up to a random one
@@ -88,14 +90,14 @@ class PredictConfig:
         everything: treat all anchors as dynamic, for studies.
     """
 
-    epochs: int = 10
-    minimum_steps: int = 40
-    latent_rate: float = 0.1
+    epochs: int = 15
+    minimum_steps: int = 60
+    latent_rate: float = 0.2
     position_rate: float = 2.0
     final_rate: float = 0.1
     feature_step: float = 0.2
     offset_step: float = 0.2
-    position_steps_per_cell: int = 64
+    position_steps_per_cell: int = 32
     rate_weight: float = 0.03
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
@@ -103,7 +105,7 @@ class PredictConfig:
     noise_floor: float = 0.02
     partition_interval: int = 1
     growth_at: float = 0.3
-    growth_threshold: float = 4e-4
+    growth_threshold: float = 1e-4
     growth_share: float = 0.01
     everything: bool = False
 
@@ -130,19 +132,31 @@ def preset(name: str) -> TrainConfig:
         "live": replace(
             default,
             keyframe=replace(default.keyframe, steps=500, growth_interval=50),
-            predict=replace(default.predict, epochs=5, minimum_steps=25),
+            predict=replace(default.predict, epochs=8, minimum_steps=40),
         ),
         "quality": replace(
             default,
             keyframe=replace(default.keyframe, steps=2000),
-            predict=replace(default.predict, epochs=15, rate_weight=0.01),
+            predict=replace(default.predict, epochs=30, rate_weight=0.01),
         ),
         "paper": TrainConfig(
             model=replace(
-                default.model, gaussians_per_anchor=10, view_dependent=True, selection="distance", exposure=False
+                default.model,
+                gaussians_per_anchor=10,
+                features=32,
+                view_dependent=True,
+                finer_levels=0,
+                selection="distance",
             ),
-            keyframe=replace(default.keyframe, steps=1500, progressive_until=0.5, level_cap_share=0.0),
-            predict=replace(default.predict, cue="canonical", rate_weight=0.0, minimum_steps=0),
+            keyframe=replace(
+                default.keyframe,
+                steps=1500,
+                dropout_base=0.1,
+                dropout_slope=0.05,
+                progressive_until=0.5,
+                level_cap_share=0.0,
+            ),
+            predict=replace(default.predict, epochs=10, cue="canonical", rate_weight=0.0, minimum_steps=0),
         ),
     }
     if name not in presets:

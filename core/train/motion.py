@@ -66,7 +66,11 @@ def mixture_threshold(scores: Float64, posterior: float) -> float:
     if np.ptp(values) < 1e-6:
         return 0.0
     mixture = GaussianMixture(
-        2, means_init=np.quantile(values, [0.25, 0.98])[:, None], weights_init=[0.9, 0.1], reg_covar=2.5e-3
+        2,
+        means_init=np.quantile(values, [0.25, 0.98])[:, None],
+        weights_init=[0.9, 0.1],
+        reg_covar=2.5e-3,
+        random_state=0,
     ).fit(values[:, None])
     high = int(np.argmax(mixture.means_[:, 0]))
     order = np.argsort(values)

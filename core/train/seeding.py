@@ -35,7 +35,8 @@ def seed_field(
     if len(points) < 4:
         raise ModelError(f"only {len(points)} first points: give a points file, more views, or --points random")
     nearest, farthest = distance_bounds(points.positions, cameras)
-    levels = config.levels or min(max(round(math.log2(farthest / nearest)) + 1, 1), MAX_LEVELS)
+    derived = max(round(math.log2(farthest / nearest)) + 1, 1) + config.finer_levels
+    levels = min(config.levels or derived, MAX_LEVELS)
     focal = float(np.mean([camera.intrinsics[0, 0] for camera in cameras]))
     octree = Octree(
         origin=points.positions.min(axis=0).astype(np.float64),
@@ -43,7 +44,9 @@ def seed_field(
         levels=levels,
     )
     centres = np.stack([camera.centre for camera in cameras])
-    voxels = [_occupied(octree, points.positions, level, centres, farthest) for level in range(levels)]
+    voxels = [
+        _occupied(octree, points.positions, level, centres, farthest, config.finer_levels) for level in range(levels)
+    ]
     voxel = np.concatenate(voxels)
     level = np.repeat(np.arange(levels), [len(part) for part in voxels])
     position = np.concatenate([octree.node_of(part, number) for number, part in enumerate(voxels)])
@@ -71,7 +74,7 @@ def distance_bounds(positions: Float32, cameras: tuple[Camera, ...]) -> tuple[fl
     return max(nearest, 1e-3 * farthest), farthest
 
 
-def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, farthest: float) -> Int32:
+def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, farthest: float, finer: int) -> Int32:
     """[n,3] occupied nodes of `level` in Morton order, without those too fine for every camera (weed-out)."""
     voxels = np.unique(octree.voxel_of(positions.astype(np.float64), level), axis=0)
     if level:
@@ -80,7 +83,7 @@ def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, 
             level_for_distance(np.linalg.norm(nodes - centre, axis=1), farthest, np.zeros(len(nodes)), octree.levels)
             for centre in centres
         ]
-        voxels = voxels[(np.stack(wanted) >= level).any(axis=0)]
+        voxels = voxels[(np.stack(wanted) >= level - finer).any(axis=0)]
     return voxels[np.argsort(morton_key(voxels), kind="stable")]
 
 

@@ -22,7 +22,7 @@ from core.train.exposure import neutral
 from core.train.field import Field
 from core.train.keyframe import KeyframeTrainer, Views
 from core.train.online import ResidualTrainer, no_quanta, residual_of
-from core.train.partition import change_masks, partition
+from core.train.partition import change_masks, partition, rendered
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from core.train.seeding import seed_field
 
@@ -145,7 +145,9 @@ class Trainer:
         config = self._config.predict
         alive = _alive(state.scene).to(self._device)
         with watch.stage("partition"):
-            references = views.targets if state.references is None else state.references
+            references = state.references
+            if references is None:  # after a resume nobody knows what was shown: what the state shows now must do
+                references = rendered(state.field, alive, views, self._backend)
             masks = change_masks(references, views, config.noise_floor)
             due = frames.index % config.partition_interval == 0 or not state.dynamic.any()
             dynamic = state.dynamic & alive.cpu().numpy()
@@ -164,7 +166,7 @@ class Trainer:
         with watch.stage("round"):
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
-            renewed = torch.where(masks[..., None], views.targets, references)
+            renewed = torch.where(masks[..., None] | (state.references is None), views.targets, references)
             self._state = _next(state, scene, residual, renewed, dynamic)
         report = FrameReport(watch.seconds, quanta.steps, scene.anchor_count, len(rows), quanta.loss, quanta.repaired)
         return TrainedFrame(scene, residual, report)

@@ -1,0 +1,160 @@
+"""The whole trainer on a small synthetic clip: it learns, follows motion, stays still, and never drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind
+from core.anchors import AnchorLevel, Scene
+from core.camera import Camera
+from core.data import Dataset
+from core.data.synthetic import SyntheticSpec, open_synthetic
+from core.errors import ModelError
+from core.expand import expand
+from core.frames import FrameSet
+from core.initialise import first_points
+from core.metrics import psnr
+from core.render.cpu import render
+from core.train import TrainConfig, TrainedFrame, Trainer, preset
+
+SPEC = SyntheticSpec(cameras=5, frames=4, width=112, height=64, seed=1)
+BLACK = np.zeros(3, np.float32)
+
+
+def small_config() -> TrainConfig:
+    config = preset("live")
+    return replace(
+        config,
+        model=replace(config.model, features=16),
+        keyframe=replace(config.keyframe, steps=150, growth_interval=40),
+        predict=replace(config.predict, epochs=4, minimum_steps=20),
+    )
+
+
+@pytest.fixture(scope="module")
+def clip() -> Dataset:
+    return open_synthetic(SPEC)
+
+
+@pytest.fixture(scope="module")
+def frames(clip: Dataset) -> list[FrameSet]:
+    return list(clip.frames())
+
+
+def train(clip: Dataset, frames: list[FrameSet]) -> Iterator[TrainedFrame]:
+    trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
+    points = first_points(frames[0], clip.cameras, depth_bounds=clip.depth_bounds)
+    yield trainer.keyframe(frames[0], points)
+    for frame in frames[1:]:
+        yield trainer.predict(frame)
+
+
+@pytest.fixture(scope="module")
+def trained(clip: Dataset, frames: list[FrameSet]) -> list[TrainedFrame]:
+    return list(train(clip, frames))
+
+
+def quality(scene: Scene, camera: Camera, picture: np.ndarray) -> float:
+    image = render(expand(scene, camera.centre), camera, BLACK).image
+    return psnr(image.clip(0, 1), picture.astype(np.float32) / 255)
+
+
+def test_the_first_frame_is_learnt(clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]) -> None:
+    scores = [quality(trained[0].scene, c, i) for c, i in zip(clip.cameras, frames[0].images, strict=True)]
+    assert np.mean(scores) > 22
+
+
+def test_later_frames_follow_what_moves(clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]) -> None:
+    last = frames[-1]
+    followed = np.mean([quality(trained[-1].scene, c, i) for c, i in zip(clip.cameras, last.images, strict=True)])
+    frozen = np.mean([quality(trained[0].scene, c, i) for c, i in zip(clip.cameras, last.images, strict=True)])
+    assert followed > frozen + 0.3
+    for result in trained[1:]:
+        assert 0 < result.report.dynamic < 0.5 * result.report.anchors
+
+
+def test_the_decoder_holds_the_trainers_state_bit_for_bit(trained: list[TrainedFrame]) -> None:
+    decoder = SceneDecoder()
+    decoder.push(encode_keyframe(trained[0].scene, time_ns=0))
+    for before, result in pairwise(trained):
+        assert result.residual is not None
+        kind = PacketKind.PREDICTED
+        decoder.push(encode_residual(before.scene, result.residual, kind=kind, time_ns=0))
+        assert decoder.scene is not None
+        for mine, theirs in zip(decoder.scene.levels, result.scene.levels, strict=True):
+            for name in AnchorLevel.__slots__:
+                np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+
+
+def test_the_same_seed_gives_the_same_scene(clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]) -> None:
+    again = list(train(clip, frames[:2]))
+    assert [level.digest() for level in again[1].scene.levels] == [level.digest() for level in trained[1].scene.levels]
+
+
+def test_nothing_moves_nothing_is_sent(clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]) -> None:
+    trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
+    trainer.resume(trained[0].scene)
+    trainer.predict(replace_index(frames[0], 1))  # sets what the state was last shown
+    noise = np.random.default_rng(0).normal(0, 1.0, frames[0].images.shape)
+    noisy = (frames[0].images + noise).round().clip(0, 255).astype(np.uint8)
+    before = trainer.scene
+    result = trainer.predict(FrameSet(2, 2, noisy, frames[0].present))
+    assert result.report.dynamic == 0
+    assert result.residual is not None
+    packet = encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)
+    assert len(packet) <= 64
+
+
+def test_a_resumed_trainer_goes_on(clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]) -> None:
+    trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
+    trainer.resume(trained[1].scene)
+    result = trainer.predict(frames[3])
+    camera, picture = clip.cameras[0], frames[3].images[0]
+    assert quality(result.scene, camera, picture) > quality(trained[1].scene, camera, picture)
+
+
+def test_cameras_that_are_missing_are_not_trained_on(
+    clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]
+) -> None:
+    present = np.array([True, False, True, True, True])
+    images = frames[1].images.copy()
+    images[1] = 255  # must not be looked at
+    trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
+    trainer.resume(trained[0].scene)
+    result = trainer.predict(FrameSet(1, 1, images, present))
+    assert quality(result.scene, clip.cameras[1], frames[1].images[1]) > 20
+    with pytest.raises(ModelError, match="no picture"):
+        trainer.predict(FrameSet(2, 2, images, np.zeros(5, np.bool_)))
+
+
+@pytest.mark.parametrize("value", [0, 255, "noise"])
+def test_extreme_pictures_leave_the_state_finite(
+    clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame], value: int | str
+) -> None:
+    random = np.random.default_rng(3)
+    images = (
+        random.integers(0, 256, frames[0].images.shape, np.uint8)
+        if value == "noise"
+        else np.full_like(frames[0].images, value)
+    )
+    trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
+    trainer.resume(trained[0].scene)
+    result = trainer.predict(FrameSet(1, 1, images, frames[0].present))
+    cloud = expand(result.scene, clip.cameras[0].centre)
+    assert all(np.isfinite(getattr(cloud, name)).all() for name in ("means", "scales", "opacities", "colours"))
+
+
+def test_prediction_needs_a_state(clip: Dataset, frames: list[FrameSet]) -> None:
+    with pytest.raises(ModelError, match="keyframe"):
+        Trainer(clip.cameras, small_config(), clip.fps, "cpu").predict(frames[0])
+
+
+def replace_index(frame: FrameSet, index: int) -> FrameSet:
+    return FrameSet(index, index, frame.images, frame.present)
