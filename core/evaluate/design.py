@@ -1,0 +1,72 @@
+"""A budgeted design: one knob turned at a time away from a base, and the presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from core.train import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, preset
+
+PRESETS = ("live", "balanced", "quality", "paper")
+BASE = "balanced"
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One configuration to measure.
+
+    Attributes:
+        name: in tables and plots. knob: what was turned, ``preset`` for a preset.
+        shrink: how many times smaller than the held-out pictures the training pictures are.
+    """
+
+    name: str
+    knob: str
+    config: TrainConfig
+    shrink: float = 1.0
+
+
+def one_at_a_time() -> tuple[Point, ...]:
+    """The presets, then each knob at values beside the base's; those that make no difference are left out."""
+    base = preset(BASE)
+    points = [Point(name, "preset", preset(name)) for name in PRESETS]
+    turned = [
+        *(_later("epochs", n, replace(base.predict, epochs=n, minimum_steps=4 * n)) for n in (3, 5, 20)),
+        *(_later("rate weight", w, replace(base.predict, rate_weight=w)) for w in (0.0, 0.01, 0.1)),
+        *(_later("step", f, _coarser(base.predict, f)) for f in (0.5, 2.0)),
+        *(_later("partition every", n, replace(base.predict, partition_interval=n)) for n in (2, 4)),
+        *(_model("levels", n, replace(base.model, levels=n)) for n in (1, 3, 5)),
+        *(_model("K", n, replace(base.model, gaussians_per_anchor=n)) for n in (2, 8)),
+        *(_model("anchors", n, replace(base.model, max_anchors=n)) for n in (15_000, 120_000)),
+        *(_first("first steps", n, _longer(base.keyframe, n)) for n in (500, 2000)),
+        *(Point(f"downscale {f:g}", "downscale", base, f) for f in (1.5, 2.0)),
+    ]
+    return (*points, *(point for point in turned if point.config != base or point.shrink != 1))
+
+
+def _coarser(predict: PredictConfig, factor: float) -> PredictConfig:
+    """Quantiser steps `factor` times as large; rates are in steps, so that parameters move as before."""
+    return replace(
+        predict,
+        feature_step=predict.feature_step * factor,
+        offset_step=predict.offset_step * factor,
+        position_steps_per_cell=max(round(predict.position_steps_per_cell / factor), 1),
+        latent_rate=predict.latent_rate / factor,
+        position_rate=predict.position_rate / factor,
+    )
+
+
+def _longer(keyframe: KeyframeConfig, steps: int) -> KeyframeConfig:
+    interval = max(round(keyframe.growth_interval * steps / keyframe.steps), 1)
+    return replace(keyframe, steps=steps, growth_interval=interval)
+
+
+def _later(knob: str, value: float, predict: PredictConfig) -> Point:
+    return Point(f"{knob} {value:g}", knob, replace(preset(BASE), predict=predict))
+
+
+def _model(knob: str, value: float, model: ModelConfig) -> Point:
+    return Point(f"{knob} {value:g}", knob, replace(preset(BASE), model=model))
+
+
+def _first(knob: str, value: float, keyframe: KeyframeConfig) -> Point:
+    return Point(f"{knob} {value:g}", knob, replace(preset(BASE), keyframe=keyframe))

@@ -1,0 +1,57 @@
+"""Files of results, complete or not there at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from core.arrays import UInt8
+from core.errors import InputError
+
+
+def result_folder(path: Path) -> Path:
+    """`path`, made if it was not there; InputError where nothing can be written."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path, f"cannot be made a folder of results ({error.strerror})") from error
+    return path
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write through a temporary name."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Strict JSON: a number that is not finite is a fault of ours."""
+    write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
+
+
+def write_png(path: Path, picture: UInt8) -> None:
+    """[H,W,3] RGB."""
+    done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
+    assert done, "OpenCV encodes any picture of bytes as PNG"
+    write_bytes(path, data.tobytes())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write through a temporary name; InputError where that fails."""
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def side_by_side(truth: UInt8, drawn: UInt8) -> UInt8:
+    """[H,3W,3]: truth, rendering, and their absolute difference, four times enlarged."""
+    difference = np.minimum(np.abs(truth.astype(np.int16) - drawn) * 4, 255).astype(np.uint8)
+    return np.concatenate([truth, drawn, difference], axis=1)

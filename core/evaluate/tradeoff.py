@@ -1,0 +1,167 @@
+"""The price of quality: a sweep of the knobs, and what nothing else beats in seconds, bytes and rendering cost."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from core.data import linspace_split, open_dataset
+from core.evaluate.design import BASE, Point, one_at_a_time
+from core.evaluate.footage import Footage, open_footage
+from core.evaluate.machine import machine
+from core.evaluate.output import result_folder, write_json, write_text
+from core.evaluate.pareto import pareto_front
+from core.evaluate.sizes import SizeOf
+from core.evaluate.summary import run_figures
+from core.evaluate.svg import Axis, Dot, scatter
+from core.evaluate.systems import FirstFrames, run_system
+from core.evaluate.tables import number, table
+
+_log = logging.getLogger(__name__)
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """One thing that quality is bought with: its key in the figures, its name and unit, and a scale for tables."""
+
+    key: str
+    label: str
+    scale: float = 1.0
+
+
+COSTS = (
+    Cost("predicted_seconds", "training seconds a frame"),
+    Cost("first_frame_seconds", "first frame seconds"),
+    Cost("predicted_bytes_mean", "KB a predicted frame", 1000),
+    Cost("keyframe_bytes", "KB a keyframe", 1000),
+    Cost("render_milliseconds", "rendering milliseconds a picture"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TradeoffOptions:
+    """What to measure.
+
+    Attributes:
+        frames: at most so many, or None for all.
+        views: training cameras, by the linspace rule; None for all that are not held out.
+        downscale: of the held-out pictures, and of the training pictures where that is not the knob.
+        test: held-out cameras; the first one of the rig where none is named.
+        device: to train on; seed: of every point.
+    """
+
+    frames: int | None = 8
+    views: int | None = 5
+    downscale: float = 1.0
+    test: tuple[str, ...] = ()
+    device: str = "auto"
+    seed: int = 0
+
+
+def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeOf, points: Sequence[Point] = ()) -> str:
+    """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`.
+
+    Args:
+        points: configurations to measure instead of the design's.
+
+    Raises:
+        InputError: unusable data, or options that do not fit them.
+    """
+    points = points or one_at_a_time()
+    names = open_dataset(data, downscale=options.downscale).names
+    split = linspace_split(names, options.views, options.test or names[:1])
+    out = result_folder(out)
+    footages: dict[float, tuple[Footage, FirstFrames]] = {}
+    value: dict[str, Any] = {
+        "schema": SCHEMA,
+        "data": data.resolve().name,
+        "machine": machine(options.device),
+        "base": BASE,
+        "split": {"name": split.name, "train": list(split.train), "test": list(split.test)},
+        "downscale": options.downscale,
+        "frames": None,
+        "points": [],
+        "fronts": {},
+    }
+    for point in points:
+        if point.shrink not in footages:
+            trained_at = options.downscale * point.shrink
+            footage = open_footage(
+                data, split, frames=options.frames, downscale=trained_at, test_downscale=options.downscale
+            )
+            footages[point.shrink] = footage, FirstFrames(options.device)
+        footage, first_frames = footages[point.shrink]
+        value["frames"] = footage.frames
+        run = run_system(replace(point.config, seed=options.seed), footage, first_frames, size_of)
+        figures = run_figures(run)
+        figures["render_milliseconds"] = 1000 / figures["render_fps"]
+        shown = {key: figures[key] for key in ("psnr", "ssim", "anchors", *(cost.key for cost in COSTS))}
+        value["points"].append(
+            {"name": point.name, "knob": point.knob, "shrink": point.shrink, **shown, "config": asdict(point.config)}
+        )
+        value["fronts"] = fronts(value["points"])
+        write_json(out / "tradeoff.json", value)
+        _log.info("%s: %.2f dB", point.name, figures["psnr"])
+    for cost in COSTS:
+        if value["fronts"][cost.key]:
+            write_text(out / f"{cost.key}.svg", _plot(value, cost))
+    write_text(out / "tradeoff.md", tradeoff_report(value))
+    return f"{out / 'tradeoff.md'}: {len(points)} points, {len(value['fronts'][COSTS[0].key])} on the front of seconds"
+
+
+def fronts(points: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
+    """For each cost the names of the points on the front of PSNR against it, by rising cost."""
+    found = {}
+    for cost in COSTS:
+        known = [point for point in points if point[cost.key] is not None]
+        rows = pareto_front([(point[cost.key], point["psnr"]) for point in known])
+        found[cost.key] = [known[row]["name"] for row in rows]
+    return found
+
+
+def tradeoff_report(value: dict[str, Any]) -> str:
+    """Markdown of the value that is written as JSON."""
+    host, split = value["machine"], value["split"]
+    on_front = {name for front in value["fronts"].values() for name in front}
+    head = ("point", "PSNR dB", "SSIM", *(cost.label for cost in COSTS), "anchors", "on a front")
+    body = [
+        [
+            point["name"],
+            number(point["psnr"]),
+            number(point["ssim"], 4),
+            *(number(point[cost.key], 2, cost.scale) for cost in COSTS),
+            str(point["anchors"]),
+            "yes" if point["name"] in on_front else "",
+        ]
+        for point in value["points"]
+    ]
+    accelerator = f", {host['accelerator']}" if host["accelerator"] else ""
+    lines = [
+        f"# Price of quality on {value['data']}",
+        "",
+        f"{host['processor']}, {host['cores']} cores{accelerator}; {value['frames']} frames; split {split['name']}, "
+        f"held out {', '.join(split['test'])}. One knob at a time away from the preset {value['base']}; one seed, so "
+        "differences of a tenth of a decibel are no result. Held-out pictures keep their size whatever the training "
+        "pictures' is.",
+        "",
+        table(head, body),
+        "## Fronts",
+        "",
+        *(f"- PSNR against {cost.label}: {', '.join(value['fronts'][cost.key]) or 'none'}" for cost in COSTS),
+        "",
+        *(f"![PSNR against {cost.label}]({cost.key}.svg)" for cost in COSTS if value["fronts"][cost.key]),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _plot(value: dict[str, Any], cost: Cost) -> str:
+    front = set(value["fronts"][cost.key])
+    known = [point for point in value["points"] if point[cost.key] is not None]
+    dots = [Dot(point["name"], point[cost.key] / cost.scale, point["psnr"], point["name"] in front) for point in known]
+    logarithmic = all(dot.x > 0 for dot in dots)
+    return scatter(f"{value['data']}: PSNR against {cost.label}", Axis(cost.label, logarithmic), Axis("PSNR dB"), dots)
