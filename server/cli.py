@@ -251,21 +251,53 @@ def demo(
 @app.command()
 def study(
     data: Data,
+    views: Annotated[str, typer.Option(metavar="3[,4,...]", help="Numbers of training cameras to compare.")] = "3",
+    frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 10,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each system.")] = 3,
+    ablate: Annotated[
+        str,
+        typer.Option(
+            help="Parts to leave out in turn: all, or some of lod,partition,quantisation,dropout,heads,star,cue."
+        ),
+    ] = "all",
+    downscale: Downscale = 1.0,
+    test: Test = "",
+    preset: Preset = "balanced",
+    device: DeviceOption = Device.auto,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("study-output"),
 ) -> None:
-    """Measure what each part of the method is worth, by leaving it out."""
+    """Measure what each part of the method is worth, by leaving it out, on cameras that training never saw."""
     _require_folder(data)
-    _call("core.evaluate.study:run_study", data, out)
+    options = _load("core.evaluate.study:StudyOptions")(
+        views=_numbers("--views", views),
+        frames=frames,
+        seeds=seeds,
+        ablate=_names(ablate),
+        downscale=downscale,
+        test=_names(test),
+        preset=preset,
+        device=device.value,
+    )
+    _call("server.commands:study", data, out, options)
 
 
 @app.command()
 def tradeoff(
     data: Data,
+    frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 8,
+    views: Annotated[int, typer.Option(min=1, help="So many training cameras.")] = 5,
+    downscale: Downscale = 1.0,
+    test: Test = "",
+    device: DeviceOption = Device.auto,
+    seed: Seed = 0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("tradeoff-output"),
 ) -> None:
-    """Sweep time, size and quality against each other."""
+    """Sweep time, size and quality against each other; finds what nothing else beats."""
     _require_folder(data)
-    _call("core.evaluate.tradeoff:run_tradeoff", data, out)
+    options = _load("core.evaluate.tradeoff:TradeoffOptions")(
+        frames=frames, views=views, downscale=downscale, test=_names(test), device=device.value, seed=seed
+    )
+    _call("server.commands:tradeoff", data, out, options)
 
 
 @app.command()
@@ -342,6 +374,14 @@ def _call(target: str, *arguments: Any) -> None:
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _numbers(option: str, text: str) -> tuple[int, ...]:
+    """Positive whole numbers of ``3,4,5``."""
+    words = _names(text)
+    if not words or not all(word.isascii() and word.isdecimal() and 0 < len(word) < 6 and int(word) for word in words):
+        raise InputError(option, f"{text!r} is not a list of positive numbers, for example 3,4,5")
+    return tuple(dict.fromkeys(int(word) for word in words))
 
 
 def _require_folder(path: Path) -> None:
