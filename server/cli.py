@@ -268,8 +268,9 @@ def study(
 ) -> None:
     """Measure what each part of the method is worth, by leaving it out, on cameras that training never saw."""
     _require_folder(data)
+    numbers = _numbers("--views", views)
     options = _load("core.evaluate.study:StudyOptions")(
-        views=_numbers("--views", views),
+        views=numbers,
         frames=frames,
         seeds=seeds,
         ablate=_names(ablate),

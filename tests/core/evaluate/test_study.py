@@ -1,0 +1,78 @@
+"""The report of a whole study, and of a sweep, on a tiny clip."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+from core.data.pictures import read_picture
+from core.evaluate.design import one_at_a_time
+from core.evaluate.quoted import MEET_ROOM, N3DV
+from core.evaluate.rows import study_rows
+from core.evaluate.study import StudyOptions, run_study
+from core.evaluate.summary import FIGURES
+from core.evaluate.tradeoff import COSTS, TradeoffOptions, run_tradeoff
+from server.commands import packet_size
+from tests.core.evaluate.conftest import SPEC, shortened
+
+
+def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) -> None:
+    rows = [
+        replace(row, config=shortened(row.config)) for row in study_rows("balanced", []) if row.name != "paper star"
+    ]
+    options = StudyOptions(views=(2, 3), frames=2, seeds=2, ablate=("heads",), device="cpu")
+    text = run_study(clip, tmp_path / "out", options, packet_size, tuple(rows))
+    assert "study.md" in text
+    value = json.loads((tmp_path / "out" / "study.json").read_text())
+    assert [split["name"] for split in value["splits"]] == [
+        "linspace 2 of 3 without cam00",
+        "linspace 3 of 3 without cam00",
+    ]
+    assert list(value["left_out"]) == ["heads"]
+    for split in value["splits"]:
+        assert [row["name"] for row in split["rows"]] == [row.name for row in rows]
+        assert not set(split["train"]) & set(split["test"])
+        for row in split["rows"]:
+            assert [run["seed"] for run in row["seeds"]] == [0, 1]
+            assert set(row["summary"]) == set(FIGURES)
+            assert {"psnr", "bytes", "shannon_bytes", "seconds"} < set(row["seeds"][0]["per_frame"][0])
+            assert row["summary"]["psnr"]["spread"] > 0
+            assert read_picture(tmp_path / "out" / row["picture"]).shape == (SPEC.height, 3 * SPEC.width, 3)
+    report = (tmp_path / "out" / "study.md").read_text()
+    for word in ("linspace 2 of 3", "paper", "frozen", "±", "Quoted, not measured here", "A800", "Left out: heads"):
+        assert word in report
+    widths = {line.count("|") for line in report.splitlines() if line.startswith("| ours |")}
+    assert len(widths) > 1
+    assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> None:
+    names = {"balanced", "K 2", "rate weight 0.1", "downscale 2"}
+    points = [replace(point, config=shortened(point.config)) for point in one_at_a_time() if point.name in names]
+    options = TradeoffOptions(frames=2, views=2, device="cpu")
+    run_tradeoff(clip, tmp_path, options, packet_size, points)
+    value = json.loads((tmp_path / "tradeoff.json").read_text())
+    assert {point["name"] for point in value["points"]} == names
+    assert set(value["fronts"]) == {cost.key for cost in COSTS}
+    best = max(value["points"], key=lambda point: point["psnr"])["name"]
+    for cost in COSTS:
+        front = value["fronts"][cost.key]
+        assert front[-1] == best
+        assert min(value["points"], key=lambda point: point[cost.key])["name"] == front[0]
+        ElementTree.fromstring((tmp_path / f"{cost.key}.svg").read_text())
+    report = (tmp_path / "tradeoff.md").read_text()
+    assert all(name in report for name in names)
+
+
+def test_quoted_tables_hold_what_was_published() -> None:
+    """Spot checks, and the best value of each column in the blocks that name one."""
+    paper = {row.views: row for row in MEET_ROOM if row.method == "StreamLoD-GS"}
+    assert {views: row.psnr for views, row in paper.items()} == {3: 18.85, 4: 21.40, 5: 22.73, 12: 27.84}
+    for rows in (MEET_ROOM, N3DV):
+        for views in {row.views for row in rows}:
+            block = [row for row in rows if row.views == views]
+            assert max(block, key=lambda row: row.psnr).method == "StreamLoD-GS"
+            assert min(block, key=lambda row: row.seconds).method == "QUEEN"
+            assert "StreamLoD-GS" in min(block, key=lambda row: row.megabytes).method
