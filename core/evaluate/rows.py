@@ -81,19 +81,29 @@ def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:
     def later(row: str, note: str, changed: PredictConfig) -> Row:
         return Row(row, note, replace(ours, predict=changed))
 
+    found: tuple[Row, ...]
     if name == "lod":
         other: LevelSelection = "distance" if model.selection == "all" else "all"
-        return (
-            Row("one level", "no octree", replace(ours, model=replace(model, levels=1))),
+        uncapped = replace(keyframe, level_cap_share=0.0)
+        found = (
+            Row("one level", "no octree", replace(ours, model=replace(model, levels=1, finer_levels=0))),
             Row(f"levels by {other}", f"selection {other}", replace(ours, model=replace(model, selection=other))),
+            Row("no level caps", "never trained with fine levels hidden", replace(ours, keyframe=uncapped)),
         )
+        return _changed(found, ours)
     if name == "partition":
         return (later("no partition", "every anchor dynamic", replace(predict, everything=True)),)
     if name == "quantisation":
         return (Row("no quantisation", f"steps {_FINER} times finer, no rate term", unquantised(ours)),)
     if name == "dropout":
         without = replace(keyframe, dropout_base=0.0, dropout_slope=0.0)
-        return (Row("no dropout", "first frame without dropout", replace(ours, keyframe=without)),)
+        theirs = preset("paper").keyframe
+        as_paper = replace(keyframe, dropout_base=theirs.dropout_base, dropout_slope=theirs.dropout_slope)
+        found = (
+            Row("no dropout", "first frame without dropout", replace(ours, keyframe=without)),
+            Row("dropout of the paper", "first frame with the paper's dropout", replace(ours, keyframe=as_paper)),
+        )
+        return _changed(found, ours)
     if name == "star":
         return (Row("ours star", "partition every 4 frames, posterior 0.9", _star(ours)),)
     return tuple(
@@ -101,6 +111,11 @@ def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:
         for cue in ("difference", "previous", "canonical")
         if cue != predict.cue
     )
+
+
+def _changed(rows: tuple[Row, ...], ours: TrainConfig) -> tuple[Row, ...]:
+    """Those that are not ours by another name."""
+    return tuple(row for row in rows if row.config != ours)
 
 
 def _star(config: TrainConfig) -> TrainConfig:

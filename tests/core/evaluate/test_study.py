@@ -41,7 +41,7 @@ def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) 
             assert row["summary"]["psnr"]["spread"] > 0
             assert read_picture(tmp_path / "out" / row["picture"]).shape == (SPEC.height, 3 * SPEC.width, 3)
     report = (tmp_path / "out" / "study.md").read_text()
-    for word in ("linspace 2 of 3", "paper", "frozen", "±", "Quoted, not measured here", "A800", "Left out: heads"):
+    for word in ("linspace 2 of 3", "frozen", "±", "Quoted, not measured here", "A800", "Left out: heads"):
         assert word in report
     widths = {line.count("|") for line in report.splitlines() if line.startswith("| ours |")}
     assert len(widths) > 1
@@ -49,7 +49,7 @@ def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) 
 
 
 def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> None:
-    names = {"balanced", "K 2", "rate weight 0.1", "downscale 2"}
+    names = {"balanced", "paper", "rate weight 0.1", "downscale 2"}
     points = [replace(point, config=shortened(point.config)) for point in one_at_a_time() if point.name in names]
     options = TradeoffOptions(frames=2, views=2, device="cpu")
     run_tradeoff(clip, tmp_path, options, packet_size, points)
