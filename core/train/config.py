@@ -22,7 +22,7 @@ class ModelConfig:
         cell_pixels: width of a level-0 cell as seen from the reference distance, in pixels.
         levels: number of octree levels, or None to derive it from the distances (paper section III-A).
         finer_levels: levels beyond those; pictures hold more detail than first points do.
-        max_anchors: growing stops there.
+        max_anchors: most anchors of a keyframe.
         selection: draw all levels, or per camera only those that its distance calls for (paper).
         exposure: fit a gain and an offset a channel for each training camera.
     """
@@ -33,7 +33,7 @@ class ModelConfig:
     cell_pixels: float = 4.0
     levels: int | None = None
     finer_levels: int = 1
-    max_anchors: int = 60_000
+    max_anchors: int = 40_000
     selection: LevelSelection = "all"
     exposure: bool = False
 
@@ -131,11 +131,13 @@ def preset(name: str) -> TrainConfig:
         "balanced": default,
         "live": replace(
             default,
+            model=replace(default.model, max_anchors=16_000),
             keyframe=replace(default.keyframe, steps=500, growth_interval=50),
             predict=replace(default.predict, epochs=8, minimum_steps=40),
         ),
         "quality": replace(
             default,
+            model=replace(default.model, max_anchors=80_000),
             keyframe=replace(default.keyframe, steps=2000),
             predict=replace(default.predict, epochs=30, rate_weight=0.01),
         ),

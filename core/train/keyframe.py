@@ -17,6 +17,7 @@ from core.train.exposure import Exposure, neutral
 from core.train.field import Field, visible_levels
 from core.train.growth import GrowthStatistics, earned_extra_level, grow
 from core.train.losses import photometric_loss
+from core.train.newcomers import strongest
 from core.train.optimiser import RowAdam
 from core.train.rounding import Steps
 from core.train.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
@@ -181,8 +182,8 @@ class KeyframeTrainer:
         gradient = self._statistics.mean_gradient()
         extra = earned_extra_level(field, gradient, config).float() * config.extra_level_gain
         new = grow(field, gradient, config.growth_threshold, self._highest)
-        if len(field) + len(new) > self._model.max_anchors:
-            new = type(new)(new.voxel[:0], new.level[:0], new.parent[:0])
+        room = max(self._model.max_anchors - len(field), 0)
+        new = strongest(new, gradient.reshape(len(field), -1), room)
         kept = torch.nonzero(~self._statistics.faint(config.prune_opacity))[:, 0]
         device = field.feature.device
         level, voxel = torch.from_numpy(new.level).to(device), torch.from_numpy(new.voxel).to(device)

@@ -19,6 +19,7 @@ from core.train.decode import Network
 from core.train.field import Field
 
 _FAR_QUANTILE, _NEAR_QUANTILE = 0.99, 0.01
+_SEED_SHARE = 0.7  # of the most anchors there may be; growing places the rest where they are needed
 _SAMPLE = 20_000  # points that the distance statistics look at
 _FEATURE_SPREAD, _OFFSET_SPREAD = 0.1, 0.3  # offsets of zero would leave the K Gaussians identical
 _OPACITY_BIAS = 0.3  # without it a run can start with every opacity below zero, which has no gradient
@@ -47,6 +48,7 @@ def seed_field(
     voxels = [
         _occupied(octree, points.positions, level, centres, farthest, config.finer_levels) for level in range(levels)
     ]
+    voxels = _within_budget(voxels, int(_SEED_SHARE * config.max_anchors))
     voxel = np.concatenate(voxels)
     level = np.repeat(np.arange(levels), [len(part) for part in voxels])
     position = np.concatenate([octree.node_of(part, number) for number, part in enumerate(voxels)])
@@ -85,6 +87,15 @@ def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, 
         ]
         voxels = voxels[(np.stack(wanted) >= level - finer).any(axis=0)]
     return voxels[np.argsort(morton_key(voxels), kind="stable")]
+
+
+def _within_budget(voxels: list[Int32], budget: int) -> list[Int32]:
+    """Coarse levels first; the level that exceeds the budget is thinned evenly along its Morton order."""
+    kept = []
+    for level in voxels:
+        count = min(len(level), max(budget - sum(map(len, kept)), 0))
+        kept.append(level[np.linspace(0, len(level) - 1, count).round().astype(np.int64)] if count else level[:0])
+    return kept
 
 
 def _neighbour_log_distance(position: Float64) -> Float32:
