@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import TypeVar
 
 T = TypeVar("T")
 
 
-def prefetch(items: Iterator[T], depth: int = 1) -> Iterator[T]:
+def prefetch(items: Iterator[T], depth: int = 1) -> Generator[T, None, None]:
     """`items` in order, with up to `depth` of them prepared ahead on a background thread.
 
     An error of `items` is raised here, in its place. Closing or dropping the result stops the thread and closes
@@ -24,7 +24,7 @@ def prefetch(items: Iterator[T], depth: int = 1) -> Iterator[T]:
     return _prefetched(items, depth)
 
 
-def _prefetched(items: Iterator[T], depth: int) -> Iterator[T]:
+def _prefetched(items: Iterator[T], depth: int) -> Generator[T, None, None]:
     ready: deque[T] = deque()
     failure: list[BaseException] = []
     room, available = threading.Semaphore(depth), threading.Semaphore(0)

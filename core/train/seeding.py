@@ -91,10 +91,11 @@ def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, 
 
 def _within_budget(voxels: list[Int32], budget: int) -> list[Int32]:
     """Coarse levels first; the level that exceeds the budget is thinned evenly along its Morton order."""
-    kept = []
+    kept, room = list[Int32](), budget
     for level in voxels:
-        count = min(len(level), max(budget - sum(map(len, kept)), 0))
+        count = min(len(level), room)
         kept.append(level[np.linspace(0, len(level) - 1, count).round().astype(np.int64)] if count else level[:0])
+        room -= count
     return kept
 
 
