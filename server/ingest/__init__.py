@@ -1,0 +1,1 @@
+"""Real cameras in: sources, capture clocks, the synchroniser, and the live data set that training reads."""

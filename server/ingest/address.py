@@ -1,0 +1,110 @@
+"""What the URL of a source means: which reader, which options."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from core.errors import InputError
+
+LISTEN_SECONDS = 5.0  # then the port is opened anew, so that a reader can be stopped
+OPEN_SECONDS = 10.0
+SILENCE_SECONDS = 8.0  # a connection without a byte for so long is taken for dead
+_LONGEST = 2048
+_LIVE = {"fflags": "nobuffer", "probesize": "200000", "analyzeduration": "500000"}
+_DEVICE = re.compile(r"/dev/video\d{1,3}")
+_PROTOCOLS = {  # what FFmpeg may open on the way; a playlist must not lead to files
+    "rtsp": "rtsp,rtp,rtcp,udp,tcp",
+    "rtsps": "rtsps,rtsp,rtp,rtcp,tls,tcp",
+    "rtmp": "rtmp,tcp",
+    "http": "http,tcp",
+    "https": "https,http,tls,tcp",
+    "udp": "udp",
+    "tcp": "tcp",
+}
+_LISTENING = {
+    "rtsp": {"rtsp_flags": "listen"},
+    "rtmp": {"listen": "1"},
+    "http": {"listen": "1"},
+    "tcp": {"listen": "1"},
+}
+SCHEMES = "a file, rtsp, rtsps, rtmp, http, https, udp, tcp, srt, v4l2 or push, or rtsp, rtmp, http or tcp with +listen"
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where pictures come from.
+
+    Attributes:
+        url: as FFmpeg takes it; empty for push.
+        scheme: file, push, srt, v4l2, or a network protocol.
+        listens: whether the camera connects to us.
+        format: of the container, where FFmpeg has to be told.
+        options: for FFmpeg's demuxer.
+    """
+
+    url: str
+    scheme: str
+    listens: bool = False
+    format: str | None = None
+    options: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether there is no end to it."""
+        return self.scheme != "file"
+
+    @property
+    def open_seconds(self) -> float:
+        """How long opening may take."""
+        return LISTEN_SECONDS if self.listens else OPEN_SECONDS
+
+
+def parse_address(source: str) -> Address:
+    """The address that a URL or a file's path stands for.
+
+    Raises:
+        InputError: an unknown scheme, or no place after it.
+    """
+    if not source or len(source) > _LONGEST or not source.isprintable():
+        raise InputError(f"source {source!r:.80}", f"must be a URL or a path of 1 to {_LONGEST} printable characters")
+    if "://" not in source:
+        return _push() if source == "push:" else _file(Path(source))
+    try:
+        parts = urlsplit(source)
+        place = parts.netloc and (parts.port is None or parts.port > 0)
+    except ValueError as error:
+        raise InputError(f"source {source!r:.80}", f"is not a URL ({error})") from error
+    base, _, mode = parts.scheme.partition("+")
+    listens = mode == "listen" and base in _LISTENING
+    if (mode and not listens) or base not in {*_PROTOCOLS, "file", "push", "srt", "v4l2"}:
+        raise InputError(f"source {source!r:.80}", f"has a scheme that is not read; use {SCHEMES}")
+    if base == "push":
+        return _push()
+    if base == "file":
+        return _file(Path(parts.path))
+    if base == "v4l2":
+        if not _DEVICE.fullmatch(parts.path):
+            raise InputError(f"source {source!r:.80}", "names no camera; write v4l2:///dev/video0")
+        return Address(parts.path, "v4l2", format="v4l2")
+    if not place:
+        raise InputError(f"source {source!r:.80}", "names no host")
+    url = source.replace("+listen", "", 1) if listens else source
+    if base == "srt":
+        return Address(url, "srt", format="mpegts", options=dict(_LIVE))
+    options = {**_LIVE, "protocol_whitelist": _PROTOCOLS[base]}
+    if base in ("rtsp", "rtsps"):
+        options["rtsp_transport"] = "tcp"
+    if listens:
+        options |= _LISTENING[base]
+    return Address(url, base, listens, "mpegts" if base in ("udp", "tcp") else None, options)
+
+
+def _file(path: Path) -> Address:
+    return Address(str(path.absolute()), "file", options={"protocol_whitelist": "file"})
+
+
+def _push() -> Address:
+    return Address("", "push")

@@ -1,0 +1,86 @@
+"""A camera's clock against ours: a line through pairs of times, some of which are wrong."""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+
+_PAIRS = 60
+_DRIFT_SPAN_NS = 10_000_000_000  # below this, jitter would pass for drift
+_LARGEST_DRIFT = 500e-6  # crystals are within 100 ppm; more is damage
+_STEP_NS = 250_000_000
+_AGREE_NS = 50_000_000
+
+
+class Line:
+    """y = x + offset + drift (x - x0), fitted to the latest pairs (x, y), all in nanoseconds.
+
+    The drift is the median of the slopes between far pairs (Theil 1950, Sen 1968), the offset the median of what is
+    left; or the least of it for the `lower` envelope, where y can be late but never early.
+
+    A pair far off the line is set aside; when `patience` in a row agree about another offset, a clock was stepped, and
+    the line begins anew with them.
+    """
+
+    def __init__(self, *, lower: bool = False, patience: int = 2) -> None:
+        self._lower, self._patience = lower, patience
+        self._pairs: deque[tuple[int, int]] = deque(maxlen=_PAIRS)
+        self._aside: deque[tuple[int, int]] = deque(maxlen=patience)
+        self._origin = self._offset = 0
+        self._drift = 0.0
+        self._spread_ns = 0.0
+        self.steps = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._pairs)
+
+    @property
+    def drift_ppm(self) -> float:
+        """How much faster y runs than x, in parts per million; 0 until ten seconds were seen."""
+        return self._drift * 1e6
+
+    @property
+    def error_ns(self) -> int:
+        """Spread of the pairs about the line: 1.48 times the median absolute deviation."""
+        return round(self._spread_ns)
+
+    def at(self, x: int) -> int:
+        """y on the line."""
+        return x + self._offset + round(self._drift * (x - self._origin))
+
+    def add(self, x: int, y: int) -> None:
+        """Take one more pair into account."""
+        if self._pairs:
+            off = y - self.at(x)
+            if self._lower and off < -_STEP_NS:  # nothing comes early: what was known so far was delayed
+                self._pairs.clear()
+            elif abs(off) > _STEP_NS:
+                self._set_aside(x, y)
+                return
+        self._aside.clear()
+        self._pairs.append((x, y))
+        self._fit()
+
+    def _set_aside(self, x: int, y: int) -> None:
+        self._aside.append((x, y))
+        offsets = [late - early for early, late in self._aside]
+        if len(offsets) == self._patience and max(offsets) - min(offsets) < _AGREE_NS:
+            self._pairs.clear()
+            self._pairs.extend(self._aside)
+            self._aside.clear()
+            self.steps += 1
+            self._fit()
+
+    def _fit(self) -> None:
+        self._origin = self._pairs[-1][0]
+        differences = [(x - self._origin, y - x) for x, y in self._pairs]
+        slopes = [
+            (later - earlier) / (end - begin)
+            for n, (begin, earlier) in enumerate(differences)
+            for end, later in differences[n + 1 :]
+            if end - begin >= _DRIFT_SPAN_NS
+        ]
+        self._drift = min(max(median(slopes), -_LARGEST_DRIFT), _LARGEST_DRIFT) if slopes else 0.0
+        left = [difference - self._drift * x for x, difference in differences]
+        self._offset = round(min(left) if self._lower else median(left))
+        self._spread_ns = 1.4826 * median(abs(value - self._offset) for value in left)
