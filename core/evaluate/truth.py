@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 
 from core.anchors import Scene
+from core.arrays import Bool, Float64
 from core.data.files import read_json
 from core.data.synthetic import SyntheticSpec, is_dynamic
 from core.errors import InputError
-from core.expand import anchor_positions
+from core.expand import anchor_positions, expand_slots
 from core.residual import Residual
 
+_REACH = 0.03  # metres from a surface at least
+_TRANSPARENT = 1 / 255  # opacity up to which nothing is drawn
 _SPEC = Path("ground_truth") / "spec.json"
 
 
@@ -24,7 +27,7 @@ class MotionScore:
 
     Attributes:
         changed: anchors that the residual changes or removes.
-        moving: anchors alive near a surface that moves.
+        moving: anchors that stand for a surface that moves, as far as they are drawn or change.
         both: anchors that are both.
     """
 
@@ -52,17 +55,26 @@ def dynamic_precision_recall(spec: SyntheticSpec, before: Scene, residual: Resid
         index: frame of the clip after the residual.
     """
     changed = moving = both = 0
+    viewpoint = np.mean([camera.centre for camera in before.header.cameras], axis=0)
     for number, (level, part) in enumerate(zip(before.levels, residual.levels, strict=True)):
         touched = np.zeros(len(level), np.bool_)
         touched[part.rows] = True
         touched[part.removed] = True
-        truth = is_dynamic(spec, anchor_positions(before.header, number, level), index) & level.alive
-        changed, moving, both = (
-            changed + int(touched.sum()),
-            moving + int(truth.sum()),
-            both + int((touched & truth).sum()),
-        )
+        places = anchor_positions(before.header, number, level)
+        reach = max(_REACH, before.header.octree.cell(number) / 2)  # an anchor stands for its cell
+        truth = is_dynamic(spec, places, index, tolerance=reach) & (_drawn(before, number, viewpoint) | touched)
+        changed += int(touched.sum())
+        moving += int(truth.sum())
+        both += int((touched & truth).sum())
     return MotionScore(changed, moving, both)
+
+
+def _drawn(scene: Scene, number: int, viewpoint: Float64) -> Bool:
+    """[N] whether any Gaussian of an anchor of level `number` is drawn for a camera at `viewpoint` [3]."""
+    level = scene.levels[number]
+    cloud = expand_slots(scene.header, scene.weights, number, level, np.arange(len(level)), viewpoint)
+    opacity = cloud.opacities.reshape(len(level), -1).max(axis=1, initial=0)
+    return np.asarray(level.alive & (opacity > _TRANSPARENT))
 
 
 def read_spec(data: Path) -> SyntheticSpec | None:
