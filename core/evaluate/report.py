@@ -57,6 +57,7 @@ def _split(split: dict[str, Any]) -> list[str]:
     lines += ["Seconds by stage, first frame and a later frame:", "", _stages(rows)]
     lines += ["The last frame with its coarsest levels only (first seed):", "", _caps(rows)]
     lines += [f"- **{row['name']}**: {row['note']}" for row in rows] + [""]
+    lines += [f"![{plot}]({plot})" for plot in split["plots"]] + [""]
     lines += [f"![{row['name']}: truth, rendering, difference x4]({row['picture']})" for row in rows] + [""]
     return lines
 

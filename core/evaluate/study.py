@@ -13,6 +13,7 @@ from core.data.synthetic import SyntheticSpec
 from core.evaluate.footage import Footage, open_footage
 from core.evaluate.machine import machine
 from core.evaluate.output import result_folder, side_by_side, write_json, write_png, write_text
+from core.evaluate.plots import study_plots
 from core.evaluate.quoted import ABLATIONS, SOURCE, TABLES
 from core.evaluate.report import study_report
 from core.evaluate.rows import LEFT_OUT, Row, study_rows
@@ -95,6 +96,7 @@ def run_study(data: Path, out: Path, options: StudyOptions, size_of: SizeOf, row
             "test": list(split.test),
             "points": len(footage.points),
             "rows": [],
+            "plots": [],
         }
         study["splits"].append(entry)
         first_frames = FirstFrames(options.device)
@@ -102,6 +104,10 @@ def run_study(data: Path, out: Path, options: StudyOptions, size_of: SizeOf, row
             runner = _RowRunner(row, footage, first_frames, size_of, perception)
             entry["rows"].append(runner.run(options.seeds, spec, out, len(split.train)))
             write_json(out / "study.json", study)
+        for shown, plot in study_plots(split.name, entry["rows"]).items():
+            entry["plots"].append(f"{len(split.train)}_{shown}.svg")
+            write_text(out / entry["plots"][-1], plot)
+    write_json(out / "study.json", study)
     write_text(out / "study.md", study_report(study))
     return f"{out / 'study.md'}: {len(systems)} systems, {len(splits)} splits, {options.seeds} seeds"
 

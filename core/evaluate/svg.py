@@ -1,4 +1,4 @@
-"""Scatter plots as SVG, drawn by hand: points, names, and the front as a line."""
+"""Plots as SVG, drawn by hand: named points with their front, and named curves."""
 
 from __future__ import annotations
 
@@ -30,16 +30,56 @@ class Axis:
     logarithmic: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Named (x, y) points that belong together."""
+
+    name: str
+    points: tuple[tuple[float, float], ...]
+
+
 def scatter(title: str, x: Axis, y: Axis, dots: Sequence[Dot]) -> str:
-    """An SVG document.
+    """An SVG document of named points.
 
     Raises:
         ValueError: no points, a number that is not finite, or one that a logarithm cannot show.
     """
-    if not dots or not all(math.isfinite(value) for dot in dots for value in (dot.x, dot.y)):
+    horizontal, vertical = _scales(x, y, [(dot.x, dot.y) for dot in dots])
+    parts = _frame(title, x, y, horizontal, vertical)
+    front = sorted((horizontal.place(dot.x), vertical.place(dot.y)) for dot in dots if dot.on_front)
+    if len(front) > 1:
+        parts.append(_line(front, f'stroke="{_FRONT}" stroke-dasharray="4 3"'))
+    for dot in dots:
+        at_x, at_y = horizontal.place(dot.x), vertical.place(dot.y)
+        colour = _FRONT if dot.on_front else _OTHER
+        parts.append(f'<circle cx="{at_x:.1f}" cy="{at_y:.1f}" r="4" fill="{colour}"/>')
+        left = at_x > _WIDTH * 0.75
+        anchor = 'text-anchor="end" ' if left else ""
+        parts.append(_text(at_x + (-7 if left else 7), at_y - 5, dot.name, f'{anchor}fill="{colour}"'))
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def curves(title: str, x: Axis, y: Axis, lines: Sequence[Curve]) -> str:
+    """An SVG document of curves with a legend; ValueError as for `scatter`."""
+    horizontal, vertical = _scales(x, y, [point for line in lines for point in line.points])
+    parts = _frame(title, x, y, horizontal, vertical)
+    for number, line in enumerate(lines):
+        colour = f"hsl({360 * number // len(lines)} 65% 40%)"
+        places = [(horizontal.place(at), vertical.place(value)) for at, value in line.points]
+        parts.append(_line(places, f'stroke="{colour}"'))
+        parts.append(_text(_LEFT + 10, _TOP + 12 * (number + 1), line.name, f'fill="{colour}"'))
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def _scales(x: Axis, y: Axis, points: Sequence[tuple[float, float]]) -> tuple[_Scale, _Scale]:
+    if not points or not all(math.isfinite(value) for point in points for value in point):
         raise ValueError("a plot needs points, all of finite numbers")
-    horizontal = _Scale([dot.x for dot in dots], x.logarithmic, _LEFT, _WIDTH - _RIGHT)
-    vertical = _Scale([dot.y for dot in dots], y.logarithmic, _HEIGHT - _BOTTOM, _TOP)
+    horizontal = _Scale([point[0] for point in points], x.logarithmic, _LEFT, _WIDTH - _RIGHT)
+    return horizontal, _Scale([point[1] for point in points], y.logarithmic, _HEIGHT - _BOTTOM, _TOP)
+
+
+def _frame(title: str, x: Axis, y: Axis, horizontal: _Scale, vertical: _Scale) -> list[str]:
+    """The opening tag, axes, ticks and labels."""
     bottom = _HEIGHT - _BOTTOM
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
@@ -58,18 +98,12 @@ def scatter(title: str, x: Axis, y: Axis, dots: Sequence[Dot]) -> str:
         at = vertical.place(tick)
         parts.append(f'<path d="M{_LEFT} {at:.1f}h-4" stroke="{_INK}"/>')
         parts.append(_text(_LEFT - 7, at + 4, f"{tick:.4g}", 'text-anchor="end"'))
-    front = sorted((horizontal.place(dot.x), vertical.place(dot.y)) for dot in dots if dot.on_front)
-    if len(front) > 1:
-        places = " ".join(f"{at_x:.1f},{at_y:.1f}" for at_x, at_y in front)
-        parts.append(f'<polyline points="{places}" fill="none" stroke="{_FRONT}" stroke-dasharray="4 3"/>')
-    for dot in dots:
-        at_x, at_y = horizontal.place(dot.x), vertical.place(dot.y)
-        colour = _FRONT if dot.on_front else _OTHER
-        parts.append(f'<circle cx="{at_x:.1f}" cy="{at_y:.1f}" r="4" fill="{colour}"/>')
-        left = at_x > _WIDTH * 0.75
-        anchor = 'text-anchor="end"' if left else ""
-        parts.append(_text(at_x + (-7 if left else 7), at_y - 5, dot.name, f'{anchor} fill="{colour}"'))
-    return "\n".join([*parts, "</svg>", ""])
+    return parts
+
+
+def _line(places: Sequence[tuple[float, float]], attributes: str) -> str:
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+    return f'<polyline points="{points}" fill="none" {attributes}/>'
 
 
 class _Scale:

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from core.evaluate.svg import Axis, Dot, scatter
+from core.evaluate.svg import Axis, Curve, Dot, curves, scatter
 
 NAMESPACE = "{http://www.w3.org/2000/svg}"
 
@@ -37,6 +37,21 @@ def test_names_are_escaped_and_the_front_is_a_line() -> None:
     texts = [element.text for element in ElementTree.fromstring(svg).iter(f"{NAMESPACE}text")]
     assert "<script>&" in texts
     assert len(list(ElementTree.fromstring(svg).iter(f"{NAMESPACE}polyline"))) == 1
+
+
+def test_curves_keep_their_order_and_are_named() -> None:
+    svg = curves("a plot", Axis("frame"), Axis("dB"), [Curve("a", ((0, 1), (1, 3))), Curve("b&", ((0, 2), (1, 1)))])
+    tree = ElementTree.fromstring(svg)
+    lines = [line.attrib["points"].split() for line in tree.iter(f"{NAMESPACE}polyline")]
+    heights = [[float(place.split(",")[1]) for place in line] for line in lines]
+    assert heights[0][0] > heights[0][1]
+    assert heights[1][0] < heights[1][1]
+    assert {"a", "b&"} < {element.text for element in tree.iter(f"{NAMESPACE}text")}
+
+
+def test_no_curves_are_refused() -> None:
+    with pytest.raises(ValueError, match="points"):
+        curves("a plot", Axis("x"), Axis("y"), [])
 
 
 @pytest.mark.parametrize("dots", [[], [Dot("a", math.nan, 1)], [Dot("a", 1, math.inf)], [Dot("a", 0, 1)]])
