@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from core.errors import BackendUnavailable, InputError
+from core.errors import BackendUnavailable, InputError, StreamlodError
 
 if TYPE_CHECKING:
     from core.anchors import Scene
@@ -132,38 +132,24 @@ def bench(name: str | None, arguments: list[str]) -> str:
 
 
 def warm() -> str:
-    """Compile the kernels now rather than at first use."""
-    from core.render.cpu import warm as compile_kernels
+    """Compile the kernels now rather than at first use: rasteriser, codec, synthetic clip, plane sweep."""
+    from codec.warm import warm_up as compile_codec
+    from core.data.synthetic import SyntheticSpec, open_synthetic
+    from core.initialise import first_points
+    from core.render.cpu import warm as compile_rasteriser
 
-    compile_kernels()
+    with tqdm(total=4, unit="part", desc="compiling kernels") as bar:
+        compile_rasteriser()
+        bar.update()
+        compile_codec()
+        bar.update()
+        clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=64, height=36))
+        frame = list(clip.frames())[-1]
+        bar.update()
+        with suppress(StreamlodError):  # pictures this small show too little to find many points
+            first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds, method="sweep")
+        bar.update()
     return "ready"
-
-
-def study(data: Path, out: Path, options: StudyOptions) -> str:
-    """Compare the method with its parts left out."""
-    from core.evaluate.study import run_study
-
-    return run_study(data, out, options, packet_size)
-
-
-def tradeoff(data: Path, out: Path, options: TradeoffOptions) -> str:
-    """Sweep time, size and quality against each other."""
-    from core.evaluate.tradeoff import run_tradeoff
-
-    return run_tradeoff(data, out, options, packet_size)
-
-
-def packet_size(before: Scene | None, after: Scene, residual: Residual | None) -> PacketSize:
-    """What a frame's packet costs: a keyframe's without a residual."""
-    from codec.encoder import encode_keyframe, encode_residual
-    from codec.packet import PacketKind, peek
-    from core.evaluate.sizes import PacketSize
-
-    if before is None or residual is None:
-        packet = encode_keyframe(after, time_ns=0)
-    else:
-        packet = encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=0)
-    return PacketSize(len(packet), peek(packet).level_bytes)
 
 
 def _benches() -> list[str]:
