@@ -10,7 +10,8 @@ import numpy as np
 
 from core.evaluate.systems import FrameScore, Run
 
-# The figures of a run that tables show; means over its frames unless the name says otherwise.
+# The figures of a run that tables show; means over its frames unless the name says otherwise. The rendering speed is a
+# median, so that another process of the machine spoils a few frames and not the figure.
 FIGURES = (
     "psnr",
     "ssim",
@@ -57,7 +58,7 @@ def run_figures(run: Run) -> dict[str, Any]:
         "predicted_seconds": mean(frame.report.total_seconds for frame in later),
         "first_frame_stages": _stage_means(first),
         "predicted_stages": _stage_means(later),
-        "render_fps": 1 / max(mean(picture.render_seconds for picture in pictures) or 0.0, 1e-9),
+        "render_fps": 1 / max(float(np.median([picture.render_seconds for picture in pictures])), 1e-9),
         "peak_bytes": run.peak_bytes,
         "anchors": run.anchors,
         "dynamic_share": mean(frame.report.dynamic / max(frame.report.anchors, 1) for frame in later),

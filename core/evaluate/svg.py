@@ -9,6 +9,8 @@ from html import escape
 
 _WIDTH, _HEIGHT = 640, 420
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 24, 36, 52
+_LEGEND = 120  # width kept for the names of curves
+_MOST_TICKS = 8
 _FRONT, _OTHER, _INK = "#c2410c", "#64748b", "#1e293b"
 
 
@@ -61,20 +63,20 @@ def scatter(title: str, x: Axis, y: Axis, dots: Sequence[Dot]) -> str:
 
 def curves(title: str, x: Axis, y: Axis, lines: Sequence[Curve]) -> str:
     """An SVG document of curves with a legend; ValueError as for `scatter`."""
-    horizontal, vertical = _scales(x, y, [point for line in lines for point in line.points])
+    horizontal, vertical = _scales(x, y, [point for line in lines for point in line.points], _LEGEND)
     parts = _frame(title, x, y, horizontal, vertical)
     for number, line in enumerate(lines):
         colour = f"hsl({360 * number // len(lines)} 65% 40%)"
         places = [(horizontal.place(at), vertical.place(value)) for at, value in line.points]
         parts.append(_line(places, f'stroke="{colour}"'))
-        parts.append(_text(_LEFT + 10, _TOP + 12 * (number + 1), line.name, f'fill="{colour}"'))
+        parts.append(_text(_WIDTH - _RIGHT - _LEGEND + 8, _TOP + 14 * (number + 1), line.name, f'fill="{colour}"'))
     return "\n".join([*parts, "</svg>", ""])
 
 
-def _scales(x: Axis, y: Axis, points: Sequence[tuple[float, float]]) -> tuple[_Scale, _Scale]:
+def _scales(x: Axis, y: Axis, points: Sequence[tuple[float, float]], legend: int = 0) -> tuple[_Scale, _Scale]:
     if not points or not all(math.isfinite(value) for point in points for value in point):
         raise ValueError("a plot needs points, all of finite numbers")
-    horizontal = _Scale([point[0] for point in points], x.logarithmic, _LEFT, _WIDTH - _RIGHT)
+    horizontal = _Scale([point[0] for point in points], x.logarithmic, _LEFT, _WIDTH - _RIGHT - legend)
     return horizontal, _Scale([point[1] for point in points], y.logarithmic, _HEIGHT - _BOTTOM, _TOP)
 
 
@@ -122,12 +124,31 @@ class _Scale:
         return self._begin + share * (self._end - self._begin)
 
     def ticks(self) -> list[float]:
-        """Five values, evenly spread over the axis."""
-        places = [self._low + (self._high - self._low) * (step + 0.5) / 5 for step in range(5)]
-        return [10**place for place in places] if self._logarithmic else places
+        """Round values inside the axis: about five, or on a logarithmic one 1, 2 and 5 of each decade, or decades."""
+        if not self._logarithmic:
+            return _round_values(self._low, self._high)
+        decades = range(math.floor(self._low), math.ceil(self._high) + 1)
+        for factors in ((1, 2, 5), (1,)):
+            values = [factor * 10.0**decade for decade in decades for factor in factors]
+            inside = [value for value in values if self._low <= math.log10(value) <= self._high]
+            if len(inside) <= _MOST_TICKS:
+                break
+        return inside if len(inside) > 1 else [10**place for place in _evenly(self._low, self._high)]
 
     def _unit(self, value: float) -> float:
         return math.log10(value) if self._logarithmic else value
+
+
+def _round_values(low: float, high: float) -> list[float]:
+    """Multiples of 1, 2 or 5 times a power of ten between `low` and `high`, at most six."""
+    rough = (high - low) / 5
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)
+    return [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
+
+
+def _evenly(low: float, high: float) -> list[float]:
+    return [low + (high - low) * (step + 0.5) / 4 for step in range(4)]
 
 
 def _text(x: float, y: float, text: str, attributes: str) -> str:

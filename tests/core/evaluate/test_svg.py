@@ -31,6 +31,16 @@ def test_a_logarithmic_axis_spaces_by_ratio() -> None:
     assert math.isclose(x1 - x0, x2 - x1, abs_tol=0.2)
 
 
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (24.26, 26.87), (-3, 1e6), (5, 5), (0.001, 0.0013)])
+def test_ticks_are_round_and_inside(low: float, high: float) -> None:
+    svg = scatter("", Axis(""), Axis(""), [Dot("", low, 0), Dot("", high, 1)])
+    texts = [element for element in ElementTree.fromstring(svg).iter(f"{NAMESPACE}text") if element.text]
+    ticks = [float(text.text or "") for text in texts if text.attrib.get("text-anchor") == "middle"]
+    assert 2 <= len(ticks) <= 8
+    assert all(len(f"{abs(tick):.10e}".split("e")[0].rstrip("0")) <= 6 for tick in ticks)
+    assert all(0 <= float(text.attrib["x"]) <= 640 for text in texts)
+
+
 def test_names_are_escaped_and_the_front_is_a_line() -> None:
     dots = [Dot("<script>&", 1, 1, True), Dot("b", 2, 2, True)]
     svg = scatter('"quoted" & <bold>', Axis("<x>"), Axis("&y"), dots)
