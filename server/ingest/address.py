@@ -25,7 +25,7 @@ _PROTOCOLS = {  # what FFmpeg may open on the way; a playlist must not lead to f
     "tcp": "tcp",
 }
 _LISTENING = {
-    "rtsp": {"rtsp_flags": "listen"},
+    "rtsp": {"rtsp_flags": "listen", "listen_timeout": str(round(LISTEN_SECONDS))},
     "rtmp": {"listen": "1"},
     "http": {"listen": "1"},
     "tcp": {"listen": "1"},
@@ -57,9 +57,11 @@ class Address:
         return self.scheme != "file"
 
     @property
-    def open_seconds(self) -> float:
-        """How long opening may take."""
-        return LISTEN_SECONDS if self.listens else OPEN_SECONDS
+    def open_seconds(self) -> float | None:
+        """How long opening may take, where FFmpeg doesn't see to it itself; it refuses two limits for RTSP."""
+        if self.listens:
+            return None if self.scheme == "rtsp" else LISTEN_SECONDS
+        return OPEN_SECONDS
 
 
 def parse_address(source: str) -> Address:

@@ -327,6 +327,11 @@ class LiveDataset:
             raise ValueError("the rig is being read already; close its frames first")
         return self._frames(start, stop)
 
+    def close(self) -> None:
+        """End the frames that are being read, from any thread."""
+        if (rig := self._rig) is not None:
+            rig.stop()
+
     def statistics(self) -> Statistics | None:
         """How cameras and delivery do; None while nothing is read."""
         rig = self._rig

@@ -1,0 +1,230 @@
+"""Fake cameras over real protocols on loopback: every instant holds pictures of one time, whatever goes wrong."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.frames import FrameSet
+from server.ingest.clock import ClockSource
+from server.ingest.live import LiveDataset, Statistics, open_live
+from server.ingest.synchroniser import CameraState
+from tests.server.ingest.rig import (
+    FPS,
+    NEEDS_FFMPEG,
+    free_ports,
+    number_of,
+    rtsp,
+    sending,
+    write_clip,
+    write_definition,
+)
+
+PERIOD_NS = 1_000_000_000 / FPS
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("clips") / "clip.ts"
+    write_clip(path, 70)
+    return path
+
+
+@dataclass
+class Seen:
+    """One instant: its place on the grid in periods, the number each camera's picture carries (-1: missing)."""
+
+    slot: int
+    time_ns: int
+    numbers: list[int]
+
+
+class Watch:
+    """Collects instants on a thread, as training would."""
+
+    def __init__(self, dataset: LiveDataset, slowness: float = 0) -> None:
+        self.dataset, self.seen, self.statistics = dataset, list[Seen](), list[Statistics]()
+        self._frames = dataset.frames()
+        self._slowness = slowness
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._stop = threading.Event()
+        self._thread.start()
+
+    def _run(self) -> None:
+        first = None
+        for frame in self._frames:
+            first = frame.time_ns if first is None else first
+            numbers = [
+                number_of(image) if there else -1 for image, there in zip(frame.images, frame.present, strict=True)
+            ]
+            self.seen.append(Seen(round((frame.time_ns - first) / PERIOD_NS), frame.time_ns, numbers))
+            if self._stop.wait(self._slowness) or self._stop.is_set():
+                break
+        self._frames.close()  # type: ignore[attr-defined]
+
+    def wait(self, condition: Callable[[], bool], seconds: float = 20) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, f"not within {seconds} s: {self.dataset.statistics()}"
+            time.sleep(0.02)
+
+    def now(self) -> Statistics:
+        statistics = self.dataset.statistics()
+        assert statistics is not None
+        return statistics
+
+    def close(self) -> None:
+        self._stop.set()
+        self.dataset.close()
+        self._thread.join(10)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture
+def watch() -> Iterator[Callable[..., Watch]]:
+    watches: list[Watch] = []
+
+    def begin(path: Path, **options: float) -> Watch:
+        watches.append(Watch(open_live(path), **options))
+        return watches[-1]
+
+    yield begin
+    for each in watches:
+        each.close()
+
+
+def misaligned(seen: list[Seen], cameras: int) -> int:
+    """Instants in which a camera's picture isn't the one of that time.
+
+    Fake cameras count from their own start in real time, so that number minus slot is one constant a camera.
+    """
+    count = 0
+    constants = []
+    for row in range(cameras):
+        differences = [entry.numbers[row] - entry.slot for entry in seen if entry.numbers[row] >= 0]
+        constants.append(int(np.median(differences)))
+    for entry in seen:
+        count += any(n >= 0 and n - entry.slot != constants[row] for row, n in enumerate(entry.numbers))
+    return count
+
+
+def complete(watch: Watch) -> int:
+    return sum(-1 not in entry.numbers for entry in list(watch.seen))
+
+
+@NEEDS_FFMPEG
+def test_rtsp_cameras_are_paired_through_a_stop_and_a_death(
+    tmp_path: Path, clip: Path, watch: Callable[..., Watch]
+) -> None:
+    _film(tmp_path, clip, watch, quiet=60, pause=2.0)
+
+
+@NEEDS_FFMPEG
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_rtsp_cameras_for_a_minute(tmp_path: Path, clip: Path, watch: Callable[..., Watch]) -> None:
+    _film(tmp_path, clip, watch, quiet=45 * FPS, pause=3.0)
+
+
+def _film(tmp_path: Path, clip: Path, watch: Callable[..., Watch], quiet: int, pause: float) -> None:
+    ports = free_ports(4)
+    rig = watch(write_definition(tmp_path, [f"rtsp+listen://127.0.0.1:{p}/live" for p in ports], {"quorum": 3}))
+    time.sleep(0.5)
+    skew = {3: ("-itsoffset", "0.05")}
+    with sending(clip, *(rtsp(port) for port in ports), before=skew) as senders:
+        rig.wait(lambda: complete(rig) >= quiet, 60 + quiet / FPS)
+        before = rig.now()
+        assert not before.degraded
+        assert {camera.clock_source for camera in before.cameras.values()} == {ClockSource.NTP}
+
+        senders[1].pause()
+        rig.wait(lambda: rig.now().degraded)
+        assert rig.now().cameras["cam1"].state is CameraState.LOST
+        time.sleep(pause - 1)
+        during = len(rig.seen)
+        assert rig.seen[-1].numbers[1] == -1
+        senders[1].resume()
+        rig.wait(lambda: all(-1 not in entry.numbers for entry in rig.seen[-10:]) and len(rig.seen) > during + 20)
+        after = rig.now()
+        assert not after.degraded
+        assert after.cameras["cam1"].counts.missing - before.cameras["cam1"].counts.missing >= (pause - 0.5) * FPS
+        assert after.cameras["cam1"].counts.late >= FPS / 2
+        assert after.cameras["cam1"].connections == 1
+        assert misaligned(rig.seen, 4) == 0
+
+        senders[2].kill()
+        rig.wait(lambda: rig.now().degraded)
+        died = len(rig.seen)
+        rig.wait(lambda: len(rig.seen) > died + 5)
+        assert rig.seen[-1].numbers[2] == -1
+        with sending(clip, rtsp(ports[2])):
+            rig.wait(lambda: all(-1 not in entry.numbers for entry in rig.seen[-10:]))
+            assert not rig.now().degraded
+            assert rig.now().cameras["cam2"].connections == 2
+            assert misaligned(rig.seen[-10:], 4) == 0
+    again = [entry for entry in rig.seen if not (entry.numbers[2] >= 0 and entry is rig.seen[-1])]
+    assert len(again) >= quiet
+
+
+@NEEDS_FFMPEG
+def test_transport_streams_and_rtmp_are_paired_by_arrival(
+    tmp_path: Path, clip: Path, watch: Callable[..., Watch]
+) -> None:
+    udp, tcp, http, rtmp = free_ports(4)
+    sources = [
+        f"udp://127.0.0.1:{udp}",
+        f"tcp+listen://127.0.0.1:{tcp}",
+        f"http://127.0.0.1:{http}/live.ts",
+        f"rtmp+listen://127.0.0.1:{rtmp}/live/cam",
+    ]
+    rig = watch(write_definition(tmp_path, sources, {"quorum": 2}))
+    time.sleep(0.3)
+    outputs = [
+        ("-f", "mpegts", f"udp://127.0.0.1:{udp}?pkt_size=1316"),
+        ("-f", "mpegts", f"tcp://127.0.0.1:{tcp}"),
+        ("-f", "mpegts", "-listen", "1", f"http://127.0.0.1:{http}/live.ts"),
+        ("-f", "flv", f"rtmp://127.0.0.1:{rtmp}/live/cam"),
+    ]
+    with sending(clip, *outputs):
+        rig.wait(lambda: complete(rig) >= 90)
+        assert misaligned([entry for entry in rig.seen if -1 not in entry.numbers][30:90], 4) == 0
+        assert {camera.clock_source for camera in rig.now().cameras.values()} == {ClockSource.ARRIVAL}
+
+
+def test_unpaced_files_deliver_every_instant_exactly(tmp_path: Path) -> None:
+    for row in range(3):
+        write_clip(tmp_path / f"{row}.ts", 1)
+    path = write_definition(tmp_path, ["0.ts", "1.ts", "2.ts"], realtime=False)
+    frames = list(open_live(path).frames())
+    assert [frame.index for frame in frames] == list(range(FPS))
+    assert [[number_of(image) for image in frame.images] for frame in frames] == [[k] * 3 for k in range(FPS)]
+    steps = np.diff([frame.time_ns for frame in frames])
+    assert np.abs(steps - PERIOD_NS).max() <= 1
+
+
+def test_a_slow_consumer_gets_the_newest_and_drops_are_counted(tmp_path: Path, watch: Callable[..., Watch]) -> None:
+    write_clip(tmp_path / "0.ts", 2)
+    rig = watch(write_definition(tmp_path, ["0.ts", "0.ts"]), slowness=0.25)
+    rig.wait(lambda: len(rig.seen) >= 5)
+    statistics = rig.now()
+    assert statistics.dropped_stale >= 4 * 4
+    assert statistics.latency_ns < 200_000_000
+    assert [entry.numbers for entry in rig.seen] == [[entry.slot + rig.seen[0].numbers[0]] * 2 for entry in rig.seen]
+
+
+def test_frames_can_be_chosen_counted_and_read_again(tmp_path: Path) -> None:
+    write_clip(tmp_path / "0.ts", 1)
+    dataset = open_live(write_definition(tmp_path, ["0.ts"] * 3, realtime=False), downscale=2)
+    chosen = dataset.select(["cam2", "cam0"])
+    assert chosen.names == ("cam2", "cam0")
+    for _ in range(2):
+        frames: list[FrameSet] = list(chosen.frames(5, 9))
+        assert [frame.index for frame in frames] == [5, 6, 7, 8]
+        assert frames[0].images.shape == (2, 64, 80, 3)
+    assert chosen.statistics() is None
