@@ -279,7 +279,7 @@ def study(
         preset=preset,
         device=device.value,
     )
-    _call("server.commands:study", data, out, options)
+    _call("server.studies:study", data, out, options)
 
 
 @app.command()
@@ -298,7 +298,7 @@ def tradeoff(
     options = _load("core.evaluate.tradeoff:TradeoffOptions")(
         frames=frames, views=views, downscale=downscale, test=_names(test), device=device.value, seed=seed
     )
-    _call("server.commands:tradeoff", data, out, options)
+    _call("server.studies:tradeoff", data, out, options)
 
 
 @app.command()

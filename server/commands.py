@@ -19,11 +19,6 @@ from tqdm import tqdm
 from core.errors import BackendUnavailable, InputError, StreamlodError
 
 if TYPE_CHECKING:
-    from core.anchors import Scene
-    from core.evaluate.sizes import PacketSize
-    from core.evaluate.study import StudyOptions
-    from core.evaluate.tradeoff import TradeoffOptions
-    from core.residual import Residual
     from core.train import Progress
     from server.pipeline import EncodedFrame, TrainJob
     from server.settings import Settings

@@ -11,7 +11,7 @@ from core.evaluate.footage import Footage
 from core.evaluate.sizes import entropy_bits, shannon_keyframe_bytes, shannon_residual_bytes
 from core.residual import difference
 from core.train import TrainConfig, Trainer
-from server.commands import packet_size
+from server.studies import packet_size
 from tests.core.evaluate.conftest import shortened
 
 

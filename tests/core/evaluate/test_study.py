@@ -14,7 +14,7 @@ from core.evaluate.rows import study_rows
 from core.evaluate.study import StudyOptions, run_study
 from core.evaluate.summary import FIGURES
 from core.evaluate.tradeoff import COSTS, TradeoffOptions, run_tradeoff
-from server.commands import packet_size
+from server.studies import packet_size
 from tests.core.evaluate.conftest import SPEC, shortened
 
 

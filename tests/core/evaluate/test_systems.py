@@ -15,7 +15,7 @@ from core.evaluate.scores import draw
 from core.evaluate.summary import run_figures, spread
 from core.evaluate.systems import FirstFrames, run_system, with_steps
 from core.train import TrainConfig
-from server.commands import packet_size
+from server.studies import packet_size
 from tests.core.evaluate.conftest import SPEC, shortened
 
 CONFIG = shortened(TrainConfig())
