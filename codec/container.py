@@ -63,7 +63,8 @@ class SlodWriter:
 
     def __init__(self, path: Path | str, live: bool = False) -> None:
         self._path, self._live = Path(path), live
-        self._written = self._path if live else self._path.with_name(self._path.name + ".partial")
+        # the process in the name: two writers of one file must not take each other's work
+        self._written = self._path if live else self._path.with_name(f".{self._path.name}.{os.getpid()}.partial")
         self._entries: list[Entry] = []
         if live and self._path.exists() and self._path.stat().st_size > 0:
             with SlodReader(self._path) as reader:
