@@ -45,7 +45,7 @@ def read_picture(path: Path) -> UInt8:
 
 def _checked(path: Path) -> tuple[tuple[int, int], bytes]:
     data = read_bytes(path, MAX_BYTES)
-    size = _header_size(data)
+    size = encoded_size(data)
     if size is None:
         raise InputError(path, "is neither a PNG nor a JPEG picture")
     if not (1 <= size[0] <= MAX_SIDE and 1 <= size[1] <= MAX_SIDE):
@@ -53,7 +53,8 @@ def _checked(path: Path) -> tuple[tuple[int, int], bytes]:
     return size, data
 
 
-def _header_size(data: bytes) -> tuple[int, int] | None:
+def encoded_size(data: bytes) -> tuple[int, int] | None:
+    """(width, height) from the header of PNG or JPEG bytes, or None for anything else; nothing is decoded."""
     if data.startswith(_PNG) and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)
         return width, height

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 
+from server.ingest.grid import period_of
 from server.ingest.line import Line
 
 _SECOND_NS = 1_000_000_000
 _DAY_NS = 86_400 * _SECOND_NS
 PLAUSIBLE_NS = 5 * _SECOND_NS  # a sender's clock further off than this was never set
 _PATIENCE_NS = 6 * _SECOND_NS  # senders report every five seconds
+_WARM_UP_NS = _SECOND_NS  # the first pictures of a connection were waiting in buffers
 _UNKNOWN_DELAY_NS = 20_000_000  # arrival knows jitter, not the delay that all pictures share
 
 
@@ -65,11 +67,11 @@ class CaptureClock:
         fps: of the rig; what a frame number counts.
         epoch_ns: when frame number 0 was taken; the same for all cameras of a rig.
         expects_ntp: hold pictures back until the sender's first report, for six seconds at most, because a camera that
-            changes clocks while others don't would be paired wrongly.
+            changes clocks while others don't would be paired wrongly. Without, one second, until delays are known.
     """
 
     def __init__(self, fps: float, epoch_ns: int = 0, *, expects_ntp: bool = False) -> None:
-        self._period_ns = _SECOND_NS / Fraction(fps).limit_denominator(1001)
+        self._period_ns = period_of(fps)
         self._epoch_ns, self._expects_ntp = epoch_ns, expects_ntp
         self._sender, self._envelope = Line(), Line(lower=True, patience=5)
         self._least: tuple[int, int] | None = None  # the least delayed pair of the current second
@@ -95,12 +97,13 @@ class CaptureClock:
 
         Pictures come in the order of their arrival.
         """
+        if self._since_ns is None:
+            self._since_ns = seen.arrival_ns
         arrival = self._by_arrival(seen)
         found = self._by_sender(seen) or self._by_number(seen)
         if found is None:
-            if self._since_ns is None:
-                self._since_ns = seen.arrival_ns
-            if self._expects_ntp and not self._sender and seen.arrival_ns - self._since_ns < _PATIENCE_NS:
+            patience = _PATIENCE_NS if self._expects_ntp and not self._sender else _WARM_UP_NS
+            if seen.arrival_ns - self._since_ns < patience:
                 return None
             found = arrival
         self._source = found.source
@@ -144,7 +147,7 @@ class CaptureClock:
         elif arrival - media < self._least[1] - self._least[0]:
             self._least = (self._least[0], arrival - media + self._least[0])
             if arrival < self._envelope.at(media):
-                self._envelope.add(media, arrival)
+                self._envelope.add(*self._least)
 
 
 def _is_plausible(capture_ns: int, seen: Sighting) -> bool:

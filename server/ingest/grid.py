@@ -12,8 +12,10 @@ _SECOND_NS = 1_000_000_000
 
 
 def period_of(fps: float) -> Fraction:
-    """Nanoseconds between instants; 29.97 is taken for 30000/1001."""
-    return _SECOND_NS / Fraction(fps).limit_denominator(1001)
+    """Nanoseconds between instants; 29.97 is taken for 30000/1001, as television's rates are meant."""
+    television = Fraction(round(fps * 1.001) * 1000, 1001)
+    exact = television if abs(fps - television) < 1e-3 else Fraction(fps).limit_denominator(1000)
+    return _SECOND_NS / exact
 
 
 @dataclass(frozen=True, slots=True)

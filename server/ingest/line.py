@@ -49,7 +49,7 @@ class Line:
         return x + self._offset + round(self._drift * (x - self._origin))
 
     def add(self, x: int, y: int) -> None:
-        """Take one more pair into account."""
+        """Take one more pair into account; one of the same x as the last replaces it."""
         if self._pairs:
             off = y - self.at(x)
             if self._lower and off < -_STEP_NS:  # nothing comes early: what was known so far was delayed
@@ -58,6 +58,8 @@ class Line:
                 self._set_aside(x, y)
                 return
         self._aside.clear()
+        if self._pairs and self._pairs[-1][0] == x:
+            self._pairs.pop()
         self._pairs.append((x, y))
         self._fit()
 
@@ -72,8 +74,9 @@ class Line:
             self._fit()
 
     def _fit(self) -> None:
-        self._origin = self._pairs[-1][0]
-        differences = [(x - self._origin, y - x) for x, y in self._pairs]
+        self._origin, y = self._pairs[-1]
+        base = y - self._origin  # times since 1970 have more digits than a float
+        differences = [(x - self._origin, y - x - base) for x, y in self._pairs]
         slopes = [
             (later - earlier) / (end - begin)
             for n, (begin, earlier) in enumerate(differences)
@@ -82,5 +85,6 @@ class Line:
         ]
         self._drift = min(max(median(slopes), -_LARGEST_DRIFT), _LARGEST_DRIFT) if slopes else 0.0
         left = [difference - self._drift * x for x, difference in differences]
-        self._offset = round(min(left) if self._lower else median(left))
-        self._spread_ns = 1.4826 * median(abs(value - self._offset) for value in left)
+        offset = min(left) if self._lower else median(left)
+        self._offset = base + round(offset)
+        self._spread_ns = 1.4826 * median(abs(value - offset) for value in left)

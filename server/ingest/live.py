@@ -9,8 +9,9 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -27,6 +28,8 @@ from server.ingest.clock import ClockSource
 from server.ingest.definition import RigDefinition, read_definition
 from server.ingest.grid import period_of
 from server.ingest.picture import Picture
+from server.ingest.push import Intake
+from server.ingest.relay import listening
 from server.ingest.sources import Reader
 from server.ingest.synchroniser import CameraState, Counts, Slot, Synchroniser
 from server.ingest.timeline import Timeline
@@ -98,6 +101,7 @@ class Rig:
     def __init__(self, definition: RigDefinition, chosen: Sequence[str]) -> None:
         self._fps, self._paced = definition.fps, definition.realtime
         self._names = tuple(chosen)
+        self._epoch_ns: int | None = None
         self._timeline = Timeline()
         self._change = threading.Condition()
         self._stopped = False
@@ -113,6 +117,11 @@ class Rig:
             deadline_ns=None if self._paced else _FOREVER_NS,
             lost_ns=1_000_000_000 if self._paced else _FOREVER_NS,
         )
+        self._pushed = {
+            camera.name: (camera.width, camera.height)
+            for camera, address in zip(definition.cameras, definition.addresses, strict=True)
+            if camera.name in self._last and address.scheme == "push"
+        }
         anchor = self._timeline.now_ns() + _FILE_DELAY_NS
         self._readers = [
             Reader(
@@ -126,7 +135,7 @@ class Rig:
                 paced=self._paced,
             )
             for camera, address in zip(definition.cameras, definition.addresses, strict=True)
-            if camera.name in self._last and address.scheme != "push"
+            if camera.name in self._last and camera.name not in self._pushed
         ]
 
     @property
@@ -146,8 +155,9 @@ class Rig:
             self._change.notify_all()
         for reader in self._readers:
             reader.stop()
+        end = time.monotonic() + _JOIN_SECONDS
         for reader in self._readers:
-            reader.join(_JOIN_SECONDS)
+            reader.join(max(0.0, end - time.monotonic()))
 
     def put(self, picture: Picture) -> None:
         """Take a picture, from any thread; waits while an unpaced file is ahead of the others."""
@@ -195,6 +205,23 @@ class Rig:
                 self._delivered += 1
                 self._latency_ns = self._timeline.now_ns() - slot.capture_ns
             yield slot
+
+    @property
+    def fps(self) -> float:
+        """Instants a second."""
+        return self._fps
+
+    @property
+    def pushed(self) -> Mapping[str, tuple[int, int]]:
+        """(width, height) of each camera that capture nodes push."""
+        return self._pushed
+
+    def genlock_epoch_ns(self, number: int) -> int:
+        """When frame number 0 of a genlocked rig was taken; the first number asked about came just now."""
+        with self._change:
+            if self._epoch_ns is None:
+                self._epoch_ns = self._timeline.now_ns() - round(number * period_of(self._fps))
+            return self._epoch_ns
 
     def refuse(self, camera: str, fault: str) -> None:
         """Note that a picture of a camera could not be used."""
@@ -258,11 +285,13 @@ class LiveDataset:
     Attributes:
         definition: of the rig.
         developments: what makes a raw picture fit the camera, for each camera used.
+        push_socket: where to take pictures that the serving process relays, while frames are read; or none.
         cameras: pinholes that match the pictures of `frames`.
     """
 
     definition: RigDefinition
     developments: tuple[Development, ...]
+    push_socket: Path | None = None
     cameras: tuple[Camera, ...] = field(init=False)
     frame_count: None = field(init=False, default=None)  # endless
     _rig: Rig | None = field(init=False, default=None)
@@ -310,7 +339,7 @@ class LiveDataset:
             raise InputError(self.definition.path, f"has no camera {unknown[0]!r:.80}; it has {', '.join(plans)}")
         if not names or len(set(names)) < len(names):
             raise InputError(self.definition.path, "needs at least one camera selected, and each only once")
-        return LiveDataset(self.definition, tuple(plans[name] for name in names))
+        return LiveDataset(self.definition, tuple(plans[name] for name in names), self.push_socket)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSet]:
         """Instants as they come, numbered from `start` without gaps, `stop` - `start` of them or until the sources end.
@@ -351,6 +380,8 @@ class LiveDataset:
             stack.callback(self._release)
             stack.callback(rig.stop)
             pool = stack.enter_context(ThreadPoolExecutor(min(len(self.cameras), os.cpu_count() or 1), "develop"))
+            if self.push_socket is not None and rig.pushed:
+                stack.enter_context(listening(self.push_socket, lambda: Intake(rig)))
             rig.start()
             first: Slot | None = None
             for slot in rig.slots():
@@ -385,8 +416,10 @@ class LiveDataset:
         self._rig = None
 
 
-def open_live(path: Path, *, downscale: float = 1) -> LiveDataset:
+def open_live(path: Path, *, downscale: float = 1, push_socket: Path | None = None) -> LiveDataset:
     """The rig that the file `path` describes, its pictures made smaller by `downscale`.
+
+    Pushed pictures come through a `RelayedIntake` to `push_socket`, or from an `Intake(dataset.rig)` in this process.
 
     Raises:
         InputError: see `read_definition`; a distortion that cannot be undone, or a downscale below 1.
@@ -394,4 +427,4 @@ def open_live(path: Path, *, downscale: float = 1) -> LiveDataset:
     definition = read_definition(path)
     if not 1 <= downscale <= 64:
         raise InputError("downscale", f"must lie between 1 and 64, not {downscale}")
-    return LiveDataset(definition, tuple(development(camera, downscale) for camera in definition.cameras))
+    return LiveDataset(definition, tuple(development(camera, downscale) for camera in definition.cameras), push_socket)

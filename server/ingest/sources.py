@@ -22,6 +22,7 @@ from core.data.pictures import MAX_SIDE
 from core.errors import InputError
 from server.ingest.address import SILENCE_SECONDS, Address
 from server.ingest.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
+from server.ingest.grid import period_of
 from server.ingest.picture import Picture
 from server.ingest.timeline import Timeline
 
@@ -211,7 +212,7 @@ def _timecode(frame: av.VideoFrame, fps: float) -> int | None:
     raw = _bytes(data)
     if len(raw) < 8:
         return None
-    return read_timecode(struct.unpack_from("<I", raw, 4)[0], Fraction(fps).limit_denominator(1001))
+    return read_timecode(struct.unpack_from("<I", raw, 4)[0], 1_000_000_000 / period_of(fps))
 
 
 def _bytes(buffer: Any) -> bytes:
