@@ -8,7 +8,7 @@ import shutil
 import signal
 import socket
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -102,7 +102,7 @@ class Sender:
 
 @contextmanager
 def sending(
-    clip: Path, *outputs: tuple[str, ...], before: dict[int, tuple[str, ...]] | None = None
+    clip: Path, *outputs: tuple[str, ...], before: Mapping[int, tuple[str, ...]] | None = None
 ) -> Iterator[list[Sender]]:
     """Fake cameras, one an output, killed at the end."""
     senders = [Sender(clip, *output, before=(before or {}).get(row, ())) for row, output in enumerate(outputs)]

@@ -7,6 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -189,7 +190,7 @@ def test_a_genlocked_rig_counts_by_frame_number_and_h264_decodes(live: Frames) -
     assert rig is not None
     encoder = av.CodecContext.create("libx264", "w")
     assert isinstance(encoder, av.VideoCodecContext)
-    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = WIDTH, HEIGHT, "yuv420p", FPS
+    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = WIDTH, HEIGHT, "yuv420p", Fraction(FPS)
     encoder.options = {"tune": "zerolatency", "preset": "ultrafast"}
     intakes = [Intake(rig), Intake(rig)]
     for k in range(100, 110):
