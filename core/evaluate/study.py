@@ -55,7 +55,7 @@ class StudyOptions:
 def run_study(data: Path, out: Path, options: StudyOptions, size_of: SizeOf, rows: tuple[Row, ...] = ()) -> str:
     """Measure and write `study.json`, `study.md` and pictures into `out`; returns a sentence for people.
 
-    The JSON file is renewed after every system, so that a long study that is stopped leaves what it has measured.
+    The files are renewed after every system, so that a study that is stopped leaves what it has measured.
 
     Args:
         rows: systems to compare instead of those that the options name.
@@ -103,13 +103,17 @@ def run_study(data: Path, out: Path, options: StudyOptions, size_of: SizeOf, row
         for row in systems:
             runner = _RowRunner(row, footage, first_frames, size_of, perception)
             entry["rows"].append(runner.run(options.seeds, spec, out, len(split.train)))
-            write_json(out / "study.json", study)
+            _write(out, study)
         for shown, plot in study_plots(split.name, entry["rows"]).items():
             entry["plots"].append(f"{len(split.train)}_{shown}.svg")
             write_text(out / entry["plots"][-1], plot)
+        _write(out, study)
+    return f"{out / 'study.md'}: {len(systems)} systems, {len(splits)} splits, {options.seeds} seeds"
+
+
+def _write(out: Path, study: dict[str, Any]) -> None:
     write_json(out / "study.json", study)
     write_text(out / "study.md", study_report(study))
-    return f"{out / 'study.md'}: {len(systems)} systems, {len(splits)} splits, {options.seeds} seeds"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -63,7 +63,9 @@ class TradeoffOptions:
 
 
 def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeOf, points: Sequence[Point] = ()) -> str:
-    """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`.
+    """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`; returns a sentence.
+
+    All files are renewed after every point, so that a sweep that is stopped leaves what it has measured.
 
     Args:
         points: configurations to measure instead of the design's.
@@ -104,13 +106,17 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeO
             {"name": point.name, "knob": point.knob, "shrink": point.shrink, **shown, "config": asdict(point.config)}
         )
         value["fronts"] = fronts(value["points"])
-        write_json(out / "tradeoff.json", value)
+        _write(out, value)
         _log.info("%s: %.2f dB", point.name, figures["psnr"])
+    return f"{out / 'tradeoff.md'}: {len(points)} points, {len(value['fronts'][COSTS[0].key])} on the front of seconds"
+
+
+def _write(out: Path, value: dict[str, Any]) -> None:
+    write_json(out / "tradeoff.json", value)
+    write_text(out / "tradeoff.md", tradeoff_report(value))
     for cost in COSTS:
         if value["fronts"][cost.key]:
             write_text(out / f"{cost.key}.svg", _plot(value, cost))
-    write_text(out / "tradeoff.md", tradeoff_report(value))
-    return f"{out / 'tradeoff.md'}: {len(points)} points, {len(value['fronts'][COSTS[0].key])} on the front of seconds"
 
 
 def fronts(points: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
@@ -121,6 +127,18 @@ def fronts(points: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
         rows = pareto_front([(point[cost.key], point["psnr"]) for point in known])
         found[cost.key] = [known[row]["name"] for row in rows]
     return found
+
+
+def beaten_by(point: dict[str, Any], points: Sequence[dict[str, Any]]) -> list[str]:
+    """Names of the points that are better than `point`, and take neither more training time a frame nor more bytes."""
+    keys = ("predicted_seconds", "predicted_bytes_mean")
+    if any(point[key] is None for key in keys):
+        return []
+    return [
+        other["name"]
+        for other in points
+        if other["psnr"] > point["psnr"] and all(other[key] <= point[key] for key in keys)
+    ]
 
 
 def tradeoff_report(value: dict[str, Any]) -> str:
@@ -153,10 +171,20 @@ def tradeoff_report(value: dict[str, Any]) -> str:
         "",
         *(f"- PSNR against {cost.label}: {', '.join(value['fronts'][cost.key]) or 'none'}" for cost in COSTS),
         "",
+        "## Presets",
+        "",
+        *(_preset_line(point, value["points"]) for point in value["points"] if point["knob"] == "preset"),
+        "",
         *(f"![PSNR against {cost.label}]({cost.key}.svg)" for cost in COSTS if value["fronts"][cost.key]),
         "",
     ]
     return "\n".join(lines)
+
+
+def _preset_line(point: dict[str, Any], points: Sequence[dict[str, Any]]) -> str:
+    better = beaten_by(point, points)
+    verdict = f"beaten by {', '.join(better)}" if better else "nothing is better for no more seconds and bytes a frame"
+    return f"- {point['name']}: {verdict}"
 
 
 def _plot(value: dict[str, Any], cost: Cost) -> str:

@@ -13,7 +13,7 @@ from core.evaluate.quoted import MEET_ROOM, N3DV
 from core.evaluate.rows import study_rows
 from core.evaluate.study import StudyOptions, run_study
 from core.evaluate.summary import FIGURES
-from core.evaluate.tradeoff import COSTS, TradeoffOptions, run_tradeoff
+from core.evaluate.tradeoff import COSTS, TradeoffOptions, beaten_by, run_tradeoff
 from server.studies import packet_size
 from tests.core.evaluate.conftest import SPEC, shortened
 
@@ -64,6 +64,9 @@ def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> N
         assert front[-1] == best
         assert min(value["points"], key=lambda point: point[cost.key])["name"] == front[0]
         ElementTree.fromstring((tmp_path / f"{cost.key}.svg").read_text())
+    better = {point["name"]: beaten_by(point, value["points"]) for point in value["points"]}
+    assert better[best] == []
+    assert not any(name in beaten for name, beaten in better.items())
     report = (tmp_path / "tradeoff.md").read_text()
     assert all(name in report for name in names)
 
