@@ -6,7 +6,7 @@ from collections import deque
 from statistics import median
 
 _PAIRS = 60
-_DRIFT_SPAN_NS = 10_000_000_000  # below this, jitter would pass for drift
+_DRIFT_SPAN_NS = 20_000_000_000  # below this, jitter would pass for drift
 _LARGEST_DRIFT = 500e-6  # crystals are within 100 ppm; more is damage
 _STEP_NS = 250_000_000
 _AGREE_NS = 50_000_000
@@ -36,7 +36,7 @@ class Line:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster y runs than x, in parts per million; 0 until ten seconds were seen."""
+        """How much faster y runs than x, in parts per million; 0 until twenty seconds were seen."""
         return self._drift * 1e6
 
     @property

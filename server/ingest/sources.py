@@ -226,8 +226,9 @@ def _nanoseconds(ticks: int, base: Fraction) -> int:
 @contextlib.contextmanager
 def _srt_pipe(url: str) -> Iterator[subprocess.Popen[bytes]]:
     """FFmpeg reads SRT, which PyAV's library can't, and hands MPEG-TS on."""
-    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-fflags", "nobuffer", "-i", url, "-map", "0:v:0",
-               "-c", "copy", "-f", "mpegts", "pipe:1"]  # fmt: skip
+    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-fflags", "nobuffer", "-probesize", "200000",
+               "-analyzeduration", "500000", "-i", url, "-map", "0:v:0", "-c", "copy", "-muxdelay", "0",
+               "-flush_packets", "1", "-f", "mpegts", "pipe:1"]  # fmt: skip
     try:
         pipe = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
     except FileNotFoundError as error:

@@ -21,6 +21,7 @@ _BEHIND_NS = 10 * _SECOND_NS
 _STRAYS = 3  # wrong times in a row of most cameras: the clock they share was stepped
 _HELD = 8  # pictures of a camera kept until all cameras have come
 _SMOOTHING = 0.1
+_MOST_PATIENCE = 8  # times the deadline that slow cameras are waited for
 _SETTLED = 0.8  # length of a smoothed phase that is worth acting on
 _OFF_CENTRE, _GAIN = 0.35, 0.1  # parts of a period: when the grid is moved, and what it must be good for
 
@@ -77,6 +78,7 @@ class _Track:
     arrived_ns: int | None = None  # None: lost
     newest: int | None = None  # slot
     delay_ns: int = 0
+    lag_ns: float = 0.0  # smoothed delay beyond the cameras' median
     strays: int = 0
     is_late: bool = False
     turn: complex = 0
@@ -101,7 +103,7 @@ class Synchroniser:
         cameras: names, in the order of a slot's pictures.
         fps: slots a second.
         quorum: pictures that a slot needs; all by default.
-        deadline_ns: two periods by default.
+        deadline_ns: two periods by default; up to eight times that where a camera's pictures usually come so late.
         lost_ns: silence after which a camera isn't waited for any more.
         gather_ns: how long to wait at first for all cameras to deliver.
     """
@@ -129,7 +131,7 @@ class Synchroniser:
         self._began_ns: int | None = None
         self._open: dict[int, _Open] = {}
         self._closed, self._closed_ns = -1, 0
-        self._delay_ns = self._followed_ns = 0
+        self._delay_ns = self._followed_ns = self._now_ns = 0
         self.dropped = self.steps = self.shifts = 0  # slots below quorum, clock steps of all, moves of the grid
 
     @property
@@ -154,7 +156,7 @@ class Synchroniser:
         if self._grid is None:
             return None if self._began_ns is None else self._began_ns + self._gather_ns
         first = min((slot.first_ns for slot in self._open.values()), default=None)
-        return None if first is None else first + self._deadline_ns
+        return None if first is None else first + self._patience(self._alive())
 
     def push(self, picture: Picture, now_ns: int) -> list[Slot]:
         """Take a picture; returns the slots that are ready.
@@ -163,6 +165,7 @@ class Synchroniser:
             KeyError: no such camera.
         """
         track = self._tracks[picture.camera]
+        self._now_ns = now_ns
         ready = self._close_due(now_ns)
         track.counts.received += 1
         track.arrived_ns = now_ns
@@ -178,6 +181,7 @@ class Synchroniser:
 
     def poll(self, now_ns: int) -> list[Slot]:
         """The slots whose deadline has passed."""
+        self._now_ns = now_ns
         if self._grid is None and self._began_ns is not None:
             return self._begin(now_ns)
         return self._close_due(now_ns)
@@ -196,6 +200,20 @@ class Synchroniser:
         if track.arrived_ns is None or now_ns - track.arrived_ns > self._lost_ns:
             return CameraState.LOST
         return CameraState.LATE if track.is_late else CameraState.OK
+
+    def _alive(self) -> list[_Track]:
+        """Cameras that are waited for: they delivered lately, with times that can be."""
+        return [
+            track
+            for track in self._tracks.values()
+            if self._state(track, self._now_ns) is not CameraState.LOST and track.strays < _STRAYS
+        ]
+
+    def _patience(self, alive: list[_Track]) -> int:
+        """How long after its first picture a slot stays open: cameras that are always late still belong to the rig."""
+        lags = [track.lag_ns for track in alive]
+        wanted = max(lags) - min(lags) + self._deadline_ns / 2 if lags else 0
+        return round(min(max(self._deadline_ns, wanted), _MOST_PATIENCE * self._deadline_ns))
 
     def _begin(self, now_ns: int) -> list[Slot]:
         """Lay the grid once all cameras have delivered, or have been waited for."""
@@ -238,6 +256,8 @@ class Synchroniser:
             track.is_late = True
             return True
         track.strays = 0
+        lag = min(track.delay_ns - self._delay_ns, _MOST_PATIENCE * self._deadline_ns)
+        track.lag_ns += _SMOOTHING * (lag - track.lag_ns)
         usual = [other.delay_ns for other in self._tracks.values() if other.arrived_ns is not None and not other.strays]
         self._delay_ns += min(max(median_low(usual) - self._delay_ns, -most), most)
         return False
@@ -284,18 +304,15 @@ class Synchroniser:
         """Close slots in order, up to the last one that is complete or past its deadline."""
         if not self._open:
             return []
-        alive = [
-            (name, track)
-            for name, track in self._tracks.items()
-            if self._state(track, now_ns) is not CameraState.LOST and track.strays < _STRAYS
-        ]
-        heard = min((-1 if track.newest is None else track.newest for _, track in alive), default=max(self._open))
-        due = [n for n, slot in self._open.items() if n <= heard or now_ns >= slot.first_ns + self._deadline_ns]
+        alive = self._alive()
+        heard = min((-1 if track.newest is None else track.newest for track in alive), default=max(self._open))
+        patience = self._patience(alive)
+        due = [n for n, slot in self._open.items() if n <= heard or now_ns >= slot.first_ns + patience]
         if not due:
             return []
         last = max(due)
         ready = [self._close(number, now_ns) for number in sorted(self._open) if number <= last]
-        ready += self._shift_if_off_centre([track for _, track in alive], now_ns)
+        ready += self._shift_if_off_centre(alive, now_ns)
         return [slot for slot in ready if slot is not None]
 
     def _close(self, number: int, now_ns: int) -> Slot | None:

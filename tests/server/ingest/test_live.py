@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -231,3 +233,23 @@ def test_frames_can_be_chosen_counted_and_read_again(tmp_path: Path) -> None:
         assert [frame.index for frame in frames] == [5, 6, 7, 8]
         assert frames[0].images.shape == (2, 64, 80, 3)
     assert chosen.statistics() is None
+
+
+def _speaks_srt() -> bool:
+    command = shutil.which("ffmpeg")
+    if command is None:
+        return False
+    listed = subprocess.run([command, "-hide_banner", "-protocols"], capture_output=True, text=True, check=True)
+    return "srt" in listed.stdout.split()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not _speaks_srt(), reason="SRT needs a command ffmpeg that was built with it")
+def test_srt_cameras_are_read_through_ffmpeg(tmp_path: Path, clip: Path, watch: Callable[..., Watch]) -> None:
+    ports = free_ports(2)
+    urls = [f"srt://127.0.0.1:{port}" for port in ports]
+    outputs = [f"[f=mpegts]{url}?mode=listener" for url in urls]
+    rig = watch(write_definition(tmp_path, [f"{url}?mode=caller" for url in urls]))
+    with sending(clip, ("-map", "0", "-c", "copy", "-f", "tee", "|".join(outputs))):
+        rig.wait(lambda: complete(rig) >= 30)
+        assert all(entry.numbers[0] == entry.numbers[1] for entry in rig.seen)

@@ -249,3 +249,11 @@ def test_refuses_a_rig_that_cannot_be() -> None:
         Synchroniser(("a", "b"), 30, quorum=3)
     with pytest.raises(ValueError, match="names"):
         Synchroniser(("a", "a"), 30)
+
+
+def test_a_camera_that_is_always_late_is_waited_for_and_a_stalled_one_is_not() -> None:
+    synchroniser, slots, _ = Film(NAMES, filmed(4, 150, (20 * MS, 20 * MS, 25 * MS, 220 * MS))).run(quorum=2)
+    check(slots)
+    assert all(None not in slot.pictures for slot in slots[-90:])
+    assert synchroniser.counts()["c3"].late < 40
+    assert len(slots) >= 140
