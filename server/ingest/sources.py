@@ -29,6 +29,7 @@ from server.ingest.timeline import Timeline
 _LOG = logging.getLogger(__name__)
 _FIRST_DELAY, _LONGEST_DELAY = 0.25, 5.0  # seconds between attempts
 _SETTLED_SECONDS = 5.0  # a connection that lasted so long was a good one
+_ENDED = "it ended"
 _REPORT_NS = 1_000_000_000
 
 
@@ -92,7 +93,7 @@ class Reader:
     def _run(self) -> None:
         delay = _FIRST_DELAY
         while not self._stopping.is_set():
-            begin, reason = time.monotonic(), "it ended"
+            begin, before, reason = time.monotonic(), self.connections, _ENDED
             try:
                 self._read()
             except InputError as error:
@@ -104,16 +105,18 @@ class Reader:
                 reason = f"{type(error).__name__}: {error}"
             if self._stopping.is_set():
                 return
-            ended = not self._address.is_live and reason == "it ended"
+            lasted = time.monotonic() - begin
+            if self._address.listens and self.connections == before and lasted > _FIRST_DELAY:
+                reason = "its camera has not connected yet"
+            ended = not self._address.is_live and reason == _ENDED
             self._sink.gone(self.camera, reason, ended=ended)
             if ended:
                 return
-            waits = self._address.listens and isinstance(reason, str) and time.monotonic() - begin >= _FIRST_DELAY
-            delay = _FIRST_DELAY if waits or time.monotonic() - begin > _SETTLED_SECONDS else delay
-            _LOG.debug("camera %s: %s; next attempt in %g s", self.camera, reason, delay)
-            if not waits:
-                self._stopping.wait(delay)
-                delay = min(2 * delay, _LONGEST_DELAY)
+            if self._address.listens and lasted > _FIRST_DELAY:
+                continue  # the next one may already be knocking
+            delay = _FIRST_DELAY if lasted > _SETTLED_SECONDS else delay
+            self._stopping.wait(delay)
+            delay = min(2 * delay, _LONGEST_DELAY)
 
     def _read(self) -> None:
         """One connection, from its beginning to its end."""
@@ -230,7 +233,8 @@ def _srt_pipe(url: str) -> Iterator[subprocess.Popen[bytes]]:
                "-analyzeduration", "500000", "-i", url, "-map", "0:v:0", "-c", "copy", "-muxdelay", "0",
                "-flush_packets", "1", "-f", "mpegts", "pipe:1"]  # fmt: skip
     try:
-        pipe = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
+        # unbuffered: a buffer would be waited for until it is full, seconds of a small stream
+        pipe = subprocess.Popen(command, bufsize=0, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
     except FileNotFoundError as error:
         raise InputError(url, "SRT is read by the command ffmpeg, which is not installed") from error
     with pipe:

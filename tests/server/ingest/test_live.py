@@ -34,7 +34,7 @@ PERIOD_NS = 1_000_000_000 / FPS
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("clips") / "clip.ts"
-    write_clip(path, 70)
+    write_clip(path, 100)
     return path
 
 
