@@ -253,3 +253,38 @@ def test_srt_cameras_are_read_through_ffmpeg(tmp_path: Path, clip: Path, watch: 
     with sending(clip, ("-map", "0", "-c", "copy", "-f", "tee", "|".join(outputs))):
         rig.wait(lambda: complete(rig) >= 30)
         assert all(entry.numbers[0] == entry.numbers[1] for entry in rig.seen)
+
+
+_RTSP_SERVER = """
+import sys, gi
+gi.require_version("Gst", "1.0"); gi.require_version("GstRtspServer", "1.0")
+from gi.repository import GLib, Gst, GstRtspServer
+Gst.init(None)
+server = GstRtspServer.RTSPServer()
+server.set_service(sys.argv[2]); server.set_address("127.0.0.1")
+factory = GstRtspServer.RTSPMediaFactory(); factory.set_shared(True)
+factory.set_launch(f"( filesrc location={sys.argv[1]} ! tsdemux ! h264parse ! rtph264pay name=pay0 config-interval=1 )")
+server.get_mount_points().add_factory("/live", factory)
+server.attach(None); print("ready", flush=True); GLib.MainLoop().run()
+"""
+
+
+@pytest.mark.slow
+def test_rtsp_cameras_that_are_pulled_agree_by_their_reports(
+    tmp_path: Path, clip: Path, watch: Callable[..., Watch]
+) -> None:
+    """One source, pulled four times: all four must show the same number at any time."""
+    (port,) = free_ports(1)
+    command = ["/usr/bin/python3", "-c", _RTSP_SERVER, str(clip), str(port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
+        try:
+            assert server.stdout is not None
+            if not server.stdout.readline():
+                pytest.skip("needs gst-rtsp-server for the system's Python (gir1.2-gst-rtsp-server-1.0)")
+            rig = watch(write_definition(tmp_path, [f"rtsp://127.0.0.1:{port}/live"] * 4, {"quorum": 2}))
+            rig.wait(lambda: complete(rig) >= 10 * FPS, 40)
+            assert {camera.clock_source for camera in rig.now().cameras.values()} == {ClockSource.NTP}
+            for entry in rig.seen:
+                assert len({number for number in entry.numbers if number >= 0}) == 1
+        finally:
+            server.kill()
