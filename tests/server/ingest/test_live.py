@@ -70,7 +70,7 @@ class Watch:
                 break
         self._frames.close()  # type: ignore[attr-defined]
 
-    def wait(self, condition: Callable[[], bool], seconds: float = 20) -> None:
+    def wait(self, condition: Callable[[], bool], seconds: float = 40) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, f"not within {seconds} s: {self.dataset.statistics()}"
@@ -219,7 +219,7 @@ def test_a_slow_consumer_gets_the_newest_and_drops_are_counted(tmp_path: Path, w
     rig.wait(lambda: len(rig.seen) >= 5)
     statistics = rig.now()
     assert statistics.dropped_stale >= 4 * 4
-    assert statistics.latency_ns < 200_000_000
+    assert statistics.latency_ns < 800_000_000  # a queue would be more than a second behind by now
     assert [entry.numbers for entry in rig.seen] == [[entry.slot + rig.seen[0].numbers[0]] * 2 for entry in rig.seen]
 
 
