@@ -83,10 +83,11 @@ class PredictConfig:
         cue: whose gradient shows motion (paper: canonical).
         posterior: threshold of the mixture's dynamic component (paper: 0.8).
         noise_floor: smallest change of grey value, in units of [0, 1], that counts as motion.
+        unsettled_floor: error of grey value, in units of [0, 1], from which a trained pixel counts as changed again.
         partition_interval: frames between partitions (paper's star variant: 4).
         growth_at: share of the frame's steps after which anchors are added where Gaussians pull hard.
         growth_threshold: view-space gradient norm from which that happens.
-        growth_share: added anchors a frame, at most this share of all.
+        growth_share: added anchors a frame, at most this share of all; 0 adds none, which measured best.
         everything: treat all anchors as dynamic, for studies.
     """
 
@@ -101,12 +102,13 @@ class PredictConfig:
     rate_weight: float = 0.03
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
-    posterior: float = 0.8
+    posterior: float = 0.05
     noise_floor: float = 0.02
+    unsettled_floor: float = 0.03
     partition_interval: int = 1
     growth_at: float = 0.3
     growth_threshold: float = 1e-4
-    growth_share: float = 0.01
+    growth_share: float = 0.0
     everything: bool = False
 
 
@@ -158,7 +160,16 @@ def preset(name: str) -> TrainConfig:
                 progressive_until=0.5,
                 level_cap_share=0.0,
             ),
-            predict=replace(default.predict, epochs=10, cue="canonical", rate_weight=0.0, minimum_steps=0),
+            predict=replace(
+                default.predict,
+                epochs=10,
+                cue="canonical",
+                posterior=0.8,
+                unsettled_floor=10.0,
+                growth_share=0.01,
+                rate_weight=0.0,
+                minimum_steps=0,
+            ),
         ),
     }
     if name not in presets:

@@ -26,6 +26,22 @@ def change_masks(references: Tensor, views: Views, floor: float) -> Tensor:
     return masks
 
 
+def renewed_references(references: Tensor, shown: Tensor, views: Views, masks: Tensor, floor: float) -> Tensor:
+    """[C,H,W,3] what the next frame's pictures are compared with.
+
+    Where a change was accepted, the picture just trained on; but where the model still shows something else by more
+    than `floor`, what it shows: so the difference counts as a change again, and is trained until it has gone. Without
+    this, what a moving thing uncovers would stay wrong for ever: it is learnt badly at first and then stands still.
+    """
+    renewed = torch.where(masks[..., None], views.targets, references)
+    for number in views.usable:
+        if masks[number].any():
+            wrong = changed_pixels(shown[number].cpu().numpy(), views.targets[number].cpu().numpy(), floor)
+            unsettled = masks[number] & torch.from_numpy(wrong).to(masks.device)
+            renewed[number] = torch.where(unsettled[..., None], shown[number], renewed[number])
+    return renewed
+
+
 def rendered(field: Field, alive: Tensor, views: Views, backend: Backend) -> Tensor:
     """[C,H,W,3] what `field` shows the usable cameras now; black for the others."""
     pictures = torch.zeros_like(views.targets)

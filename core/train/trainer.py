@@ -22,7 +22,7 @@ from core.train.exposure import neutral
 from core.train.field import Field
 from core.train.keyframe import KeyframeTrainer, Views
 from core.train.online import ResidualTrainer, no_quanta, residual_of
-from core.train.partition import change_masks, partition, rendered
+from core.train.partition import change_masks, partition, rendered, renewed_references
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from core.train.seeding import seed_field
 
@@ -166,8 +166,15 @@ class Trainer:
         with watch.stage("round"):
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
-            renewed = torch.where(masks[..., None] | (state.references is None), views.targets, references)
-            self._state = _next(state, scene, residual, renewed, dynamic)
+            resumed = state.references is None
+            state = _next(state, scene, residual, references, dynamic)
+        with watch.stage("settle"):
+            if resumed:  # its static error is nothing that moves
+                references = views.targets
+            elif masks.any():
+                shown = rendered(state.field, _alive(scene).to(self._device), views, self._backend)
+                references = renewed_references(references, shown, views, masks, config.unsettled_floor)
+            self._state = replace(state, references=references)
         report = FrameReport(watch.seconds, quanta.steps, scene.anchor_count, len(rows), quanta.loss, quanta.repaired)
         return TrainedFrame(scene, residual, report)
 
