@@ -39,10 +39,10 @@ class DemoSettings:
     """
 
     out: Path = Path("demo-output")
-    cameras: int = 9
-    frames: int = 20
+    cameras: int = 7
+    frames: int = 15
     size: str = "320x180"
-    views: int = 8
+    views: int = 6
     host: str = "127.0.0.1"
     port: int = 8000
     stay: bool = True
