@@ -29,10 +29,14 @@ class GrowthStatistics:
 
     def add(self, gaussians: Tensor, norms: Tensor, anchors: Tensor, opacity: Tensor) -> None:
         """One step: gradient `norms` of the visible `gaussians`, summed positive `opacity` of the drawn `anchors`."""
-        self.gradient.index_add_(0, gaussians, norms)
-        self.gradient_count.index_add_(0, gaussians, torch.ones_like(norms))
+        self.add_gradients(gaussians, norms)
         self.opacity.index_add_(0, anchors, opacity)
         self.visits.index_add_(0, anchors, torch.ones_like(opacity))
+
+    def add_gradients(self, gaussians: Tensor, norms: Tensor) -> None:
+        """Gradients of one step alone, where nothing is pruned by opacity."""
+        self.gradient.index_add_(0, gaussians, norms)
+        self.gradient_count.index_add_(0, gaussians, torch.ones_like(norms))
 
     def mean_gradient(self) -> Tensor:
         """[N*K] mean gradient norm where it was seen often enough, else 0."""

@@ -102,7 +102,7 @@ class ResidualTrainer:
         order, losses = ViewOrder(views, generator), list[Tensor]()
         for step in range(total):
             losses.append(self._step(order.next(), config, backend, config.final_rate ** (step / total)))
-            if step + 1 == round(config.growth_at * total):
+            if config.growth_share and step + 1 == round(config.growth_at * total):
                 self._grow(config)
         return self._quanta(total, float(torch.stack(losses[-len(views) :]).mean()))
 
@@ -119,9 +119,8 @@ class ResidualTrainer:
             bits = torch.stack([torch.log2(1 + value.abs()).sum() for value in parameters]).sum()
             loss = loss + config.rate_weight * bits / image.numel()
         loss.backward()  # type: ignore[no-untyped-call]
-        visible, norms = raster.probe.visible, raster.probe.gradients.norm(dim=1)
-        nobody = visible[:0]
-        self._statistics.add(visible, norms, nobody, norms[:0])
+        if config.growth_share:
+            self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
         self._optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
         return loss.detach()
 

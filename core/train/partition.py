@@ -33,7 +33,7 @@ def renewed_references(references: Tensor, shown: Tensor, views: Views, masks: T
     than `floor`, what it shows: so the difference counts as a change again, and is trained until it has gone. Without
     this, what a moving thing uncovers would stay wrong for ever: it is learnt badly at first and then stands still.
     """
-    renewed = torch.where(masks[..., None], views.targets, references)
+    renewed = torch.where(masks[..., None], views.targets, references)  # a copy: the references stay as they are
     for number in views.usable:
         if masks[number].any():
             wrong = changed_pixels(shown[number].cpu().numpy(), views.targets[number].cpu().numpy(), floor)

@@ -36,7 +36,7 @@ class _State:
     Attributes:
         scene: the decoder's integer state; field: the same, dequantised.
         canonical: the keyframe's field, for the paper's motion cue.
-        references: [C,H,W,3] what the state was trained to show, None after a resume.
+        references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
         dynamic: [N] trained in the latest frame.
     """
 
@@ -145,9 +145,7 @@ class Trainer:
         config = self._config.predict
         alive = _alive(state.scene).to(self._device)
         with watch.stage("partition"):
-            references = state.references
-            if references is None:  # after a resume nobody knows what was shown: what the state shows now must do
-                references = rendered(state.field, alive, views, self._backend)
+            references, unknown = self._known_references(state, alive, views)
             masks = change_masks(references, views, config.noise_floor)
             due = frames.index % config.partition_interval == 0 or not state.dynamic.any()
             dynamic = state.dynamic & alive.cpu().numpy()
@@ -166,14 +164,13 @@ class Trainer:
         with watch.stage("round"):
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
-            resumed = state.references is None
             state = _next(state, scene, residual, references, dynamic)
         with watch.stage("settle"):
-            if resumed:  # its static error is nothing that moves
-                references = views.targets
-            elif masks.any():
+            if masks.any():
                 shown = rendered(state.field, _alive(scene).to(self._device), views, self._backend)
                 references = renewed_references(references, shown, views, masks, config.unsettled_floor)
+            for number in unknown:  # trained on for the first time: its static error is nothing that moves
+                references[number] = views.targets[number]
             self._state = replace(state, references=references)
         report = FrameReport(watch.seconds, quanta.steps, scene.anchor_count, len(rows), quanta.loss, quanta.repaired)
         return TrainedFrame(scene, residual, report)
@@ -190,7 +187,22 @@ class Trainer:
 
     def _adopt(self, scene: Scene, views: Views) -> None:
         field = field_of(scene).to(self._device)
-        self._state = _State(scene, field, field, views.targets, np.zeros(_rows(scene), np.bool_))
+        references = torch.full_like(views.targets, torch.nan)
+        references[views.usable] = views.targets[views.usable]
+        self._state = _State(scene, field, field, references, np.zeros(_rows(scene), np.bool_))
+
+    def _known_references(self, state: _State, alive: Tensor, views: Views) -> tuple[Tensor, list[int]]:
+        """References for every usable camera, and the numbers of those that had none.
+
+        A camera has none after a resume, and when it joins late; what the state shows it now must do.
+        """
+        old = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
+        unknown = [number for number in views.usable if bool(old[number, 0, 0, 0].isnan())]
+        if not unknown:
+            return old, unknown
+        references = old.clone()
+        references[unknown] = rendered(state.field, alive, replace(views, usable=unknown), self._backend)[unknown]
+        return references, unknown
 
     def _require(self) -> _State:
         if self._state is None:

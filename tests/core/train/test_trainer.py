@@ -134,6 +134,20 @@ def test_cameras_that_are_missing_are_not_trained_on(
         trainer.predict(FrameSet(2, 2, images, np.zeros(5, np.bool_)))
 
 
+def test_a_camera_that_joins_late_is_no_motion(
+    clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]
+) -> None:
+    trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
+    trainer.resume(trained[0].scene)
+    absent = np.array([True, True, True, True, False])
+    blank = frames[0].images.copy()
+    blank[4] = 0
+    trainer.predict(FrameSet(1, 1, blank, absent))
+    trainer.predict(FrameSet(2, 2, frames[0].images, frames[0].present))  # joins: shown to the model for the first time
+    result = trainer.predict(FrameSet(3, 3, frames[0].images, frames[0].present))
+    assert result.report.dynamic == 0
+
+
 @pytest.mark.parametrize("value", [0, 255, "noise"])
 def test_extreme_pictures_leave_the_state_finite(
     clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame], value: int | str
