@@ -19,12 +19,12 @@ import numpy as np
 
 from client.record import write_png
 from client.recording import RecordedFrame, decode_frames
-from client.splat import Splatter
 from core.anchors import SceneHeader
 from core.arrays import Float32, UInt8
 from core.data import Dataset, open_dataset
 from core.errors import BackendUnavailable, InputError
 from core.metrics import psnr, ssim
+from core.splat import Splatter
 
 _log = logging.getLogger(__name__)
 

@@ -23,7 +23,6 @@ HEAVY = {"torch", "fastapi", "uvicorn", "pydantic", "sklearn", "scipy", "gsplat"
 LIGHT_CLIENT = {
     "playback",
     "connection",
-    "splat",
     "viewpoints",
     "record",
     "recording",

@@ -12,9 +12,9 @@ import pytest
 
 from client.commands import evaluate, export
 from client.evaluation import evaluate_file, side_by_side
-from client.splat import Splatter
 from core.anchors import Scene
 from core.errors import InputError
+from core.splat import Splatter
 from tests.client.clips import plain_scene, states, write_clip
 from tests.core.data.writers import llff_rows, write_video
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from client.splat import Splatter
 from core.anchors import Scene
 from core.expand import expand
 from core.gaussians import GaussianCloud
 from core.render.cpu import render
+from core.splat import Splatter
 from tests.client.clips import plain_scene, states
 from tests.codec.scenes import grow, make_scene, move
 
@@ -45,16 +45,16 @@ def test_view_dependent_scenes_follow_the_camera() -> None:
 
 
 def test_only_changed_rows_are_expanded_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    import client.splat
+    import core.splat
 
     counted = []
-    whole = client.splat.expand_slots
+    whole = core.splat.expand_slots
 
     def counting(*arguments):  # type: ignore[no-untyped-def]
         counted.append(len(arguments[4]))
         return whole(*arguments)
 
-    monkeypatch.setattr(client.splat, "expand_slots", counting)
+    monkeypatch.setattr(core.splat, "expand_slots", counting)
     first, second = states(2)
     splatter, camera = Splatter(), first.header.cameras[0]
     splatter.cloud(first, camera)
