@@ -43,6 +43,7 @@ class FrameReport:
         anchors: anchors alive; dynamic: anchors that were trained.
         loss: mean loss of the last epoch.
         repaired: parameters that became non-finite and were reset.
+        spans: each stage's name, begin and end in seconds of `time.perf_counter`.
     """
 
     seconds: dict[str, float]
@@ -51,6 +52,7 @@ class FrameReport:
     dynamic: int
     loss: float
     repaired: int = 0
+    spans: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def total_seconds(self) -> float:

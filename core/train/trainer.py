@@ -117,6 +117,7 @@ class Trainer:
             scene.anchor_count,
             float(torch.stack(losses[-50:]).mean()),
             trainer.broken,
+            tuple(watch.spans),
         )
         return TrainedFrame(scene, None, report)
 
@@ -172,7 +173,15 @@ class Trainer:
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
             self._state = replace(state, references=references)
-        report = FrameReport(watch.seconds, quanta.steps, scene.anchor_count, len(rows), quanta.loss, quanta.repaired)
+        report = FrameReport(
+            watch.seconds,
+            quanta.steps,
+            scene.anchor_count,
+            len(rows),
+            quanta.loss,
+            quanta.repaired,
+            tuple(watch.spans),
+        )
         return TrainedFrame(scene, residual, report)
 
     def _views(self, frames: FrameSet) -> Views:
