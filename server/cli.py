@@ -101,7 +101,7 @@ def train(
     _require_folder(data)
     _call("server.commands:check_outputs", out, json, trace)
     _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
-    job = _load("server.pipeline:TrainJob")(
+    job = _load("server.job:TrainJob")(
         data=data,
         layout=layout,
         train=_names(train),
@@ -135,6 +135,7 @@ def evaluate(
 @app.command()
 def serve(
     data: Annotated[Path | None, typer.Option(metavar="DATA", help="Train this recording live.")] = None,
+    live: Annotated[Path | None, typer.Option(metavar="RIG.json", help="Train what these cameras film.")] = None,
     play: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Stream a recorded file instead.")] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free one.  [default: 8000]")] = None,
@@ -154,7 +155,7 @@ def serve(
     metrics_port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port of Prometheus metrics.")] = None,
     insecure: Annotated[bool, typer.Option("--insecure", help="Allow a public address without tokens.")] = False,
 ) -> None:
-    """Run the service: REST, live websocket and the viewer page. Without --data and --play, streams come by REST."""
+    """Run the service: REST, live websocket and the viewer page. Without a source, streams come by REST."""
     given = {
         "host": host,
         "port": port,
@@ -169,23 +170,22 @@ def serve(
     if data is not None:
         _require_folder(data)
         _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
+    source = {"data": data, "live": live, "play": play}
     streams: tuple[Any, ...] = ()
-    if data is not None or play is not None:
-        spec = _load("server.spec:StreamSpec")(
-            data=data,
-            play=play,
-            loop=loop,
-            layout=layout,
-            train=_names(train),
-            test=_names(test),
-            views=views,
-            frames=frames,
-            downscale=downscale,
-            preset=preset,
-            device=device.value,
-            seed=seed,
-        )
-        streams = (spec,)
+    if any(source.values()):
+        options = {
+            "loop": loop,
+            "layout": layout,
+            "train": _names(train),
+            "test": _names(test),
+            "views": views,
+            "frames": frames,
+            "downscale": downscale,
+            "preset": preset,
+            "device": device.value,
+            "seed": seed,
+        }
+        streams = (_load("server.spec:spec_from_json")(source | options),)
     _call("server.commands:serve", settings, streams)
 
 

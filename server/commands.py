@@ -17,10 +17,12 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from core.errors import BackendUnavailable, InputError, StreamlodError
+from server.trace import chrome_trace
 
 if TYPE_CHECKING:
     from core.train import Progress
-    from server.pipeline import EncodedFrame, TrainJob
+    from server.job import TrainJob
+    from server.pipeline import EncodedFrame
     from server.settings import Settings
     from server.spec import StreamSpec
 
@@ -71,8 +73,9 @@ def check_recording(
 
 def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:
     """Train a clip into a `.slod` file, with figures beside it."""
-    from server.pipeline import train_clip
+    from server.pipeline import open_job, train_clip
 
+    opened = open_job(job)
     encoded: list[EncodedFrame] = []
     with tqdm(total=100, unit="%", desc="first frame") as first, tqdm(unit="frame", desc="frames") as later:
 
@@ -84,12 +87,12 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
             _set(first, 100)
             later.update()
 
-        train_clip(job, out, on_frame, on_progress=on_progress)
+        train_clip(opened, out, on_frame, on_progress)
     sidecar = json.loads(out.with_name(out.name + ".json").read_text(encoding="utf-8"))
     if figures is not None:
         _write_json(figures, sidecar)
     if trace is not None:
-        _write_json(trace, _trace_events(encoded))
+        _write_json(trace, chrome_trace((frame.version, frame.spans) for frame in encoded))
     first_frame, later_frames = sidecar.get("first_frame_seconds"), sidecar.get("train_seconds")
     spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
     spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""
@@ -101,8 +104,9 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
     from server.run import serve as run
 
     for stream in streams:
-        for path in (stream.data, stream.play):
-            if path is not None and not path.exists():
+        job = stream.job
+        for path in (stream.play, job and job.data, job and job.live):
+            if isinstance(path, Path) and not path.exists():
                 raise InputError(path, "does not exist")
     with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end
         run(settings, streams)
@@ -181,17 +185,6 @@ def _write_json(path: Path, value: Any) -> None:
         raise InputError(path, f"cannot be written ({error.strerror})") from error
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _trace_events(frames: list[EncodedFrame]) -> dict[str, Any]:
-    """The stages of all frames, one after the other, in the trace event format that Perfetto and Chrome open."""
-    events, at = [], 0.0
-    for frame in frames:
-        for stage, seconds in frame.report.get("seconds", {}).items():
-            event = {"name": stage, "ph": "X", "pid": 1, "tid": 1, "ts": at * 1e6, "dur": seconds * 1e6}
-            events.append({**event, "args": {"frame": frame.version}})
-            at += seconds
-    return {"traceEvents": events, "displayTimeUnit": "ms"}
 
 
 def _set(bar: tqdm[Any], value: float) -> None:

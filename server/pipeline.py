@@ -1,15 +1,14 @@
 """From pictures to packets: a data set, the trainer and the codec, composed.
 
-`train_stream` is what the worker process runs live; `train_clip` writes a whole clip into a file.
+Three stages work side by side on three frames: pictures of frame t + 1 are read while frame t trains, and frame t - 1 is
+encoded and handed on. `train_stream` is what the worker process runs; `train_clip` writes a clip into a file.
 """
 
 from __future__ import annotations
 
 import json
-import queue
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -27,41 +26,16 @@ from core.data.synthetic import SyntheticSpec, open_synthetic
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.rekey import rekey
+from core.residual import Residual
 from core.train import Progress, TrainedFrame, Trainer, preset
+from server.handoff import Outlet, made_by
+from server.ingest.live import LiveDataset, open_live
+from server.ingest.statistics import Statistics
+from server.job import TrainJob
+from server.trace import Span, timed, timing
 
 _PREFETCHED = 2  # frames decoded ahead
 _PREVIEWS_AT = (0.1, 0.3, 0.6, 2.0)  # of the first frame's run; the last is never reached
-
-
-@dataclass(frozen=True, slots=True)
-class TrainJob:
-    """What to train, and how.
-
-    Attributes:
-        data: a data set's folder, or None for the synthetic clip.
-        synthetic: the clip to make where `data` is None.
-        layout: of the folder, or None to detect it.
-        train, test: names of cameras; where `train` is empty, `views` of the rest are chosen by the linspace rule.
-        frames: at most so many, or None for all.
-        downscale: factor by which pictures are made smaller.
-        preset, device, seed: of the trainer.
-        points: where first points come from, see `core.initialise.first_points`.
-        keyframe_interval: frames between keyframes.
-    """
-
-    data: Path | None = None
-    synthetic: SyntheticSpec | None = None
-    layout: str | None = None
-    train: tuple[str, ...] = ()
-    test: tuple[str, ...] = ()
-    views: int | None = None
-    frames: int | None = None
-    downscale: float = 1.0
-    preset: str = "balanced"
-    device: str = "auto"
-    seed: int = 0
-    points: str = "auto"
-    keyframe_interval: int = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,90 +47,140 @@ class EncodedFrame:
         packets: one, or two where a new keyframe follows the frame's residual.
         report: JSON-able figures.
         preview: whether the packet is an early, unfinished keyframe.
+        spans: when its stages ran.
     """
 
     version: int
     packets: tuple[bytes, ...]
     report: dict[str, Any]
     preview: bool = False
+    spans: tuple[Span, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenJob:
     """A job's data set, reduced to the cameras it trains on, and the whole rig."""
 
-    dataset: Dataset
+    job: TrainJob
+    dataset: Dataset | LiveDataset
     rig: tuple[Camera, ...]
 
+    def frames(self, start: int) -> Generator[tuple[FrameSet, Span], None, None]:
+        """The job's frames from `start` with the time that reading took: ahead of training, but live ones the newest.
 
-def open_job(job: TrainJob) -> OpenJob:
+        A live frame read ahead would be an old one by the time that training wants it.
+        """
+        stop, count = self.job.frames, self.dataset.frame_count
+        if count is not None:
+            stop = count if stop is None else min(stop, count)
+        frames = timed(self.dataset.frames(start, stop), "read")
+        return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
+
+    def statistics(self) -> Statistics | None:
+        """How live cameras do; None for files, and while nothing is read."""
+        return self.dataset.statistics() if isinstance(self.dataset, LiveDataset) else None
+
+    def close(self) -> None:
+        """End the reading of live cameras, from any thread."""
+        if isinstance(self.dataset, LiveDataset):
+            self.dataset.close()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trained:
+    """A state on its way to the encoder.
+
+    Attributes:
+        scene: the state.
+        time_ns: its presentation time.
+        change: the state before, and what leads from there; None where `scene` itself is to be sent.
+        renewed: the same state as a keyframe, to be sent after the change, or None.
+        preview, report, spans: as in `EncodedFrame`.
+        captured: when the frame was filmed, in seconds of `time.perf_counter`; None for files.
+    """
+
+    scene: Scene
+    time_ns: int
+    report: dict[str, Any]
+    change: tuple[Scene, Residual] | None = None
+    renewed: Scene | None = None
+    preview: bool = False
+    spans: tuple[Span, ...] = ()
+    captured: float | None = None
+
+
+def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
     """Open the data set and choose the cameras.
+
+    Args:
+        push_socket: where a live rig takes pictures that capture nodes push.
 
     Raises:
         InputError: the data set or the choice is unusable.
     """
-    if job.data is None:
-        dataset: Dataset = open_synthetic(job.synthetic or SyntheticSpec())
-    else:
+    dataset: Dataset | LiveDataset
+    if job.live is not None:
+        dataset = open_live(job.live, downscale=job.downscale, push_socket=push_socket)
+    elif job.data is not None:
         dataset = open_dataset(job.data, layout=job.layout, downscale=job.downscale)
+    else:
+        dataset = open_synthetic(SyntheticSpec(**job.synthetic or {}))
     names = job.train or linspace_split(dataset.names, job.views, job.test).train
-    return OpenJob(dataset.select(names), dataset.cameras)
+    return OpenJob(job, dataset.select(names), dataset.cameras)
 
 
 def train_stream(
-    job: TrainJob,
+    opened: OpenJob,
     *,
     resume: Scene | None = None,
     start: int = 0,
     previews: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
-) -> Iterator[EncodedFrame]:
-    """Train the job's frames in order and encode them.
+) -> Generator[EncodedFrame, None, None]:
+    """Train the job's frames in order on a thread, and encode each while the next one trains.
 
-    Versions count published states: frame numbers, unless previews or a resumed state came before.
+    Versions count published states: frame numbers, unless previews or a resumed state came before. An error of any
+    stage is raised here after the frames before it; a frame's packets are all made before the frame is given out.
 
     Args:
         resume: go on from this state with a fresh keyframe instead of training one.
         start: first frame to read.
         previews: also yield early keyframes while the first frame trains, for viewers who wait.
+        on_progress: called on the training thread.
     """
-    opened = open_job(job)
-    dataset = opened.dataset
-    trainer = Trainer(dataset.cameras, preset(job.preset), dataset.fps, job.device, opened.rig)
-    shift = 0 if resume is None else resume.version + 1 - start
-    stop = dataset.frame_count if job.frames is None else min(job.frames, dataset.frame_count)
-    with closing(prefetch(dataset.frames(start, stop), _PREFETCHED)) as frames:
-        for filmed in frames:
-            frame = replace(filmed, index=filmed.index + shift)
-            if trainer.has_state:
-                yield from _predicted(trainer, frame, job.keyframe_interval)
-            elif resume is not None:
-                scene = rekey(resume, frame.index)
-                trainer.resume(scene)
-                yield EncodedFrame(frame.index, (encode_keyframe(scene, time_ns=frame.time_ns),), {"resumed": True})
-            else:
-                for encoded in _first(trainer, frame, dataset, job, previews, on_progress):
-                    shift = encoded.version - filmed.index
-                    yield encoded
+
+    def train(outlet: Outlet[_Trained]) -> None:
+        _Training(opened, previews, on_progress, outlet).run(resume, start)
+
+    with closing(made_by(train, "training")) as trained:
+        for state in trained:
+            yield _encoded(state)
 
 
-def train_clip(job: TrainJob, out: Path, on_frame: Callable[[EncodedFrame], None], **options: Any) -> None:
+def train_clip(
+    opened: OpenJob,
+    out: Path,
+    on_frame: Callable[[EncodedFrame], None],
+    on_progress: Callable[[Progress], None] | None = None,
+) -> None:
     """Train a clip into the file `out`, which appears when it is complete; figures go beside it into `out`.json."""
     first_seconds, seconds, reports = 0.0, [], []
-    with SlodWriter(out) as writer:
-        for encoded in train_stream(job, **options):
+    with SlodWriter(out) as writer, closing(train_stream(opened, on_progress=on_progress)) as frames:
+        for encoded in frames:
+            begin = time.perf_counter()
             for packet in encoded.packets:
                 writer.append(packet)
+            written = Span("write", "write", begin, time.perf_counter())
             reports.append(encoded.report)
             if encoded.version == 0:
                 first_seconds = encoded.report["total_seconds"]
             else:
                 seconds.append(encoded.report["total_seconds"])
-            on_frame(encoded)
+            on_frame(replace(encoded, spans=(*encoded.spans, written)))
     figures = {
         "train_seconds": float(np.mean(seconds)) if seconds else None,
         "first_frame_seconds": first_seconds,
-        "job": {name: str(value) for name, value in asdict(job).items()},
+        "job": {name: str(value) for name, value in opened.job.to_json().items()},
         "per_frame": reports,
     }
     sidecar = out.with_name(out.name + ".json")
@@ -165,76 +189,121 @@ def train_clip(job: TrainJob, out: Path, on_frame: Callable[[EncodedFrame], None
     temporary.replace(sidecar)
 
 
-def _first(
-    trainer: Trainer,
-    frame: FrameSet,
-    dataset: Dataset,
-    job: TrainJob,
-    previews: bool,
-    on_progress: Callable[[Progress], None] | None,
-) -> Iterator[EncodedFrame]:
-    """The first keyframe, with early ones before it where viewers wait for them.
+class _Training:
+    """The stage that trains; what it makes goes into `outlet`."""
 
-    The trainer calls back while it runs; a thread lets this generator hand previews on in the meantime.
-    """
-    begin = time.perf_counter()
-    points = first_points(
-        frame,
-        dataset.cameras,
-        depth_bounds=dataset.depth_bounds,
-        method=job.points,
-        dataset_points=dataset.points(),
-        seed=job.seed,
-    )
-    point_seconds = time.perf_counter() - begin
-    waiting: queue.SimpleQueue[EncodedFrame | None] = queue.SimpleQueue()
-    version = frame.index
+    def __init__(
+        self,
+        opened: OpenJob,
+        previews: bool,
+        on_progress: Callable[[Progress], None] | None,
+        outlet: Outlet[_Trained],
+    ) -> None:
+        self._job, self._dataset, self._opened = opened.job, opened.dataset, opened
+        self._previews, self._on_progress, self._outlet = previews, on_progress, outlet
+        job, dataset = opened.job, opened.dataset
+        self._trainer = Trainer(dataset.cameras, preset(job.preset), dataset.fps, job.device, opened.rig)
 
-    def tell(progress: Progress) -> None:
-        nonlocal version
-        if on_progress is not None:
-            on_progress(progress)
-        if previews and progress.preview is not None and progress.fraction >= _PREVIEWS_AT[version - frame.index]:
-            scene = replace(progress.preview(), keyframe=version, version=version)
-            packet = encode_keyframe(scene, time_ns=frame.time_ns)
-            waiting.put(EncodedFrame(version, (packet,), {"fraction": progress.fraction}, preview=True))
-            version += 1
+    def run(self, resume: Scene | None, start: int) -> None:
+        """All frames from `start`, after the state to resume if there is one."""
+        shift = 0 if resume is None else resume.version + 1 - start
+        with closing(self._opened.frames(start)) as frames:
+            for filmed, read in frames:
+                captured, frame = self._captured(read), replace(filmed, index=filmed.index + shift)
+                if self._trainer.has_state:
+                    trained = self._later(frame)
+                elif resume is not None:
+                    scene = rekey(resume, frame.index)
+                    self._trainer.resume(scene)
+                    trained = _Trained(scene, frame.time_ns, {"resumed": True})
+                else:
+                    trained = self._first(frame)
+                    shift = trained.scene.version - filmed.index
+                self._outlet.put(replace(trained, spans=(read, *trained.spans), captured=captured))
 
-    def run() -> TrainedFrame:
-        try:
-            return trainer.keyframe(frame, points, tell)
-        finally:
-            waiting.put(None)
+    def _captured(self, read: Span) -> float | None:
+        """When a live frame that has just been read was filmed, in seconds of `time.perf_counter`."""
+        statistics = self._opened.statistics()
+        return None if statistics is None else read.end - statistics.latency_ns / 1e9
 
-    with ThreadPoolExecutor(1, thread_name_prefix="first-frame") as pool:
-        future: Future[TrainedFrame] = pool.submit(run)
-        yield from iter(waiting.get, None)
-        trained = future.result()
-    scene = trained.scene
-    if version != frame.index:
-        scene = replace(scene, keyframe=version, version=version)
-        trainer.resume(scene, keep_references=True)
-    report = _report(trained, points=point_seconds)
-    yield EncodedFrame(version, (encode_keyframe(scene, time_ns=frame.time_ns),), report)
+    def _first(self, frame: FrameSet) -> _Trained:
+        """The first keyframe, with early ones before it where viewers wait for them."""
+        dataset, version = self._dataset, frame.index
+        points, found = timing(
+            "train",
+            lambda: first_points(
+                frame,
+                dataset.cameras,
+                depth_bounds=dataset.depth_bounds,
+                method=self._job.points,
+                dataset_points=dataset.points(),
+                seed=self._job.seed,
+            ),
+        )
+
+        def tell(progress: Progress) -> None:
+            nonlocal version
+            self._outlet.check()
+            if self._on_progress is not None:
+                self._on_progress(progress)
+            shown = version - frame.index
+            if self._previews and progress.preview is not None and progress.fraction >= _PREVIEWS_AT[shown]:
+                scene = replace(progress.preview(), keyframe=version, version=version)
+                self._outlet.put(_Trained(scene, frame.time_ns, {"fraction": progress.fraction}, preview=True))
+                version += 1
+
+        trained = self._trainer.keyframe(frame, points, tell)
+        scene = trained.scene
+        if version != frame.index:
+            scene = replace(scene, keyframe=version, version=version)
+            self._trainer.resume(scene, keep_references=True)
+        spans = (replace(found, name="points"), *_spans(trained))
+        return _Trained(scene, frame.time_ns, _report(trained, spans, version), spans=spans)
+
+    def _later(self, frame: FrameSet) -> _Trained:
+        """One later frame: its residual, and now and then a keyframe of the same instant after it."""
+        before = self._trainer.scene
+        trained = self._trainer.predict(frame)
+        assert trained.residual is not None
+        scene, renewed = trained.scene, None
+        if scene.version - scene.keyframe >= self._job.keyframe_interval:
+            renewed = rekey(scene, scene.version)
+            self._trainer.resume(renewed, keep_references=True)
+        spans = _spans(trained)
+        report = _report(trained, spans, scene.version)
+        return _Trained(scene, frame.time_ns, report, (before, trained.residual), renewed, spans=spans)
 
 
-def _predicted(trainer: Trainer, frame: FrameSet, keyframe_interval: int) -> Iterator[EncodedFrame]:
-    """One later frame: its residual, and now and then a keyframe of the same instant after it."""
-    before = trainer.scene
-    trained = trainer.predict(frame)
-    assert trained.residual is not None
-    begin = time.perf_counter()
-    packets = [encode_residual(before, trained.residual, kind=PacketKind.PREDICTED, time_ns=frame.time_ns)]
-    if trained.scene.version - trained.scene.keyframe >= keyframe_interval:
-        scene = rekey(trained.scene, trained.scene.version)
-        trainer.resume(scene, keep_references=True)
-        packets.append(encode_keyframe(scene, time_ns=frame.time_ns))
-    report = _report(trained, encode=time.perf_counter() - begin)
-    yield EncodedFrame(trained.scene.version, tuple(packets), report)
+def _encoded(state: _Trained) -> EncodedFrame:
+    """All packets of a state, with the time that encoding took in its report."""
+
+    def encode() -> Iterator[bytes]:
+        if state.change is None:
+            yield encode_keyframe(state.scene, time_ns=state.time_ns)
+        else:
+            yield encode_residual(*state.change, kind=PacketKind.PREDICTED, time_ns=state.time_ns)
+        if state.renewed is not None:
+            yield encode_keyframe(state.renewed, time_ns=state.time_ns)
+
+    packets, span = timing("encode", lambda: tuple(encode()))
+    report, seconds = state.report, span.end - span.begin
+    if "seconds" in report:
+        report = {**report, "seconds": {**report["seconds"], "encode": seconds}}
+        report["total_seconds"] += seconds
+    if state.captured is not None:
+        report = {**report, "latency_seconds": span.end - state.captured}
+    return EncodedFrame(state.scene.version, packets, report, state.preview, (*state.spans, span))
 
 
-def _report(trained: TrainedFrame, **seconds: float) -> dict[str, Any]:
-    """The figures of `trained`, with `seconds` of further stages."""
-    stages = {**trained.report.seconds, **seconds}
-    figures = asdict(trained.report)
-    return {**figures, "seconds": stages, "total_seconds": sum(stages.values()), "version": trained.scene.version}
+def _spans(trained: TrainedFrame) -> tuple[Span, ...]:
+    return tuple(Span("train", *span) for span in trained.report.spans)
+
+
+def _report(trained: TrainedFrame, spans: tuple[Span, ...], version: int) -> dict[str, Any]:
+    """The figures of `trained`, with the seconds of all stages in `spans`."""
+    seconds: dict[str, float] = {}
+    for span in spans:
+        seconds[span.name] = seconds.get(span.name, 0.0) + span.end - span.begin
+    figures = asdict(replace(trained.report, spans=()))
+    del figures["spans"]
+    return {**figures, "seconds": seconds, "total_seconds": sum(seconds.values()), "version": version}

@@ -3,72 +3,66 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from core.errors import InputError
+from server.job import JOB_FIELDS, SOURCES, TrainJob, job_from_json
 
 _ID = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+_OWN_FIELDS = frozenset({"id", "play", "loop"})
+_PRESET = "live"  # where a stream names none
 
 
 @dataclass(frozen=True, slots=True)
 class StreamSpec:
-    """Exactly one of `data`, `play` and `synthetic` says where frames come from.
+    """Either `job` or `play` says where packets come from.
 
     Attributes:
         id: name in URLs: lower-case letters, digits, ``-`` and ``_``.
-        data: folder of a data set to train on.
+        job: what to train.
         play: a recorded `.slod` file to stream in real time.
-        synthetic: fields of `core.data.synthetic.SyntheticSpec` for a clip made on the fly.
         loop: whether `play` begins again at its end.
-        layout, train, test, views, frames, downscale, preset, device, seed, points, keyframe_interval: as in
-            `server.pipeline.TrainJob`.
 
     Raises:
         InputError: a bad id, or no single source.
     """
 
     id: str = "main"
-    data: Path | None = None
+    job: TrainJob | None = None
     play: Path | None = None
-    synthetic: dict[str, Any] | None = None
     loop: bool = True
-    layout: str | None = None
-    train: tuple[str, ...] = ()
-    test: tuple[str, ...] = ()
-    views: int | None = None
-    frames: int | None = None
-    downscale: float = 1.0
-    preset: str = "live"
-    device: str = "auto"
-    seed: int = 0
-    points: str = "auto"
-    keyframe_interval: int = 300
 
     def __post_init__(self) -> None:
         if not _ID.fullmatch(self.id):
             raise InputError(f"stream {self.id!r:.80}", "an id is 1 to 64 lower-case letters, digits, - or _")
-        if sum(source is not None for source in (self.data, self.play, self.synthetic)) != 1:
-            raise InputError(f"stream {self.id}", "name one source: data, play or synthetic")
+        if (self.job is None) == (self.play is None):
+            raise InputError(f"stream {self.id}", "name one source: data, live, synthetic or play")
+
+    @property
+    def is_live(self) -> bool:
+        """Whether cameras deliver while it trains."""
+        return self.job is not None and self.job.live is not None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; `spec_from_json` goes back."""
-        return {name: str(value) if isinstance(value, Path) else value for name, value in asdict(self).items()}
+        """Plain values, those of the job among them; `spec_from_json` goes back."""
+        own = {"id": self.id, "play": None if self.play is None else str(self.play), "loop": self.loop}
+        return own if self.job is None else own | self.job.to_json()
 
 
 def spec_from_json(values: dict[str, Any]) -> StreamSpec:
-    """The specification with these fields.
+    """The specification with these fields of `StreamSpec` and `TrainJob`, side by side.
 
     Raises:
-        InputError: an unknown field, or one that the constructor refuses.
+        InputError: an unknown field, or one that a constructor refuses.
     """
-    known = {field.name for field in fields(StreamSpec)}
-    unknown = sorted(set(values) - known)
+    unknown = sorted(set(values) - JOB_FIELDS - _OWN_FIELDS)
     if unknown:
         raise InputError(f"stream field {unknown[0]!r:.80}", "is not known")
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    for name in ("data", "play"):
-        if values.get(name) is not None:
-            values[name] = Path(values[name])
-    return StreamSpec(**values)
+    own = {name: value for name, value in values.items() if name in _OWN_FIELDS}
+    if own.get("play") is not None:
+        own["play"] = Path(own["play"])
+    job = {name: value for name, value in values.items() if name in JOB_FIELDS}
+    has_source = any(values.get(name) is not None for name in SOURCES)
+    return StreamSpec(**own, job=job_from_json({"preset": _PRESET} | job) if has_source else None)

@@ -59,11 +59,19 @@ class Supervisor:
         settings: how they are watched.
         packet_bytes: longest message that is accepted.
         owner: told everything.
+        push_socket: where workers take pictures that capture nodes push, or none.
     """
 
-    def __init__(self, spec: StreamSpec, settings: WorkerSettings, packet_bytes: int, owner: Owner) -> None:
+    def __init__(
+        self,
+        spec: StreamSpec,
+        settings: WorkerSettings,
+        packet_bytes: int,
+        owner: Owner,
+        push_socket: Path | None = None,
+    ) -> None:
         self._spec, self._settings, self._owner = spec, settings, owner
-        self._limit = packet_bytes + 1
+        self._limit, self._push_socket = packet_bytes + 1, push_socket
         self._process: SpawnProcess | None = None
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
@@ -104,7 +112,10 @@ class Supervisor:
         ours, theirs = context.Pipe(duplex=False)
         self._ending, self._heard = None, time.monotonic()
         self._process = context.Process(
-            target=run_worker, args=(self._spec, resume, theirs), name=f"streamlod-{self._spec.id}", daemon=True
+            target=run_worker,
+            args=(self._spec, resume, theirs, self._push_socket),
+            name=f"streamlod-{self._spec.id}",
+            daemon=True,
         )
         self._process.start()  # in the loop, so that a cancellation cannot come between start and kill
         theirs.close()
@@ -150,7 +161,8 @@ class Supervisor:
                 failure: dict[str, Any] = json.loads(body)
                 self._ending = Ending(failure["text"], fatal=failure["fatal"])
             else:
-                self._progressed = self._heard
+                if tag is not Tag.INGEST or json.loads(body)["waiting"]:  # without pictures, nobody can get on
+                    self._progressed = self._heard
                 self._handling = True
                 handled: Awaitable[None] = self._owner.on_message(tag, body)
                 try:

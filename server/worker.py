@@ -1,6 +1,6 @@
 """The process that makes a stream's packets: training, or reading a recorded file. It talks to its supervisor by pipe.
 
-A message is one byte that names it and a body: packet, preview, report, progress, failure, epoch, end, heartbeat.
+A message is one byte that names it, and a body; `Tag` lists them.
 Nothing else of the server is here, so that a crash, a leak or a kill costs viewers nothing but a moment.
 """
 
@@ -14,16 +14,23 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
 from enum import IntEnum
 from multiprocessing.connection import Connection
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from core.errors import InputError, StreamlodError
+from server.job import TrainJob
 from server.spec import StreamSpec
+
+if TYPE_CHECKING:
+    from server.pipeline import OpenJob
 
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
+_INGEST_SECONDS = 0.5
 
 
 class Tag(IntEnum):
@@ -37,6 +44,7 @@ class Tag(IntEnum):
     EPOCH = 6  # empty: versions begin anew
     END = 7  # empty: the source has no more frames
     HEARTBEAT = 8  # empty
+    INGEST = 9  # JSON: how live cameras do, and whether training waits for them
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +73,21 @@ class Sender:
             self._pipe.send_bytes(bytes((tag,)) + data)
 
 
-def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection) -> None:
-    """Entry of the process; returns when the source ends, and never raises."""
+def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection, push_socket: Path | None = None) -> None:
+    """Entry of the process; returns when the source ends, and never raises.
+
+    Args:
+        push_socket: where to take pictures that capture nodes push to the serving process.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
     os.nice(5)  # serving comes first
     sender = Sender(pipe)
     threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
     try:
-        if spec.play is not None:
+        if spec.job is None:
             play(spec, resume, sender)
         else:
-            train(spec, resume, sender)
+            train(spec.job, resume, sender, push_socket)
         sender.send(Tag.END)
     except StreamlodError as error:
         sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError)})
@@ -86,17 +98,12 @@ def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection) -> None:
         sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
 
 
-def train(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
-    """Train the source's frames as they come and send their packets."""
+def train(job: TrainJob, resume: Resume, sender: Sender, push_socket: Path | None = None) -> None:
+    """Train the source's frames as they come and send their packets; of live cameras, also tell how they do."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from core.data.synthetic import SyntheticSpec
-    from server.pipeline import TrainJob, train_stream
+    from server.pipeline import open_job, train_stream
 
-    synthetic = None if spec.synthetic is None else SyntheticSpec(**spec.synthetic)
-    names = ("data", "layout", "train", "test", "views", "frames", "downscale", "preset", "device", "seed", "points",
-             "keyframe_interval")  # fmt: skip
-    job = TrainJob(synthetic=synthetic, **{name: getattr(spec, name) for name in names})
-    if spec.frames is not None and resume.frames >= spec.frames:
+    if job.frames is not None and resume.frames >= job.frames:
         return
 
     def tell(progress: Any) -> None:
@@ -104,11 +111,34 @@ def train(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
         sender.send(Tag.PROGRESS, body)
 
     scene = _decode(resume.packets) if resume.packets else None
-    for encoded in train_stream(job, resume=scene, start=resume.frames, previews=True, on_progress=tell):
-        for packet in encoded.packets:
-            sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
-        if not encoded.preview:
-            sender.send(Tag.REPORT, encoded.report)
+    opened = open_job(job, push_socket)
+    frames = train_stream(opened, resume=scene, start=resume.frames, previews=True, on_progress=tell)
+    with closing(opened), closing(frames), _told(opened, sender):
+        for encoded in frames:
+            for packet in encoded.packets:
+                sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
+            if not encoded.preview:
+                sender.send(Tag.REPORT, encoded.report)
+
+
+@contextmanager
+def _told(opened: OpenJob, sender: Sender) -> Iterator[None]:
+    """Tell twice a second how live cameras do, while the context lasts."""
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.wait(_INGEST_SECONDS):
+            statistics = opened.statistics()
+            if statistics is not None:
+                sender.send(Tag.INGEST, asdict(statistics))
+
+    thread = threading.Thread(target=run, name="ingest statistics", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:

@@ -11,9 +11,10 @@ cameras need a name and a source only.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -64,7 +65,7 @@ class RigDefinition:
     """A live rig.
 
     Attributes:
-        path: file that describes it.
+        path: file that describes it, or a name for it.
         cameras: as calibrated, distortion included; pixel centres at half-integers.
         addresses: where each camera's pictures come from.
         fps: instants a second.
@@ -84,14 +85,18 @@ class RigDefinition:
     points: PointCloud | None = None
 
 
-def read_definition(path: Path) -> RigDefinition:
-    """The rig that a file describes. Relative paths in it are taken from its folder.
+def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
+    """The rig that a file describes, or a mapping of the same form.
+
+    Relative paths are taken from the file's folder, those of a mapping from the working directory.
 
     Raises:
         InputError: the file cannot be read, a field is wrong or missing, or the rig is not usable.
     """
+    path = source if isinstance(source, Path) else Path("rig definition")
+    text = read_bytes(source, _MAX_BYTES) if isinstance(source, Path) else json.dumps(source)
     try:
-        file = _File.model_validate_json(read_bytes(path, _MAX_BYTES))
+        file = _File.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

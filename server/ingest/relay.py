@@ -12,9 +12,13 @@ import threading
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from core.errors import InputError, SessionError
-from server.ingest.push import MAX_MESSAGE_BYTES, Intake, PushMessage, pack_push, parse_push
+from server.ingest.push import MAX_MESSAGE_BYTES, PushMessage, pack_push, parse_push
+
+if TYPE_CHECKING:
+    from server.ingest.intake import Intake
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_ANSWER = 4096

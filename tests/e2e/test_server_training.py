@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from server.job import TrainJob
 from server.settings import Settings
 from server.spec import StreamSpec
 from tests.server.conftest import running, viewing
@@ -18,7 +19,7 @@ CLIP = {"cameras": 4, "frames": 6, "width": 120, "height": 68}
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_killed_trainer_goes_on_from_the_last_state(tmp_path: Path) -> None:
-    spec = StreamSpec(synthetic=CLIP, preset="live")
+    spec = StreamSpec(job=TrainJob(synthetic=CLIP, preset="live"))
     with running(Settings(state=tmp_path), spec) as server, viewing(server) as viewer:
         viewer.hello()
         assert viewer.welcome["window"] is None

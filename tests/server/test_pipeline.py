@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -15,10 +15,11 @@ from core.data.synthetic import SyntheticSpec
 from core.errors import InputError
 from core.train import config as train_config
 from core.train import preset
-from server.pipeline import EncodedFrame, TrainJob, train_clip, train_stream
+from server.job import TrainJob
+from server.pipeline import EncodedFrame, open_job, train_clip, train_stream
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
-JOB = TrainJob(synthetic=SPEC, test=("cam00",), preset="live")
+JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")
 
 
 @pytest.fixture(autouse=True)
@@ -37,8 +38,8 @@ def short_runs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_clip_becomes_a_file_that_plays(tmp_path: Path) -> None:
-    out, seen = tmp_path / "scene.slod", []
-    train_clip(JOB, out, seen.append)
+    out, seen = tmp_path / "scene.slod", list[EncodedFrame]()
+    train_clip(open_job(JOB), out, seen.append)
     assert [frame.version for frame in seen] == [0, 1, 2, 3]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.slod", "scene.slod.json"]
     decoder = SceneDecoder()
@@ -54,7 +55,7 @@ def test_a_clip_becomes_a_file_that_plays(tmp_path: Path) -> None:
 
 
 def test_previews_come_first_and_the_chain_holds() -> None:
-    frames = list(train_stream(JOB, previews=True))
+    frames = list(train_stream(open_job(JOB), previews=True))
     previews = [frame for frame in frames if frame.preview]
     assert len(previews) == 2  # one for each progress report of so short a run
     assert frames[: len(previews)] == previews
@@ -69,7 +70,7 @@ def test_previews_come_first_and_the_chain_holds() -> None:
 
 def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
     first: list[EncodedFrame] = []
-    for frame in train_stream(JOB):
+    for frame in train_stream(open_job(JOB)):
         first.append(frame)
         if frame.version == 1:
             break
@@ -77,7 +78,7 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
     for frame in first:
         decoder.push(frame.packets[0])
     assert decoder.scene is not None
-    rest = list(train_stream(JOB, resume=decoder.scene, start=2))
+    rest = list(train_stream(open_job(JOB), resume=decoder.scene, start=2))
     kinds = [peek(frame.packets[0]).kind for frame in rest]
     assert kinds == [PacketKind.KEY, PacketKind.PREDICTED]
     assert rest[0].version > 1
@@ -86,7 +87,7 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
 
 
 def test_keyframes_come_at_the_interval() -> None:
-    frames = list(train_stream(replace(JOB, keyframe_interval=2)))
+    frames = list(train_stream(open_job(replace(JOB, keyframe_interval=2))))
     kinds = [[peek(packet).kind for packet in frame.packets] for frame in frames]
     key, predicted = PacketKind.KEY, PacketKind.PREDICTED
     assert kinds == [[key], [predicted], [predicted, key], [predicted]]
@@ -98,7 +99,7 @@ def test_keyframes_come_at_the_interval() -> None:
 
 def test_a_camera_that_does_not_exist_is_refused() -> None:
     with pytest.raises(InputError, match="cam99"):
-        next(train_stream(TrainJob(synthetic=SPEC, test=("cam99",))))
+        open_job(replace(JOB, test=("cam99",)))
 
 
 def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
@@ -107,5 +108,5 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_clip(JOB, tmp_path / "scene.slod", interrupt)
+        train_clip(open_job(JOB), tmp_path / "scene.slod", interrupt)
     assert list(tmp_path.iterdir()) == []

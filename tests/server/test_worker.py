@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from core.errors import InputError
+from server.job import TrainJob
 from server.settings import Settings
 from server.spec import StreamSpec, spec_from_json
 from server.worker import Resume, Sender, Tag, play
@@ -76,8 +77,11 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
 
 
 def test_specifications_travel_as_json() -> None:
-    spec = StreamSpec("a-1", data=Path("x"), train=("cam01",), views=3)
-    assert spec_from_json(json.loads(json.dumps(spec.to_json()))) == spec
-    for values in ({"id": "a"}, {"id": "A", "play": "x"}, {"id": "a", "play": "x", "data": "y"}, {"other": 1}):
+    jobs = TrainJob(data=Path("x"), train=("cam01",), views=3), TrainJob(live={"fps": 30}), TrainJob(live=Path("rig"))
+    for spec in (*(StreamSpec("a-1", job) for job in jobs), StreamSpec("b", play=Path("y"), loop=False)):
+        assert spec_from_json(json.loads(json.dumps(spec.to_json()))) == spec
+    assert spec_from_json({"id": "a", "data": "x"}).job == TrainJob(data=Path("x"), preset="live")
+    both = {"id": "a", "live": "x", "data": "y"}
+    for values in ({"id": "a"}, {"id": "A", "play": "x"}, {"id": "a", "play": "x", "data": "y"}, {"other": 1}, both):
         with pytest.raises(InputError):
             spec_from_json(values)

@@ -15,7 +15,8 @@ import pytest
 
 from core.frames import FrameSet
 from server.ingest.clock import ClockSource
-from server.ingest.live import LiveDataset, Statistics, open_live
+from server.ingest.live import LiveDataset, open_live
+from server.ingest.statistics import Statistics
 from server.ingest.synchroniser import CameraState
 from tests.server.ingest.rig import (
     FPS,

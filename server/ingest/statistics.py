@@ -1,0 +1,46 @@
+"""How a live rig does, camera by camera: what reports, the REST interface and metrics show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from server.ingest.clock import ClockSource
+from server.ingest.synchroniser import CameraState, Counts
+
+
+@dataclass(frozen=True, slots=True)
+class CameraStatistics:
+    """How one camera does: state, what its time rests on, drift of its clock, counters, connections, last fault."""
+
+    state: CameraState
+    clock_source: ClockSource | None
+    error_ns: int
+    drift_ppm: float
+    counts: Counts
+    connections: int
+    fault: str
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """How the rig does.
+
+    Attributes:
+        degraded: whether some camera is lost.
+        waiting: whether training waits for an instant.
+        delivered: instants handed to training.
+        dropped_stale: instants that training was too slow for.
+        dropped_incomplete: instants with fewer cameras than the policy asks for.
+        latency_ns: from capture to delivery, of the newest instant delivered.
+        clock_steps: times that the cameras' common clock was stepped.
+        cameras: by name.
+    """
+
+    degraded: bool
+    waiting: bool
+    delivered: int
+    dropped_stale: int
+    dropped_incomplete: int
+    latency_ns: int
+    clock_steps: int
+    cameras: dict[str, CameraStatistics]
