@@ -14,6 +14,7 @@ PROTOCOL_VERSION = 1
 BAD_MESSAGE = 4400
 _ACK_SECONDS = 1.0
 _TEXT_BYTES = 65536  # of a control message from the server
+_MOST_FPS = 10_000
 _EVENTS = frozenset({"state", "progress", "epoch", "position", "levels", "skipped", "caught_up", "window"})
 
 
@@ -57,9 +58,9 @@ class Playback:
         kind = message["type"]
         if kind == "welcome":
             return [self._welcome(message)]
-        if kind != "event" or message.get("event") not in _EVENTS:
+        name = message.get("event")
+        if kind != "event" or not isinstance(name, str) or name not in _EVENTS:
             return []
-        name = message["event"]
         fields = {key: value for key, value in message.items() if key not in {"type", "event"}}
         if name == "epoch":
             self._epoch = _whole(message, "epoch")
@@ -116,7 +117,7 @@ class Playback:
             str(message.get("state", "")),
             self._epoch,
             levels if isinstance(levels, int) else None,
-            float(fps) if isinstance(fps, int | float) else None,
+            float(fps) if isinstance(fps, int | float) and 0 < fps <= _MOST_FPS else None,
         )
 
     def _current_levels(self, version: int) -> int:

@@ -9,8 +9,8 @@ from codec.limits import Limits
 from codec.packet import peek
 from core.errors import BitstreamError
 from tests.codec.scenes import grow, make_scene, move
-from tests.fuzz.corpus import SEEDS, mutants
-from tests.fuzz.targets import TARGETS
+from tests.fuzz.corpus import SEEDS, kept, mutants
+from tests.fuzz.targets import REPAIRS, TARGETS
 from tests.vectors.valid import key, packet, small
 
 
@@ -49,8 +49,14 @@ def test_every_flipped_bit_is_refused(profile: int) -> None:
 @pytest.mark.parametrize("name", sorted(TARGETS))
 def test_the_corpus_and_its_mutants_do_no_harm(name: str) -> None:
     seeds = SEEDS[name]()
-    for data in [*seeds, *mutants(seeds, 250, seed=1), b"", b"\0", b"\1" * 40, b"\4" * 41]:
+    for data in [*seeds, *kept(), *mutants(seeds, 250, seed=1), b"", b"\0", b"\1" * 40, b"\4" * 41]:
         TARGETS[name](data)
+
+
+@pytest.mark.parametrize("name", sorted(REPAIRS))
+def test_repairing_leaves_what_is_sound_as_it_is(name: str) -> None:
+    sound = [data for data in SEEDS[name]() if REPAIRS[name](data) == data]
+    assert len(sound) >= len(SEEDS[name]()) // 4  # the rest are broken on purpose
 
 
 @pytest.mark.slow

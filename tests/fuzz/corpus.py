@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import random
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from client.playback import Playback
 from codec.container import SlodWriter
 from codec.packet import parse
 from core.errors import BitstreamError
+from tests.fuzz.targets import PACKET_TO_VIEWER, TEXT_TO_SERVER, TEXT_TO_VIEWER, joined
 from tests.vectors.make import FOLDER, read_stream
 
 
@@ -39,7 +42,44 @@ def files() -> list[bytes]:
         return [path.read_bytes()]
 
 
-SEEDS = {"packet": packets, "entropy": chunks, "container": files}
+def sessions() -> list[bytes]:
+    """Whole sessions: a hello, a welcome, packets with events between them, and what viewers ask for."""
+    welcome = {"type": "welcome", "version": 1, "stream": "main", "state": "live", "epoch": 1, "levels": 2, "fps": 30.0,
+               "ack_every": 2}  # fmt: skip
+    events = (
+        {"type": "event", "event": "position", "mode": "live", "epoch": 1, "version": 0},
+        {"type": "event", "event": "epoch", "epoch": 2},
+        {"type": "event", "event": "levels", "levels": 1, "reason": "congestion"},
+        {"type": "event", "event": "caught_up"},
+    )
+    asked = (
+        {"type": "ack", "bytes": 1000, "epoch": 1, "version": 0},
+        {"type": "set", "levels": 1, "kilobytes_per_second": 80.5},
+        {"type": "seek", "to": {"epoch": 1, "version": 3}},
+        {"type": "seek", "to": "live"},
+        {"type": "pause"},
+        {"type": "play"},
+        {"type": "ack", "picture": 3},
+    )
+    hello = Playback().hello((1, 2), 3)
+    found = []
+    for path in sorted(FOLDER.glob("valid-*.slps")):
+        said = [(TEXT_TO_SERVER, hello.encode()), (TEXT_TO_VIEWER, json.dumps(welcome).encode())]
+        for number, packet in enumerate(read_stream(path)):
+            said.append((PACKET_TO_VIEWER, packet))
+            said.append((TEXT_TO_VIEWER, json.dumps(events[number % len(events)]).encode()))
+        said += [(TEXT_TO_SERVER, json.dumps(message).encode()) for message in asked]
+        found.append(joined([message for message in said if len(message[1]) < 1 << 16]))
+    return found
+
+
+def kept() -> list[bytes]:
+    """Inputs that once broke something, whatever the target: they never may again."""
+    return [path.read_bytes() for path in sorted(KEPT.glob("*.bin"))]
+
+
+KEPT = Path(__file__).parent / "found"
+SEEDS = {"packet": packets, "entropy": chunks, "container": files, "session": sessions}
 
 
 def mutants(seeds: list[bytes], count: int, seed: int) -> Iterator[bytes]:

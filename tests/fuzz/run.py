@@ -17,20 +17,20 @@ def main() -> None:
 
     import_module("codec.change_model")  # compiled: imported before, so that they stay as they are
     import_module("codec.octree_model")
-    with atheris.instrument_imports(include=["codec", "core"]):
+    with atheris.instrument_imports(include=["codec", "core", "client.playback", "server.messages", "server.views"]):
         from tests.fuzz.corpus import SEEDS
-        from tests.fuzz.targets import TARGETS, repair
+        from tests.fuzz.targets import REPAIRS, TARGETS
 
     name = sys.argv.pop(1)
 
     def mutate(data: bytes, most: int, seed: int) -> bytes:
         mutated: bytes = atheris.Mutate(data, most)
-        return repair(mutated)[:most]
+        return REPAIRS[name](mutated)[:most]
 
     with tempfile.TemporaryDirectory() as folder:
         for number, seed in enumerate(SEEDS[name]()):
             (Path(folder) / str(number)).write_bytes(seed)
-        options = {"custom_mutator": mutate} if name == "packet" else {}
+        options = {"custom_mutator": mutate} if name in REPAIRS else {}
         atheris.Setup([*sys.argv, folder], TARGETS[name], **options)
         atheris.Fuzz()
 

@@ -1,4 +1,4 @@
-"""What is fuzzed: each target takes any bytes and lets nothing out but `BitstreamError`, which it swallows."""
+"""What is fuzzed: each target takes any bytes and lets nothing out but the documented refusals, which it swallows."""
 
 from __future__ import annotations
 
@@ -13,16 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
+from client.playback import Playback
 from codec import chunks
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
 from codec.limits import Limits
-from core.errors import BitstreamError, InputError
+from core.errors import BitstreamError, InputError, SessionError
+from server.messages import parse_control, parse_hello
 from tests.codec.scenes import make_header
 from tests.vectors.make import FOLDER, read_stream
 
 LIMITS = Limits(packet_bytes=1 << 16, anchors=4096)
 _HEADER_BYTES = 36
+_MESSAGE = struct.Struct("<BH")  # of a session: who says it, and how many bytes
+TEXT_TO_VIEWER, PACKET_TO_VIEWER, TEXT_TO_SERVER = range(3)
 
 
 def repair(data: bytes) -> bytes:
@@ -41,6 +45,42 @@ def repair(data: bytes) -> bytes:
     directory = b"".join(parts)
     checksum = zlib.crc32(directory, zlib.crc32(data[:32]))
     return data[:32] + struct.pack("<I", checksum) + directory + data[_HEADER_BYTES + len(directory) :]
+
+
+def messages(data: bytes) -> list[tuple[int, bytes]]:
+    """A session's messages as (who, content); what is cut at the end is shorter than it claims."""
+    found, at = [], 0
+    while at + _MESSAGE.size <= len(data):
+        who, length = _MESSAGE.unpack_from(data, at)
+        at += _MESSAGE.size
+        found.append((who % 3, data[at : at + length]))
+        at += length
+    return found
+
+
+def joined(session: list[tuple[int, bytes]]) -> bytes:
+    """Inverse of `messages`."""
+    return b"".join(_MESSAGE.pack(who, len(content)) + content for who, content in session)
+
+
+def repair_session(data: bytes) -> bytes:
+    """A session whose packets have the right checksums."""
+    return joined([(who, repair(said) if who == PACKET_TO_VIEWER else said) for who, said in messages(data)])
+
+
+def repair_file(data: bytes) -> bytes:
+    """A file whose packets, and whose index if there is one, have the right checksums."""
+    parts, at = [data[:8]], 8
+    while at + 4 <= len(data):
+        (size,) = struct.unpack_from("<I", data, at)
+        if size > len(data) - at - 4:
+            break
+        parts.append(data[at : at + 4] + repair(data[at + 4 : at + 4 + size]))
+        at += 4 + size
+    rest = data[at:]
+    if len(rest) >= 16:
+        rest = rest[:-8] + struct.pack("<I", zlib.crc32(rest[:-16])) + rest[-4:]
+    return b"".join([*parts, rest])
 
 
 @cache
@@ -99,4 +139,29 @@ def container(data: bytes) -> None:
             pass
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {"packet": packet, "entropy": entropy, "container": container}
+def session(data: bytes) -> None:
+    """What a viewer and a server say to each other, either side taking what the other might never have sent."""
+    playback = Playback(LIMITS)
+    for moment, (who, content) in enumerate(messages(data)[:64]):
+        with suppress(SessionError):
+            if who == PACKET_TO_VIEWER:
+                before = playback.position
+                try:
+                    playback.receive_packet(content, 0.3 * moment)
+                except SessionError:
+                    assert playback.position == before, "a refused packet moved the viewer"
+            elif who == TEXT_TO_VIEWER:
+                playback.receive_text(content.decode(errors="replace"))
+            else:
+                parse = parse_control if moment else parse_hello
+                parse(content.decode(errors="replace"))
+        playback.acknowledgement(0.3 * moment)
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "packet": packet,
+    "entropy": entropy,
+    "container": container,
+    "session": session,
+}
+REPAIRS = {"packet": repair, "container": repair_file, "session": repair_session}
