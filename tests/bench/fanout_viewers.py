@@ -1,0 +1,139 @@
+"""Many viewers in one process: they read, acknowledge, and note when each packet was complete; nothing is decoded."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import struct
+import time
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+
+_HANDSHAKE = (
+    b"GET /v1/streams/main/live HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+    b"Sec-WebSocket-Protocol: streamlod.v1\r\n\r\n"
+)
+_HELLO = b'{"type":"hello","versions":[1],"client":"bench/1"}'
+_ACK_EVERY = 8
+_VERSION_AT = 16  # of the packet's field to_version
+_HEAD_BYTES = _VERSION_AT + 4
+_SCRATCH = bytearray(1 << 20)
+
+
+@dataclass(slots=True)
+class _Viewer:
+    """One connection; `left` bytes of the packet of `version` are still to come."""
+
+    peer: socket.socket
+    waiting: bytearray = field(default_factory=bytearray)
+    left: int = 0
+    version: int = 0
+    packets: int = 0
+    received: int = 0
+    reason: str = ""
+
+    def pump(self) -> int | None:
+        """Read once; the version of a packet that is complete now."""
+        if self.left:  # thrown away inside the kernel, so that this process costs little
+            taken = self.peer.recv_into(_SCRATCH, min(self.left, len(_SCRATCH)), socket.MSG_TRUNC)
+            if not taken:
+                raise ConnectionError("closed")
+            self.left -= taken
+            return None if self.left else self._complete()
+        data = self.peer.recv(64)
+        if not data:
+            raise ConnectionError("closed")
+        self.waiting += data
+        return self._parse()
+
+    def _parse(self) -> int | None:
+        while len(self.waiting) >= 2:
+            short = self.waiting[1] & 127
+            head = 2 if short < 126 else 4 if short == 126 else 10
+            if len(self.waiting) < head:
+                return None
+            size = short if head == 2 else int.from_bytes(self.waiting[2:head], "big")
+            opcode = self.waiting[0] & 15
+            if opcode == 2 and len(self.waiting) >= head + _HEAD_BYTES:
+                (self.version,) = struct.unpack_from("<I", self.waiting, head + _VERSION_AT)
+                self.received += size
+                here = min(size, len(self.waiting) - head)
+                del self.waiting[: head + here]
+                self.left = size - here
+                return None if self.left else self._complete()
+            if opcode == 2 or len(self.waiting) < head + size:
+                return None
+            if opcode == 8:
+                self.reason = self.waiting[head + 2 : head + size].decode()
+            elif opcode == 9:
+                self.peer.sendall(masked(10, bytes(self.waiting[head : head + size])))
+            del self.waiting[: head + size]
+        return None
+
+    def _complete(self) -> int:
+        self.packets += 1
+        if self.packets % _ACK_EVERY == 0:
+            self.peer.sendall(masked(1, b'{"type":"ack","bytes":%d,"epoch":1,"version":0}' % self.received))
+        return self.version
+
+
+def masked(opcode: int, data: bytes) -> bytes:
+    """A client's websocket frame of less than 126 bytes, with a mask of zeros."""
+    return bytes((0x80 | opcode, 0x80 | len(data))) + bytes(4) + data
+
+
+def watch(pipe: Connection, core: int, port: int) -> None:
+    """Main function of the viewers' process. Commands: (viewers to add, stuck viewers to add), answered by None;
+    "collect", answered by the arrivals since the last time, as [(version, monotonic ns)], the bytes received and the
+    reasons with which viewers were closed; None ends it."""
+    os.sched_setaffinity(0, {core})
+    poll = select.epoll()
+    poll.register(pipe.fileno(), select.EPOLLIN)
+    viewers: dict[int, _Viewer] = {}
+    stuck: list[socket.socket] = []
+    arrivals: list[tuple[int, int]] = []
+    reasons: list[str] = []
+    while True:
+        for descriptor, _ in poll.poll(1.0, 512):
+            if descriptor == pipe.fileno():
+                command = pipe.recv()
+                if command is None:
+                    return
+                if command == "collect":
+                    pipe.send((arrivals, sum(viewer.received for viewer in viewers.values()), reasons))
+                    arrivals = []
+                    continue
+                for _ in range(command[0]):
+                    viewer = _Viewer(_connect(port))
+                    viewers[viewer.peer.fileno()] = viewer
+                    poll.register(viewer.peer.fileno(), select.EPOLLIN)
+                stuck += [_connect(port, 4096) for _ in range(command[1])]
+                pipe.send(None)
+                continue
+            viewer = viewers[descriptor]
+            try:
+                version = viewer.pump()
+            except OSError as error:
+                reasons.append(viewer.reason or str(error))
+                poll.unregister(descriptor)
+                del viewers[descriptor]
+                continue
+            if version is not None:
+                arrivals.append((version, time.monotonic_ns()))
+
+
+def _connect(port: int, receive_bytes: int | None = None) -> socket.socket:
+    peer = socket.socket()
+    if receive_bytes is not None:
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
+    peer.settimeout(20)
+    peer.connect(("127.0.0.1", port))
+    peer.sendall(_HANDSHAKE)
+    answer = b""
+    while not answer.endswith(b"\r\n\r\n"):
+        answer += peer.recv(1)
+    assert b" 101 " in answer, answer
+    peer.sendall(masked(1, _HELLO))
+    return peer
