@@ -9,6 +9,7 @@ from typing import Any
 
 from core.errors import SessionError
 from server.packets import Position
+from server.views import Pick, Shown, View, parse_view_message
 
 SUBPROTOCOL = "streamlod.v1"
 PROTOCOL_VERSION = 1
@@ -23,12 +24,16 @@ _MOST = 2**53  # integers that every JSON reader keeps
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """A viewer's first message; None stands for "no limit", and `start` None for the live edge."""
+    """A viewer's first message; None stands for "no limit", and `start` None for the live edge.
+
+    `pictures` asks for pictures instead of packets.
+    """
 
     client: str
     start: Position | None
     levels: int | None
     kilobytes_per_second: float | None
+    pictures: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +69,7 @@ class Play:
     """Go on."""
 
 
-Control = Ack | Set | Seek | Pause | Play
+Control = Ack | Set | Seek | Pause | Play | View | Shown | Pick
 
 
 def parse_hello(text: str) -> Hello:
@@ -84,7 +89,10 @@ def parse_hello(text: str) -> Hello:
     client = message.get("client", "")
     if not isinstance(client, str) or len(client) > 200:
         raise SessionError(BAD_MESSAGE, "client must be a string of at most 200 characters")
-    return Hello(client, _target(message.get("start", LIVE), "start"), _levels(message), _rate(message))
+    pictures = message.get("pictures", False)
+    if not isinstance(pictures, bool):
+        raise SessionError(BAD_MESSAGE, "pictures must be true or false")
+    return Hello(client, _target(message.get("start", LIVE), "start"), _levels(message), _rate(message), pictures)
 
 
 def parse_control(text: str) -> Control:
@@ -95,7 +103,7 @@ def parse_control(text: str) -> Control:
     """
     message = _object(text)
     match message.get("type"):
-        case "ack":
+        case "ack" if "picture" not in message:
             return Ack(_integer(message.get("bytes"), "bytes"))
         case "set":
             given = frozenset(message) & {"levels", "kilobytes_per_second"}
@@ -106,7 +114,9 @@ def parse_control(text: str) -> Control:
             return Pause()
         case "play":
             return Play()
-    raise SessionError(BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play")
+        case "ack" | "view" | "pick":
+            return parse_view_message(message)
+    raise SessionError(BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play, view, pick")
 
 
 def event(name: str, **fields: Any) -> dict[str, Any]:

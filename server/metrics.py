@@ -12,6 +12,7 @@ from server.registry import Registry
 
 _GAUGES = {
     "viewers": "viewers connected",
+    "thin_viewers": "viewers for which the server draws",
     "live": "1 while packets come",
     "window_bytes": "packets kept in memory",
     "seconds_since_packet": "age of the newest packet",
@@ -25,6 +26,10 @@ _COUNTERS = {
     "skips": "times a viewer was brought forward by one residual",
     "stuck": "viewers cut off for taking nothing",
     "joins": "viewers that said hello",
+    "pictures": "pictures drawn for viewers",
+    "picture_bytes": "bytes of pictures sent",
+    "picture_seconds": "time spent on drawing them",
+    "thin_refused": "viewers for which there was no place to draw",
     "worker_restarts": "workers that had to be restarted",
     "recording_lost_packets": "packets that were not recorded",
 }
@@ -49,6 +54,7 @@ class StreamCollector(Collector):
             scene = stream.hub.scene
             values = {
                 "viewers": stream.viewers,
+                "thin_viewers": stream.thin_viewers,
                 "live": float(stream.state == "live"),
                 "window_bytes": stream.bus.window.size_bytes,
                 "seconds_since_packet": time.monotonic() - stream.live_at if stream.live_at else 0.0,
@@ -64,6 +70,10 @@ class StreamCollector(Collector):
                 "skips": counts.skips,
                 "stuck": counts.stuck,
                 "joins": counts.joins,
+                "pictures": counts.pictures,
+                "picture_bytes": counts.picture_bytes,
+                "picture_seconds": counts.picture_seconds,
+                "thin_refused": counts.thin_refused,
                 "worker_restarts": stream.restarts,
                 "recording_lost_packets": recording.lost_packets if recording else 0,
             }

@@ -7,6 +7,7 @@ import logging
 
 from core.errors import InputError
 from server.auth import Gate
+from server.painting import Painter
 from server.settings import Settings
 from server.spec import StreamSpec, spec_from_json
 from server.store import Store
@@ -33,6 +34,7 @@ class Registry:
         self.store = Store(settings.state, settings.retention) if settings.state else None
         self.streams: dict[str, Stream] = {}
         self.sessions: dict[ViewerSession, str] = {}  # with the viewer's address
+        self.painter = Painter(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.draining = False
         self._drained = False
         self._initial = [spec.id for spec in specs]
@@ -89,6 +91,7 @@ class Registry:
         limit = asyncio.get_running_loop().time() + self.settings.drain_seconds / 2
         while self.sessions and asyncio.get_running_loop().time() < limit:
             await asyncio.sleep(0.02)
+        self.painter.close()
         await asyncio.gather(*(stream.stop() for stream in self.streams.values()), return_exceptions=True)
         if self.store is not None:
             await asyncio.to_thread(self.store.close)

@@ -36,6 +36,8 @@ class Limits(BaseModel):
     flight_bytes: int = Field(
         default=2 * MEGABYTE, ge=65536, description="bytes sent but not acknowledged, above a keyframe"
     )
+    thin_viewers: int = Field(default=4, ge=0, description="viewers for which the server draws; 0 for none")
+    thin_pixels: int = Field(default=921_600, ge=4096, le=2**25, description="largest picture drawn for a viewer")
     refusals_per_minute: int = Field(default=30, ge=1, description="wrong tokens from one address before it gets 429")
 
 

@@ -34,6 +34,10 @@ class Counters:
     skips: int = 0
     stuck: int = 0
     joins: int = 0
+    pictures: int = 0
+    picture_bytes: int = 0
+    picture_seconds: float = 0.0
+    thin_refused: int = 0
 
 
 class Stream:
@@ -50,7 +54,7 @@ class Stream:
         self.bus = LocalBus(settings.retention.memory_bytes, recording)
         self.hub = Hub(_HUB_BYTES)
         self.counters = Counters()
-        self.viewers = 0
+        self.viewers = self.thin_viewers = 0
         self.state, self.detail = "idle", ""
         self.progress: dict[str, Any] | None = None
         self.report: dict[str, Any] | None = None

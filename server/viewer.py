@@ -328,8 +328,11 @@ class ViewerSession:
         await self._transport.binary(frame)
         self._held_seconds += time.monotonic() - begin
         self._sent += size
-        self._stream.counters.sent_bytes += size
+        self._count(size)
         self._free_at = time.monotonic() + self._throttle.spend(size, time.monotonic())
+
+    def _count(self, size: int) -> None:
+        self._stream.counters.sent_bytes += size
 
     async def _send(self, message: dict[str, Any]) -> None:
         await self._transport.text(json.dumps(message))

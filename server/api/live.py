@@ -30,6 +30,7 @@ from server.messages import (
     parse_hello,
 )
 from server.registry import Registry
+from server.thin import ThinSession
 from server.viewer import ViewerSession
 from server.wire import CONNECTION, Connection
 
@@ -131,7 +132,11 @@ async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello
     stream = registry.streams.get(stream_id)
     if stream is None:
         raise SessionError(NO_STREAM, "there is no such stream")
-    session = ViewerSession(stream, hello, transport, registry.settings.limits)
+    limits = registry.settings.limits
+    if hello.pictures:
+        session: ViewerSession = ThinSession(stream, hello, transport, limits, registry.painter)
+    else:
+        session = ViewerSession(stream, hello, transport, limits)
     registry.sessions[session] = address_of(websocket)
     sending = asyncio.create_task(session.run())
     listening = asyncio.create_task(_listen(websocket, session))

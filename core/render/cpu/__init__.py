@@ -12,7 +12,7 @@ import numpy as np
 from core.arrays import Float32, check_array
 from core.camera import Camera
 from core.gaussians import GaussianCloud
-from core.render.cpu.frame import forward
+from core.render.cpu.frame import MAX_PAIRS, forward
 from core.render.cpu.warming import warm
 from core.render.cpu.workspace import Pool
 
@@ -29,21 +29,22 @@ class Rendered:
     transmittance: Float32
 
 
-def render(cloud: GaussianCloud, camera: Camera, background: Float32) -> Rendered:
+def render(cloud: GaussianCloud, camera: Camera, background: Float32, most_pairs: int = MAX_PAIRS) -> Rendered:
     """Splat `cloud` as `camera` sees it.
 
     Gaussians with numbers that are not finite, or that overflow when projected, are left out.
 
     Args:
         background: [3] float32 RGB behind everything.
+        most_pairs: of a Gaussian and a tile; bounds time and memory.
 
     Raises:
         InputError: the camera has lens distortion.
-        ModelError: the Gaussians together cover more tiles than `frame.MAX_PAIRS`.
+        ModelError: the Gaussians together cover more tiles than `most_pairs`.
     """
     check_array("background", background, (3,), np.float32)
     workspace = POOL.acquire()
-    frame = forward(workspace, contiguous(cloud), camera, background)
+    frame = forward(workspace, contiguous(cloud), camera, background, most_pairs=most_pairs)
     POOL.release(workspace)
     return Rendered(frame.image, frame.transmittance)
 

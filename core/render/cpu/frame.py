@@ -88,6 +88,7 @@ def forward(
     background: Float32,
     tile_mask: Bool | None = None,
     base: Float32 | None = None,
+    most_pairs: int = MAX_PAIRS,
 ) -> Frame:
     """Render `cloud`.
 
@@ -95,6 +96,7 @@ def forward(
         background: [3] float32.
         tile_mask: [tiles_y,tiles_x] bool, tiles to render; all by default.
         base: [H,W,3] float32 pixels outside the mask; zeros by default.
+        most_pairs: of a Gaussian and a tile.
 
     Raises:
         InputError: the camera has lens distortion.
@@ -119,8 +121,9 @@ def forward(
     order = rows[slots]
     count_pairs(workers, records, boxes, order, sorted_records, sorted_boxes, tiles_x, mask, cursors, offsets)
     pairs = int(offsets[-1])
-    if pairs > MAX_PAIRS:
-        raise ModelError(f"Gaussians cover {pairs} tiles together, more than {MAX_PAIRS}: their scales are out of hand")
+    if pairs > most_pairs:
+        fault = f"Gaussians cover {pairs} tiles together, more than {most_pairs}: their scales are out of hand"
+        raise ModelError(fault)
     lists = workspace.take("lists", (pairs,), np.int32)
     fill_lists(workers, sorted_records, sorted_boxes, tiles_x, mask, cursors, lists)
 
