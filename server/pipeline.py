@@ -1,7 +1,7 @@
 """From pictures to packets: a data set, the trainer and the codec, composed.
 
-Three stages work side by side on three frames: pictures of frame t + 1 are read while frame t trains, and frame t - 1 is
-encoded and handed on. `train_stream` is what the worker process runs; `train_clip` writes a clip into a file.
+Three stages work side by side: while frame t trains, pictures of frame t + 1 are read, and frame t - 1 is encoded
+and handed on. `train_stream` is what the worker process runs; `train_clip` writes a clip into a file.
 """
 
 from __future__ import annotations
