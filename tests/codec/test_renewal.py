@@ -1,0 +1,60 @@
+"""When a new keyframe is due: by time, by churn, by the size of what a late viewer needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from codec.encoder import encode_keyframe
+from codec.renewal import RenewalRule, catch_up_bytes, churn
+from core.anchors import Scene
+from tests.codec.scenes import grow, make_scene, move
+
+KEY = make_scene((100, 1500), slots=2, features=4)
+KEY_BYTES = len(encode_keyframe(KEY, time_ns=0))
+RULE = RenewalRule(longest=50, shortest=3, checked_every=1)
+
+
+def _still(version: int) -> Scene:
+    return replace(KEY, version=version)
+
+
+def test_a_still_scene_is_renewed_by_time_alone() -> None:
+    assert [RULE.reason(KEY, KEY_BYTES, _still(version)) for version in (0, 3, 49, 50)] == [None, None, None, "time"]
+
+
+def test_churn_counts_added_and_removed_anchors() -> None:
+    grown = grow(KEY, added=6, removed=5)
+    assert churn(KEY, KEY) == 0
+    assert churn(KEY, grown) == sum(len(level) for level in grown.levels) - KEY.anchor_count + 10
+    assert RULE.reason(KEY, KEY_BYTES, replace(grown, version=5)) is None
+    much = grow(KEY, added=90, removed=60)
+    assert RULE.reason(KEY, KEY_BYTES, replace(much, version=5)) == "churn"
+    assert RULE.reason(KEY, KEY_BYTES, replace(much, version=2)) is None  # too soon
+
+
+def test_a_catch_up_packet_that_outgrows_its_share_calls_for_a_keyframe() -> None:
+    now = KEY
+    sizes, reasons = [], []
+    for seed in range(12):
+        now = move(now, seed, share=0.7)
+        sizes.append(catch_up_bytes(KEY, now))
+        reasons.append(RULE.reason(KEY, KEY_BYTES, now))
+    first = reasons.index("catch-up")
+    assert first >= RULE.shortest - 1
+    for size, reason, age in zip(sizes, reasons, range(1, 13), strict=True):
+        expected = age >= RULE.shortest and size > 0.35 * KEY_BYTES
+        assert reason == ("catch-up" if expected else None)
+
+
+def test_the_packet_is_only_sized_now_and_then() -> None:
+    now = replace(move(KEY, share=1.0), version=15)
+    rule = replace(RULE, catch_up_share=0.001, checked_every=10)
+    assert rule.reason(KEY, KEY_BYTES, now) is None
+    assert rule.reason(KEY, KEY_BYTES, replace(now, version=20)) == "catch-up"
+
+
+def test_states_of_another_keyframe_are_refused() -> None:
+    with pytest.raises(ValueError, match="keyframes"):
+        RULE.reason(KEY, KEY_BYTES, replace(KEY, keyframe=3, version=8))
