@@ -15,7 +15,7 @@ from fastapi.staticfiles import StaticFiles
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
-from server.api import downloads, live, streams
+from server.api import downloads, live, push, streams
 from server.api.access import Problem, need, problem_response, registry_of
 from server.api.schemas import Health
 from server.auth import Right
@@ -67,6 +67,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     app.state.registry = registry
     _add_errors(app)
     app.include_router(live.router)
+    app.include_router(push.router)
     app.include_router(streams.router)
     app.include_router(downloads.router)
     _add_health(app)

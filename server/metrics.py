@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from server.ingest.metrics import ingest_families
 from server.registry import Registry
 
 _GAUGES = {
@@ -81,6 +82,7 @@ class StreamCollector(Collector):
                 counters[name].add_metric([label], value)
         yield from gauges.values()
         yield from counters.values()
+        yield from ingest_families({name: stream.ingest for name, stream in self._registry.streams.items()})
         refused = CounterMetricFamily("streamlod_refused_tokens", "requests with a wrong token")
         refused.add_metric([], self._registry.gate.refused)
         yield refused

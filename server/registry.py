@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import secrets
+import tempfile
+from pathlib import Path
 
 from core.errors import InputError
 from server.auth import Gate
@@ -37,6 +40,7 @@ class Registry:
         self.painter = Painter(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.draining = False
         self._drained = False
+        self._sockets: tempfile.TemporaryDirectory[str] | None = None
         self._initial = [spec.id for spec in specs]
         for spec in specs:
             if spec.id in self.streams:
@@ -95,8 +99,17 @@ class Registry:
         await asyncio.gather(*(stream.stop() for stream in self.streams.values()), return_exceptions=True)
         if self.store is not None:
             await asyncio.to_thread(self.store.close)
+        if self._sockets is not None:
+            self._sockets.cleanup()
 
     def _add(self, spec: StreamSpec) -> Stream:
         recording = self.store.recording(spec.id) if self.store else None
-        self.streams[spec.id] = Stream(spec, self.settings, recording)
+        socket = self._push_socket() if spec.is_live else None
+        self.streams[spec.id] = Stream(spec, self.settings, recording, socket)
         return self.streams[spec.id]
+
+    def _push_socket(self) -> Path:
+        """A place for a worker's socket in a folder that is this user's alone; its path may have 107 bytes."""
+        if self._sockets is None:
+            self._sockets = tempfile.TemporaryDirectory(prefix="streamlod-")
+        return Path(self._sockets.name) / secrets.token_hex(8)

@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from core.errors import InputError
+from server.api.schemas import NewStream
 
 MEGABYTE = 1_000_000
 
@@ -94,6 +95,9 @@ class Settings(BaseModel):
     certificate: Path | None = Field(default=None, description="TLS certificate chain (PEM)")
     certificate_key: Path | None = Field(default=None, description="TLS private key (PEM)")
     drain_seconds: float = Field(default=8.0, gt=0, le=10, description="time that viewers get to leave after SIGTERM")
+    streams: tuple[NewStream, ...] = Field(
+        default=(), description="streams to start with, as `[[streams]]`; fields as in `POST /v1/streams`"
+    )
     limits: Limits = Field(default_factory=Limits)
     retention: Retention = Field(default_factory=Retention)
     worker: WorkerSettings = Field(default_factory=WorkerSettings)

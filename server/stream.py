@@ -8,10 +8,12 @@ import logging
 import time
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from server.bus import LocalBus
 from server.hub import Hub
+from server.ingest.statistics import complaint
 from server.messages import event
 from server.packets import Position, stream_packet
 from server.settings import Settings
@@ -47,10 +49,17 @@ class Stream:
         spec: what it is made from.
         settings: of the server.
         recording: its place on disk, or None.
+        push_socket: where its worker takes pictures that capture nodes push, or None.
     """
 
-    def __init__(self, spec: StreamSpec, settings: Settings, recording: Recording | None = None) -> None:
-        self.spec, self._settings = spec, settings
+    def __init__(
+        self,
+        spec: StreamSpec,
+        settings: Settings,
+        recording: Recording | None = None,
+        push_socket: Path | None = None,
+    ) -> None:
+        self.spec, self._settings, self.push_socket = spec, settings, push_socket
         self.bus = LocalBus(settings.retention.memory_bytes, recording)
         self.hub = Hub(_HUB_BYTES)
         self.counters = Counters()
@@ -58,6 +67,7 @@ class Stream:
         self.state, self.detail = "idle", ""
         self.progress: dict[str, Any] | None = None
         self.report: dict[str, Any] | None = None
+        self.ingest: dict[str, Any] | None = None  # how live cameras do
         self.created_at = datetime.now(UTC)
         self.deleted = False
         self.live_at = 0.0  # monotonic time of the newest packet
@@ -120,6 +130,7 @@ class Stream:
             "recording": self._recording_state(),
             "progress": self.progress,
             "report": self.report,
+            "ingest": self.ingest,
             "created_at": self.created_at.isoformat(timespec="seconds").replace("+00:00", "Z"),
             "live_path": f"/v1/streams/{self.spec.id}/live",
         }
@@ -173,12 +184,14 @@ class Stream:
         elif tag is Tag.PROGRESS:
             self.progress = json.loads(body)
             self._tell(event("progress", **(self.progress or {})))
+        elif tag is Tag.INGEST:
+            self._on_ingest(json.loads(body))
         elif tag is Tag.EPOCH:
             self._new_epoch, self._frames_done = True, 0
 
     async def resume_point(self) -> Resume:
         """See `supervisor.Owner`."""
-        self._new_epoch = True
+        self._new_epoch, self.ingest = True, None
         if self._frames_done == 0:
             return Resume()
         return Resume(tuple(await self.hub.snapshot()), self._frames_done)
@@ -207,8 +220,20 @@ class Stream:
         self.counters.packets += 1
         self.counters.packet_bytes += len(data)
         self.live_at = time.monotonic()
-        if record and self.state != "live":
-            self._enter("live")
+        if record:
+            self._enter_live()
+
+    def _on_ingest(self, figures: dict[str, Any]) -> None:
+        self.ingest = figures
+        if self.state == "starting":
+            self._enter("starting", complaint(figures))
+        elif not self._new_epoch:  # a worker that has sent nothing yet does not end the trouble
+            self._enter_live()
+
+    def _enter_live(self) -> None:
+        """Live, or degraded while a camera is missing."""
+        fault = complaint(self.ingest) if self.ingest else ""
+        self._enter("degraded" if fault else "live", fault)
 
     def _enter(self, state: str, detail: str = "") -> None:
         if (state, detail) != (self.state, self.detail):
@@ -228,4 +253,5 @@ class Stream:
         return self.bus.recording.fault or "on"
 
     def _make_supervisor(self) -> Supervisor:
-        return Supervisor(self.spec, self._settings.worker, self._settings.limits.packet_bytes, self)
+        settings = self._settings
+        return Supervisor(self.spec, settings.worker, settings.limits.packet_bytes, self, self.push_socket)

@@ -50,6 +50,10 @@ class Connection:
         """Bytes that the kernel has not taken yet."""
         return self._protocol.transport.get_write_buffer_size()
 
+    def allow_messages_of(self, size_bytes: int) -> None:
+        """Let the peer send longer messages than viewers need."""
+        self._protocol.conn.max_message_size = size_bytes
+
     async def drain(self, stuck_seconds: float) -> None:
         """Wait until earlier writes have gone to the kernel.
 

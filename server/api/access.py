@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Any
+from urllib.parse import urlsplit
 
 from fastapi import Depends, Request
 from fastapi.responses import JSONResponse
@@ -79,6 +80,13 @@ async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: 
     gate.note_refusal(address)
     await asyncio.sleep(max(0.0, _REFUSAL_SECONDS - (time.monotonic() - begin)))
     return Problem(401, "a token is needed, and this is none", {"WWW-Authenticate": "Bearer"})
+
+
+def is_foreign(connection: HTTPConnection) -> bool:
+    """Whether a page of another origin than the server's own and those of the settings is behind the request."""
+    origin = connection.headers.get("origin")
+    own, allowed = connection.headers.get("host"), registry_of(connection).settings.origins
+    return bool(origin) and urlsplit(origin).netloc != own and origin not in allowed
 
 
 def need(right: Right) -> Any:

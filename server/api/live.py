@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from urllib.parse import urlsplit
 
 from fastapi import APIRouter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
 
 from core.errors import SessionError
-from server.api.access import address_of, refusal, registry_of
+from server.api.access import address_of, is_foreign, refusal, registry_of
 from server.auth import Right
 from server.messages import (
     BAD_MESSAGE,
@@ -91,9 +90,7 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
 async def _admit(websocket: WebSocket, registry: Registry, stream_id: str) -> None:
     if SUBPROTOCOL not in websocket.scope.get("subprotocols", []):
         raise SessionError(BAD_VERSION, f"offer the sub-protocol {SUBPROTOCOL}")
-    origin = websocket.headers.get("origin")
-    own = websocket.headers.get("host")
-    if origin and urlsplit(origin).netloc != own and origin not in registry.settings.origins:
+    if is_foreign(websocket):
         raise SessionError(FORBIDDEN, "pages of this origin may not connect")
     problem = await refusal(registry.gate, websocket, Right.READ, stream_id)
     if problem is not None:

@@ -7,11 +7,14 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from server.spec import StreamSpec, spec_from_json
+
 _STREAM_EXAMPLE: dict[str, Any] = {
     "id": "main", "name": "main", "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
     "anchors": 20413, "viewers": 2, "restarts": 0, "recording": "on",
     "progress": {"fraction": 1.0, "loss": 0.03, "text": "first frame"},
-    "report": {"version": 57, "total_seconds": 0.8}, "created_at": "2026-11-21T10:00:00Z",
+    "report": {"version": 57, "total_seconds": 0.8}, "ingest": None,
+    "created_at": "2026-11-21T10:00:00Z",
     "live_path": "/v1/streams/main/live",
 }  # fmt: skip
 
@@ -49,6 +52,7 @@ class StreamBody(BaseModel):
     recording: str = Field(description="off, on, or what stopped it")
     progress: dict[str, Any] | None = Field(description="of the first frame's training")
     report: dict[str, Any] | None = Field(description="figures of the newest frame")
+    ingest: dict[str, Any] | None = Field(description="how live cameras do (docs/ingest.md); null for other sources")
     created_at: datetime
     live_path: str
 
@@ -85,7 +89,7 @@ class Manifest(BaseModel):
 
 
 class NewStream(BaseModel):
-    """A stream to create: exactly one of `data`, `play` and `synthetic`."""
+    """A stream to create: exactly one of `data`, `live`, `play` and `synthetic`."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -94,6 +98,9 @@ class NewStream(BaseModel):
 
     id: str = Field(pattern="^[a-z0-9][a-z0-9_-]{0,63}$")
     data: str | None = Field(default=None, max_length=4096, description="folder of a data set on the server")
+    live: str | dict[str, Any] | None = Field(
+        default=None, description="file of a live rig on the server, or the rig itself (docs/ingest.md)"
+    )
     play: str | None = Field(default=None, max_length=4096, description="recorded .slod file on the server")
     synthetic: dict[str, int | float | str | bool | list[int]] | None = Field(
         default=None, description="clip made on the fly"
@@ -108,6 +115,11 @@ class NewStream(BaseModel):
     device: Literal["auto", "cpu", "cuda"] = "auto"
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
     start: bool = Field(default=False, description="start it at once")
+
+    @property
+    def spec(self) -> StreamSpec:
+        """What the stream is made from; InputError if it cannot be made."""
+        return spec_from_json(self.model_dump(exclude={"start"}, exclude_none=True))
 
 
 class ProblemBody(BaseModel):

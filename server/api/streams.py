@@ -13,7 +13,6 @@ from server.api.access import Problem, StreamOf, need, refusal, registry_of
 from server.api.schemas import Manifest, NewStream, ProblemBody, StreamBody, StreamList
 from server.auth import Right
 from server.packets import Position
-from server.spec import spec_from_json
 from server.stream import Stream
 
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
@@ -44,17 +43,16 @@ async def list_streams(
 
 @router.post("", status_code=201, summary="Create a stream", responses=_CONFLICT)
 async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
-    """Create a stream from a data set, a recorded file or a synthetic clip; idle unless `start` is given."""
+    """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle unless `start` is given."""
     registry = registry_of(request)
     problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
     if problem is not None:
         raise problem
-    values = body.model_dump(exclude={"start"}, exclude_none=True)
-    for name in ("data", "play"):
-        if name in values and not await asyncio.to_thread(Path(values[name]).exists):
-            raise Problem(422, f"{name}: there is no {values[name]!r:.200} on the server")
+    for name, path in (("data", body.data), ("live", body.live), ("play", body.play)):
+        if isinstance(path, str) and not await asyncio.to_thread(Path(path).exists):
+            raise Problem(422, f"{name}: there is no {path!r:.200} on the server")
     try:
-        stream = await registry.create(spec_from_json(values))
+        stream = await registry.create(body.spec)
     except InputError as error:
         raise Problem(409 if body.id in registry.streams else 422, str(error)) from error
     if body.start:
