@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from server.ingest.clock import ClockSource
 from server.ingest.synchroniser import CameraState, Counts
@@ -44,3 +45,13 @@ class Statistics:
     latency_ns: int
     clock_steps: int
     cameras: dict[str, CameraStatistics]
+
+
+def complaint(figures: dict[str, Any]) -> str:
+    """Which cameras are lost and why, in a sentence; empty where none is.
+
+    Args:
+        figures: a `Statistics` in JSON.
+    """
+    lost = {name: one["fault"] for name, one in figures["cameras"].items() if one["state"] == CameraState.LOST}
+    return "; ".join(f"camera {name} is lost" + (f" ({fault})" if fault else "") for name, fault in lost.items())
