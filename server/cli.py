@@ -171,7 +171,7 @@ def serve(
         _require_folder(data)
         _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
     source = {"data": data, "live": live, "play": play}
-    streams: tuple[Any, ...] = ()
+    streams = tuple(stream.spec for stream in settings.streams)
     if any(source.values()):
         options = {
             "loop": loop,
@@ -185,7 +185,7 @@ def serve(
             "device": device.value,
             "seed": seed,
         }
-        streams = (_load("server.spec:spec_from_json")(source | options),)
+        streams += (_load("server.spec:spec_from_json")(source | options),)
     _call("server.commands:serve", settings, streams)
 
 

@@ -43,7 +43,7 @@ async def list_streams(
 
 @router.post("", status_code=201, summary="Create a stream", responses=_CONFLICT)
 async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
-    """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle unless `start` is given."""
+    """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle without `start`."""
     registry = registry_of(request)
     problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
     if problem is not None:
