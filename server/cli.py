@@ -190,6 +190,20 @@ def serve(
 
 
 @app.command()
+def push(
+    url: Annotated[str, typer.Argument(metavar="ws://HOST:PORT/v1/streams/ID/ingest", help="Where to.")],
+    sources: Annotated[
+        list[str], typer.Argument(metavar="NAME=SOURCE|DIR...", help="Cameras: a video, pictures, v4l2:///dev/video0.")
+    ],
+    fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Of webcams and folders of pictures.")] = 30.0,
+    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Asked of webcams.")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin files again at their end.")] = False,
+) -> None:
+    """Send this machine's cameras to a live stream with push: sources. A token comes from STREAMLOD_TOKEN."""
+    _call("server.commands:push", url, sources, fps, size, loop)
+
+
+@app.command()
 def view(
     url: Annotated[str, typer.Argument(metavar="ws://HOST:PORT/v1/streams/ID/live", help="A live stream.")],
     out: Annotated[Path, typer.Option(metavar="DIR|FILE.mp4", help="Folder of PNGs, or a video.")],

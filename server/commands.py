@@ -113,6 +113,19 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
     return ""
 
 
+def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool) -> str:
+    """Be a capture node until the sources end."""
+    from server.ingest.capture import find_cameras
+    from server.ingest.node import push as send
+
+    cameras = find_cameras(sources, fps, None if size is None else picture_size(size), repeats=loop)
+    pushed = send(url, cameras, os.environ.get("STREAMLOD_TOKEN"))
+    return "\n".join(
+        f"{name}: {one.acknowledged} pictures taken, {one.refused} refused, {one.dropped} dropped"
+        for name, one in pushed.items()
+    )
+
+
 def bench(name: str | None, arguments: list[str]) -> str:
     """Run a benchmark of the source checkout, or list them."""
     names = _benches()

@@ -104,6 +104,12 @@ def parse_address(source: str) -> Address:
     return Address(url, base, listens, "mpegts" if base in ("udp", "tcp") else None, options)
 
 
+def webcam_options(fps: float, size: tuple[int, int] | None) -> dict[str, str]:
+    """What FFmpeg asks of a webcam: pictures a second, and (width, height) unless its own choice will do."""
+    options = {"framerate": f"{fps:g}"}
+    return options if size is None else options | {"video_size": f"{size[0]}x{size[1]}"}
+
+
 def _file(path: Path) -> Address:
     return Address(str(path.absolute()), "file", options={"protocol_whitelist": "file"})
 

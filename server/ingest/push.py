@@ -20,6 +20,7 @@ import msgpack
 from core.errors import SessionError
 from server.messages import BAD_MESSAGE
 
+PUSH_SUBPROTOCOL = "streamlod.push.v1"
 MAX_MESSAGE_BYTES = 16 << 20
 _TOO_BIG = 1009  # RFC 6455 section 7.4.1
 _MAX_HEADER_BYTES = 512

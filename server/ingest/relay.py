@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from core.errors import InputError, SessionError
 from server.ingest.push import MAX_MESSAGE_BYTES, PushMessage, pack_push, parse_push
+from server.messages import BUSY
 
 if TYPE_CHECKING:
     from server.ingest.intake import Intake
@@ -45,13 +46,14 @@ class RelayedIntake:
         """Hand a picture to the worker and wait for its answer.
 
         Raises:
-            InputError: the worker refused it, or has gone.
+            InputError: the worker refused it.
+            SessionError: the worker has gone; there may be another one soon.
         """
         try:
             self._pipe.send_bytes(pack_push(message))
             answer = self._pipe.recv_bytes(_LONGEST_ANSWER)
         except (OSError, EOFError) as error:
-            raise InputError(f"camera {message.camera}", "the rig has stopped taking pictures") from error
+            raise SessionError(BUSY, "the stream takes no pictures at present; try again later") from error
         if answer:
             raise InputError(f"camera {message.camera}", answer.decode(errors="replace"))
 

@@ -13,11 +13,10 @@ from fastapi import APIRouter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from core.errors import InputError, SessionError
-from server.ingest.push import PushMessage, parse_push
+from server.ingest.push import PUSH_SUBPROTOCOL, PushMessage, parse_push
 from server.messages import BAD_MESSAGE, BAD_VERSION, FAULT
 
 _LOG = logging.getLogger(__name__)
-PUSH_SUBPROTOCOL = "streamlod.push.v1"
 _LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from core.arrays import UInt8
 from core.data.pictures import MAX_SIDE
 from core.errors import InputError
-from server.ingest.address import SILENCE_SECONDS, Address
+from server.ingest.address import SILENCE_SECONDS, Address, webcam_options
 from server.ingest.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
 from server.ingest.grid import period_of
 from server.ingest.picture import Picture
@@ -152,9 +152,10 @@ class Reader:
             self._abort = pipe.kill
             assert pipe.stdout is not None
             return av.open(pipe.stdout, "r", format=address.format, options=address.options)
+        options = webcam_options(self._fps, self._size) if address.scheme == "v4l2" else address.options
         silence = SILENCE_SECONDS if address.is_live else None
         timeout = (address.open_seconds, silence) if address.is_live else None
-        return av.open(address.url, "r", format=address.format, options=address.options, timeout=timeout)
+        return av.open(address.url, "r", format=address.format, options=options, timeout=timeout)
 
     def _frames(
         self, container: av.container.InputContainer, stream: av.stream.Stream, clock: CaptureClock

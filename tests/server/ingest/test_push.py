@@ -29,9 +29,9 @@ from core.frames import FrameSet
 from server.ingest.clock import ClockSource
 from server.ingest.intake import Intake
 from server.ingest.live import LiveDataset, open_live
-from server.ingest.push import MAX_MESSAGE_BYTES, Codec, PushMessage, pack_push, parse_push
+from server.ingest.push import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push, parse_push
 from server.ingest.relay import RelayedIntake
-from server.ingest.router import PUSH_SUBPROTOCOL, push_router
+from server.ingest.router import push_router
 from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, free_ports, number_of, write_definition
 
 
