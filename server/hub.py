@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from codec.decoder import SceneDecoder
@@ -38,7 +39,7 @@ class Hub:
 
     Attributes:
         window: recent packets.
-        listeners: events that are set whenever something has changed.
+        listeners: called whenever something has changed; they must not raise.
     """
 
     def __init__(self, window_bytes: int, limits: Limits = DEFAULT_LIMITS) -> None:
@@ -49,7 +50,7 @@ class Hub:
         self._state_bytes = 0
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
         self._parts: tuple[int, list[bytes]] | None = None
-        self.listeners: set[asyncio.Event] = set()
+        self.listeners: set[Callable[[], None]] = set()
 
     @property
     def newest(self) -> StreamPacket | None:
@@ -91,7 +92,7 @@ class Hub:
     def wake(self) -> None:
         """Let every listener look again."""
         for listener in self.listeners:
-            listener.set()
+            listener()
 
     def can_skip(self, number: int) -> bool:
         """Whether one residual leads from packet `number` to the newest."""

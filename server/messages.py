@@ -54,9 +54,10 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class Seek:
-    """Jump; None is the live edge."""
+    """Jump; None is the live edge. `stop`: pause there, where the server draws."""
 
     to: Position | None
+    stop: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +90,8 @@ def parse_hello(text: str) -> Hello:
     client = message.get("client", "")
     if not isinstance(client, str) or len(client) > 200:
         raise SessionError(BAD_MESSAGE, "client must be a string of at most 200 characters")
-    pictures = message.get("pictures", False)
-    if not isinstance(pictures, bool):
-        raise SessionError(BAD_MESSAGE, "pictures must be true or false")
-    return Hello(client, _target(message.get("start", LIVE), "start"), _levels(message), _rate(message), pictures)
+    start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
+    return Hello(client, start, _levels(message), _rate(message), pictures)
 
 
 def parse_control(text: str) -> Control:
@@ -109,7 +108,7 @@ def parse_control(text: str) -> Control:
             given = frozenset(message) & {"levels", "kilobytes_per_second"}
             return Set(_levels(message), _rate(message), given)
         case "seek":
-            return Seek(_target(message.get("to"), "to"))
+            return Seek(_target(message.get("to"), "to"), _flag(message, "stop"))
         case "pause":
             return Pause()
         case "play":
@@ -126,7 +125,7 @@ def event(name: str, **fields: Any) -> dict[str, Any]:
 
 def _object(text: str) -> dict[str, Any]:
     try:
-        message = json.loads(text, parse_constant=_refuse_constant)
+        message = _READER.decode(text)
     except (ValueError, RecursionError) as error:
         raise SessionError(BAD_MESSAGE, "message is not JSON") from error
     if not isinstance(message, dict):
@@ -138,9 +137,19 @@ def _refuse_constant(name: str) -> float:
     raise ValueError(name)
 
 
+_READER = json.JSONDecoder(parse_constant=_refuse_constant)
+
+
 def _integer(value: object, name: str) -> int:
     if type(value) is not int or not 0 <= value <= _MOST:
         raise SessionError(BAD_MESSAGE, f"{name} must be an integer of at least 0")
+    return value
+
+
+def _flag(message: dict[str, Any], name: str) -> bool:
+    value = message.get(name, False)
+    if not isinstance(value, bool):
+        raise SessionError(BAD_MESSAGE, f"{name} must be true or false")
     return value
 
 

@@ -19,6 +19,11 @@ class Throttle:
         self._rate = bytes_per_second
         self._free_at = 0.0
 
+    @property
+    def bounded(self) -> bool:
+        """Whether there is a rate at all."""
+        return self._rate is not None
+
     def spend(self, size_bytes: int, now: float) -> float:
         """Account for `size_bytes`; seconds to wait before anything more is sent."""
         if self._rate is None:

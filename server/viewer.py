@@ -2,12 +2,14 @@
 
 A viewer has no queue. It has a place in the hub's window, and whenever its socket takes more, the next packet is
 chosen from there: the following one, or one residual over everything it missed. So a slow viewer costs a socket buffer.
+
+A viewer that is up to date and whose socket is empty gets a new packet straight from the hub's call, without its task
+being woken: that is the ordinary case, and makes a packet to a thousand viewers a loop over sockets.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import logging
 import secrets
@@ -39,6 +41,9 @@ class Transport(Protocol):
     async def text(self, message: str) -> None:
         """Send a control message."""
 
+    def offer(self, frame: bytes) -> bool:
+        """Send a framed packet now, if earlier writes have drained; whether that was so."""
+
 
 class ViewerSession:
     """A viewer that has said hello.
@@ -69,6 +74,8 @@ class ViewerSession:
         self._mode = "replay" if hello.start else "live"
         self._jump = True  # a position event and a new start are due
         self._told_caught_up = self._tell_levels = False
+        self._up_to_date = False  # nothing is to be done but to pass on what comes
+        self._full = False  # waits for acknowledgements
         self._sent = self._acked = 0
         self._acked_at: float | None = None
         self._held_seconds = 0.0  # spent waiting for the viewer since it was last up to date
@@ -92,6 +99,8 @@ class ViewerSession:
             case Ack(received):
                 self._acked = max(self._acked, min(received, self._sent))
                 self._acked_at = now
+                if not self._full:
+                    return
             case Set(levels, rate_kilobytes, given):
                 if "levels" in given:
                     self._levels.want(levels or _MOST_LEVELS, now)
@@ -107,7 +116,23 @@ class ViewerSession:
                 if self._mode == "paused":
                     self._target = self._last.position if self._last else None
                     self._mode, self._jump = ("replay" if self._target else "live"), True
+        self._rouse()
+
+    def _rouse(self) -> None:
+        """Let the session's task look what is to be done."""
+        self._up_to_date = False
         self.wake.set()
+
+    def _on_news(self) -> None:
+        """Something has changed; a packet that follows the newest one is passed on if nothing is in the way."""
+        newest = self._hub.newest
+        if self._up_to_date and newest is not None and self._live == newest.number - 1:
+            frame = newest.framed(self._levels.levels)
+            if not self._over_flight() and self._transport.offer(frame):
+                self._last, self._live = newest, newest.number
+                self._account(frame)
+                return
+        self._rouse()
 
     async def run(self) -> None:
         """Feed the viewer until it leaves.
@@ -116,7 +141,7 @@ class ViewerSession:
             SessionError: the connection is to be closed with its code.
         """
         events = self._stream.listen()
-        self._hub.listeners.add(self.wake)
+        self._hub.listeners.add(self._on_news)
         self._stream.viewers += 1
         self._stream.counters.joins += 1
         _LOG.info("stream %s: viewer %s (%s) joins", self._stream.spec.id, self.id, self.client)
@@ -134,7 +159,7 @@ class ViewerSession:
                     await self._idle()
         finally:
             self._stream.viewers -= 1
-            self._hub.listeners.discard(self.wake)
+            self._hub.listeners.discard(self._on_news)
             self._stream.unlisten(events)
             seconds = time.monotonic() - self._begun
             _LOG.info("stream %s: viewer %s left after %.1f s, %d bytes", self._stream.spec.id, self.id, seconds,
@@ -147,9 +172,12 @@ class ViewerSession:
             wait = min(wait, self._free_at - now)
         if self._mode == "replay" and self._replay:
             wait = min(wait, max(0.0, self._due(self._replay[0]) - now))
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(wait):  # wait_for of Python 3.11 can lose a cancellation
-                await self.wake.wait()
+        timer = asyncio.get_running_loop().call_later(wait, self.wake.set)
+        try:
+            await self.wake.wait()
+        finally:
+            timer.cancel()
+            self._up_to_date = False
 
     async def _step(self) -> bool:
         """Send the next thing; whether there was anything."""
@@ -201,6 +229,7 @@ class ViewerSession:
             if self._levels.levels < (self._stream.levels or 1) and self._levels.may_raise(now):
                 await self._raise_level(now)
                 return True
+            self._up_to_date = not self._throttle.bounded
             return False
         following = self._hub.window.after(self._live)
         if following is not None and now - following.arrived <= self._limits.viewer_lag_seconds:
@@ -307,29 +336,38 @@ class ViewerSession:
         return self._clock + packet.info.time_ns / 1e9
 
     def _too_much_in_flight(self, now: float) -> bool:
-        if self._acked_at is None:
+        self._full = self._over_flight()
+        if not self._full:
             return False
-        key = self._hub.keyframe
-        bound = self._limits.flight_bytes + (len(key.data) if key else 0)
-        if self._sent - self._acked <= bound:
-            return False
-        if now - self._acked_at > self._limits.stuck_seconds:
+        if self._acked_at is not None and now - self._acked_at > self._limits.stuck_seconds:
             raise SessionError(BUSY, f"nothing was acknowledged for {self._limits.stuck_seconds:g} s")
         self._held_seconds += _TICK_SECONDS
         return True
+
+    def _over_flight(self) -> bool:
+        """Whether more is unacknowledged than a viewer may leave so; one that never acknowledges is not asked."""
+        if self._acked_at is None or self._sent - self._acked <= self._limits.flight_bytes:
+            return False
+        key = self._hub.keyframe
+        return self._sent - self._acked > self._limits.flight_bytes + (len(key.data) if key else 0)
 
     async def _past_packet(self, packet: StreamPacket) -> None:
         self._last = packet
         await self._frame(binary_frame(packet.restricted(self._levels.levels)))
 
     async def _frame(self, frame: bytes) -> None:
-        size = len(frame) - _overhead(len(frame))
         begin = time.monotonic()
         await self._transport.binary(frame)
-        self._held_seconds += time.monotonic() - begin
+        now = time.monotonic()
+        self._held_seconds += now - begin
+        self._free_at = now + self._throttle.spend(self._account(frame), now)
+
+    def _account(self, frame: bytes) -> int:
+        """Count a frame that was sent; the size of its packet."""
+        size = len(frame) - _overhead(len(frame))
         self._sent += size
         self._count(size)
-        self._free_at = time.monotonic() + self._throttle.spend(size, time.monotonic())
+        return size
 
     def _count(self, size: int) -> None:
         self._stream.counters.sent_bytes += size

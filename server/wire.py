@@ -84,6 +84,14 @@ class Connection:
             raise ClientDisconnected
         self._protocol.transport.write(frame)
 
+    def offer(self, frame: bytes) -> bool:
+        """Write a whole websocket frame now, if earlier ones have drained; whether that was so."""
+        protocol = self._protocol
+        if not protocol.writable.is_set() or protocol.disconnected or protocol.close_sent:
+            return False
+        protocol.transport.write(frame)
+        return True
+
     def abort(self) -> None:
         """Cut the connection without waiting for the peer."""
         self._protocol.transport.abort()

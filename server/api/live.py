@@ -54,6 +54,9 @@ class _Transport:
         await self._connection.drain(self._stuck)
         await self._websocket.send_text(message)
 
+    def offer(self, frame: bytes) -> bool:
+        return self._connection.offer(frame)
+
     def abort(self) -> None:
         self._connection.abort()
 

@@ -114,7 +114,7 @@ async def get_manifest(
 
 async def _wait_for_later(stream: Stream, place: Position, seconds: float) -> None:
     wake = asyncio.Event()
-    stream.hub.listeners.add(wake)
+    stream.hub.listeners.add(wake.set)
     try:
         async with asyncio.timeout(seconds):
             while (stream.newest is None or stream.newest <= place) and not stream.deleted:
@@ -123,7 +123,7 @@ async def _wait_for_later(stream: Stream, place: Position, seconds: float) -> No
     except TimeoutError:
         return
     finally:
-        stream.hub.listeners.discard(wake)
+        stream.hub.listeners.discard(wake.set)
 
 
 def _groups(stream: Stream) -> list[dict[str, Any]]:
