@@ -20,8 +20,8 @@ from core.anchors import Scene
 from core.camera import Camera, pinhole
 from core.errors import SessionError
 from core.splat import Splatter
-from server.messages import BUSY, FORBIDDEN, Control, Hello, event
-from server.packets import binary_frame
+from server.messages import BUSY, FORBIDDEN, Control, Hello, Pause, Play, Seek, event
+from server.packets import Position, binary_frame
 from server.painting import GRADES, HEADER, Pace, Painter, look_along
 from server.settings import Limits
 from server.stream import Stream
@@ -52,6 +52,10 @@ class _Inlet:
     async def text(self, message: str) -> None:
         await self._outer.text(message)
 
+    def offer(self, frame: bytes) -> bool:
+        """Never at once: decoding takes a while."""
+        return False
+
 
 class ThinSession(ViewerSession):
     """A viewer that said hello with `pictures`.
@@ -71,10 +75,19 @@ class ThinSession(ViewerSession):
         self._number = self._shown = 0
         self._keyframe: Scene | None = None  # that the viewer was told of
         self._picks: list[Pick] = []
+        self._stop = False  # pause as soon as the place of a seek is reached
+        self._frozen: tuple[Scene, int] | None = None  # paused: what is looked at, whatever has arrived since
+        self._drawn: tuple[Scene, int, Camera] | None = None
 
     def on_control(self, message: Control) -> None:
         super().on_control(message)
         match message:
+            case Pause():
+                self._frozen = self._drawn[:2] if self._drawn else None
+            case Seek(_, stop):
+                self._stop, self._frozen = stop, None
+            case Play():
+                self._frozen = None
             case View(camera):
                 self._camera = camera
             case Shown(picture):
@@ -106,13 +119,18 @@ class ThinSession(ViewerSession):
     def _count(self, size: int) -> None:
         """Packets stay in this process: nothing was sent."""
 
+    async def _load(self, place: Position) -> None:
+        await super()._load(place)
+        if self._stop:
+            self._stop, self._mode, self._jump = False, "paused", True
+
     async def _draw(self) -> None:
         """Picture after picture: at once when there is something new, better ones while nothing changes."""
-        drawn: tuple[Scene, int, Camera] | None = None
         fine = True
         while True:
             self._changed.clear()
-            scene, levels, camera = self._inlet.scene, self._inlet.levels, self._camera
+            scene, levels = self._frozen or (self._inlet.scene, self._inlet.levels)
+            camera = self._camera
             if scene is not None and levels:
                 await self._introduce(scene)
                 await self._answer(scene, levels)
@@ -120,15 +138,16 @@ class ThinSession(ViewerSession):
                 await self._changed.wait()
                 continue
             index = self._pace.moving
-            if drawn == (scene, levels, camera):
+            if self._drawn == (scene, levels, camera):
                 if fine:
                     await self._changed.wait()
                     continue
                 if not await self._rests():
                     continue
                 index = self._pace.resting
+            self._drawn = scene, levels, camera
             await self._picture(scene, camera, levels, index)
-            drawn, fine = (scene, levels, camera), index <= self._pace.resting
+            fine = index <= self._pace.resting
 
     async def _rests(self) -> bool:
         """Wait for a change; whether none came."""

@@ -41,22 +41,32 @@ function show(said) {
   button("card-button").textContent = label ?? "";
 }
 
-/** @returns {Viewer | null} */
-function createViewer() {
+/** @returns {Promise<Viewer | null>} drawn here if that can be, else by the server */
+async function createViewer() {
   try {
-    return new Viewer(canvas);
+    if (options.get("thin") !== "1" || recording) return new Viewer(canvas);
   } catch {
-    show(NO_WEBGL);
-    element("tools").hidden = true;
-    return null;
+    if (recording) return cannotDraw();
   }
+  try {
+    const { createThin } = await import("./thin.js");
+    return new Viewer(canvas, createThin(canvas));
+  } catch {
+    return cannotDraw();
+  }
+}
+
+function cannotDraw() {
+  show(NO_WEBGL);
+  element("tools").hidden = true;
+  return null;
 }
 
 /** @param {Viewer} viewer */
 async function start(viewer) {
   const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }), recording !== null);
   const controls = new Controls(viewer);
-  const quality = new Quality(viewer, options.get("quality"));
+  const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
   let retryAt = 0, showFrusta = false;
 
@@ -86,6 +96,7 @@ async function start(viewer) {
     if (detail.position && viewer.status) viewer.status.position = detail.position;
     element("stage").toggleAttribute("data-shown", true);
     rates.frame(detail, viewer.status?.bytes ?? 0);
+    quality.need(detail.needed ?? Infinity);
     refresh();
   });
   const heartbeat = setInterval(() => {
@@ -184,6 +195,11 @@ async function start(viewer) {
         quality.choose(name);
         button("b-quality").click();
       })));
+    if (recording) return;
+    const swap = new URL(location.href);
+    swap.searchParams.set("thin", viewer.thin ? "0" : "1");
+    swap.searchParams.set("camera", toText(viewer.pose));
+    qualityMenu.append(menuItem("Server draws", "slow devices", viewer.thin, () => location.assign(swap)));
   });
 
   /** @type {Record<string, () => unknown>} */
@@ -214,6 +230,7 @@ async function start(viewer) {
 
   const pose = fromText(options.get("camera"));
   if (pose) viewer.steer(pose);
+  element("stage").toggleAttribute("data-thin", viewer.thin);
   if (viewer.software) toast("Drawn in software: turn on hardware acceleration for a smooth picture", 6000);
 
   const token = options.get("token");
@@ -227,5 +244,5 @@ async function start(viewer) {
   viewer.tell({ type: "connect", url: liveAddress(stream), recording: false, token, wishes, start: null });
 }
 
-const viewer = createViewer();
+const viewer = await createViewer();
 if (viewer) await start(viewer);

@@ -19,7 +19,8 @@
  *
  * @typedef {{ anchors: number, levels: number, splats: number }} Summary
  *
- * @typedef {{ type: "picture", decodeMs: number, position: Position | null, summary: Summary | null }
+ * @typedef {{ type: "picture", decodeMs: number, position: Position | null, summary: Summary | null,
+ *   drawn?: { width: number, height: number, quality: number } }
  *   & import("./engine.js").Picture} PictureMessage
  *
  * @typedef {{ cameras: RigCamera[], background: [number, number, number], fps: number, levels: number, viewDependent: boolean }} SceneFacts

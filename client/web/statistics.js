@@ -50,6 +50,7 @@ export function fillStatistics(list, viewer, rates) {
     Expand: number(picture?.expandMs, "ms"),
     Sort: number(picture?.sortMs, "ms"),
     Skipped: String(status?.skipped ?? 0),
+    ...(picture?.drawn ? { Picture: `${picture.drawn.width} × ${picture.drawn.height}, JPEG ${picture.drawn.quality}` } : {}),
     Canvas: `${canvas.width} × ${canvas.height}`,
   };
   list.replaceChildren(...Object.entries(rows).flatMap(([name, value]) => [

@@ -1,0 +1,286 @@
+/**
+ * Thin mode: the server draws, this side shows its pictures and says where it stands (docs/protocol.md section 2).
+ *
+ * `ThinLink` takes the place of the worker and `Screen` that of the renderer, so the rest of the page is the same.
+ */
+
+import { PROTOCOL, Session } from "./session.js";
+
+/** @typedef {import("./messages.js").FromWorker} FromWorker */
+/** @typedef {import("./messages.js").ToWorker} ToWorker */
+/** @typedef {import("./renderer.js").View} View */
+
+const HEADER_BYTES = 24;
+const VIEW_MS = 50; // between two views that are told
+const TICK_MS = 250, HOLD_MS = 1500;
+
+/** @param {HTMLCanvasElement} canvas @throws {Error} where not even a flat canvas can be had */
+export function createThin(canvas) {
+  const link = new ThinLink();
+  return { renderer: new Screen(canvas, link), worker: link };
+}
+
+/** Shows the newest picture; has what the page needs of a renderer. */
+export class Screen {
+  /** @param {HTMLCanvasElement} canvas @param {ThinLink} link */
+  constructor(canvas, link) {
+    const context = canvas.getContext("2d", { alpha: false });
+    if (!context) throw new Error("no canvas");
+    this.context = context;
+    this.link = link;
+    this.hardware = "server";
+    /** @type {[number, number, number]} */
+    this.background = [0, 0, 0];
+    /** @type {Float32Array} */
+    this.lines = new Float32Array(0);
+  }
+
+  update() {}
+  setOrder() {}
+  clear() {}
+
+  /** @param {Float32Array} segments */
+  setLines(segments) {
+    this.lines = segments;
+  }
+
+  /** @param {View} view */
+  draw(view) {
+    const { context, link } = this, { width, height } = context.canvas;
+    context.fillStyle = `rgb(${this.background.map((x) => Math.round(255 * x)).join(" ")})`;
+    context.fillRect(0, 0, width, height);
+    if (link.bitmap) context.drawImage(link.bitmap, 0, 0, width, height);
+    if (this.lines.length) this.#drawLines(view);
+    link.look(view, width, height);
+  }
+
+  /** @param {View} view */
+  #drawLines({ rotation: r, translation: t, focal, principal }) {
+    const { context, lines } = this;
+    context.strokeStyle = "rgb(92 168 250 / 80%)";
+    context.beginPath();
+    for (let i = 0; i < lines.length; i += 6) {
+      const ends = [i, i + 3].map((j) => [0, 3, 6].map((k, axis) => r[k] * lines[j] + r[k + 1] * lines[j + 1] + r[k + 2] * lines[j + 2] + t[axis]));
+      if (ends.some(([, , z]) => z < 0.02)) continue;
+      const [a, b] = ends.map(([x, y, z]) => [(focal[0] * x) / z + principal[0], (focal[1] * y) / z + principal[1]]);
+      context.moveTo(a[0], a[1]);
+      context.lineTo(b[0], b[1]);
+    }
+    context.stroke();
+  }
+
+  destroy() {
+    this.link.bitmap?.close();
+    this.link.bitmap = null;
+  }
+}
+
+/** The connection, in the shape of the worker. */
+export class ThinLink {
+  constructor() {
+    /** @type {((event: { data: FromWorker }) => void) | null} */
+    this.onmessage = null;
+    /** @type {ImageBitmap | null} */
+    this.bitmap = null;
+    this.session = new Session(performance.now());
+    /** @type {WebSocket | null} */
+    this.socket = null;
+    this.url = "";
+    /** @type {string[]} */
+    this.protocols = [];
+    this.retry = this.ticker = this.viewTimer = 0;
+    this.view = this.toldView = ""; // as messages
+    this.toldAt = -Infinity;
+    /** @type {number | null} version at which to pause, or to show first */
+    this.stopAt = null;
+    /** @type {number | null} */
+    this.held = null;
+    this.heldUntil = 0;
+    /** @type {Map<number, "pick" | "depth">} */
+    this.asked = new Map();
+  }
+
+  /** @param {FromWorker} data */
+  #tell(data) {
+    this.onmessage?.({ data });
+  }
+
+  #status() {
+    this.#tell({ type: "status", status: { ...this.session.status }, refusals: 0, now: performance.now() });
+  }
+
+  /** @param {ToWorker} message */
+  postMessage(message) {
+    switch (message.type) {
+      case "connect":
+        this.url = message.url;
+        this.protocols = message.token ? [PROTOCOL, `bearer.${message.token}`] : [PROTOCOL];
+        this.#wish(message.wishes);
+        if (message.start) this.session.start = message.start;
+        this.ticker = window.setInterval(() => this.#tick(), TICK_MS);
+        this.#open();
+        this.#status();
+        break;
+      case "wishes":
+        this.#wish(message.wishes);
+        this.#transmit({ type: "set", ...message.wishes });
+        break;
+      case "send":
+        for (const wanted of message.messages) this.#command(wanted);
+        break;
+      case "hurry":
+        clearTimeout(this.retry);
+        if (this.session.status.phase === "reconnecting") this.#open();
+        break;
+      case "pick":
+      case "depth":
+        this.asked.set(message.id, message.type);
+        this.#transmit({ type: "pick", id: message.id, origin: message.origin, direction: message.direction });
+        break;
+      case "inspect":
+        this.#tell({ type: "inspected", id: message.id, state: null });
+        break;
+      case "close":
+        this.#close();
+    }
+  }
+
+  /** @param {import("./messages.js").Wishes} wishes */
+  #wish(wishes) {
+    this.session.wishes = /** @type {any} */ ({ ...wishes, pictures: true });
+  }
+
+  #open() {
+    const socket = new WebSocket(this.url, this.protocols);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      const { mode, position } = this.session.status;
+      for (const message of this.session.opened(performance.now())) this.#transmit(message);
+      if (mode === "paused" && position) this.#transmit({ type: "seek", to: position, stop: true });
+      this.toldView = "";
+      this.#sendView();
+    };
+    socket.onmessage = ({ data }) => {
+      if (socket !== this.socket) return;
+      if (typeof data === "string") this.#hear(data);
+      else this.#show(data, socket);
+    };
+    socket.onclose = ({ code, reason }) => {
+      if (socket !== this.socket) return;
+      const wait = this.session.closed(code, reason, performance.now(), Math.random());
+      if (wait !== null) this.retry = window.setTimeout(() => this.#open(), wait);
+      for (const id of this.asked.keys()) this.#tell({ type: "picked", id, point: null });
+      this.asked.clear();
+      this.#status();
+    };
+    this.socket = socket;
+  }
+
+  /** @param {string} text */
+  #hear(text) {
+    const message = JSON.parse(text);
+    if (message.event === "scene") {
+      const cameras = message.cameras.map((/** @type {any} */ { world_to_camera: worldToCamera, ...camera }) => ({ ...camera, worldToCamera }));
+      const { background, fps, levels, view_dependent: viewDependent } = message;
+      this.#tell({ type: "scene", cameras, background, fps, levels, viewDependent });
+    } else if (message.event === "picked") {
+      const kind = this.asked.get(message.id);
+      this.asked.delete(message.id);
+      this.#tell({ type: "picked", id: message.id, point: kind === "depth" ? [0, 0, message.depth] : message.point });
+    } else {
+      const told = this.session.control(text);
+      if (this.session.status.phase === "version") this.#close();
+      if (told?.mode === "paused") this.stopAt = null;
+      if (told?.clamped && this.stopAt !== null) this.stopAt = told.version;
+      if (told) this.#hold(told.mode === "replay" ? told.version : null);
+      this.#status();
+    }
+  }
+
+  /** Show no other version for a while. @param {number | null} version */
+  #hold(version) {
+    this.held = version;
+    this.heldUntil = performance.now() + HOLD_MS;
+  }
+
+  /** A picture came. @param {ArrayBuffer} data @param {WebSocket} socket */
+  async #show(data, socket) {
+    const { session } = this, head = new DataView(data, 0, HEADER_BYTES);
+    const [number, epoch, version] = [0, 4, 8].map((at) => head.getUint32(at, true));
+    session.arrived(data.byteLength, version === session.status.position?.version ? session.lastPacket : performance.now());
+    const start = performance.now();
+    const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" }));
+    if (socket !== this.socket) return bitmap.close();
+    const wanted = this.held === null || this.held === version || start > this.heldUntil;
+    if (wanted) {
+      this.held = null;
+      this.bitmap?.close();
+      this.bitmap = bitmap;
+      session.epoch = epoch;
+      session.applied(version, 0, start);
+      session.unacknowledged = 0;
+      // The server goes on only after the acknowledgement, so it stops where we are.
+      if (this.stopAt !== null && session.status.mode === "live" && version >= this.stopAt) this.#command({ type: "pause" });
+      const drawn = { width: head.getUint16(12, true), height: head.getUint16(14, true), quality: head.getUint8(16) };
+      this.#tell({
+        type: "picture", generation: 0, rows: 0, spans: [], quads: new Uint32Array(0), splats: 0, version, summary: null, drawn,
+        position: session.status.position, decodeMs: performance.now() - start, expandMs: head.getUint32(20, true) / 1000, sortMs: 0,
+      });
+    } else bitmap.close();
+    this.#transmit({ type: "ack", picture: number });
+    this.#status();
+  }
+
+  /** A command of the page. @param {any} wanted */
+  #command(wanted) {
+    const { position, window: range } = this.session.status;
+    const message = wanted.type === "play" && position ? { type: "seek", to: position } : wanted;
+    if (message.type === "seek") {
+      this.stopAt = message.stop ? message.to.version : null;
+      this.#hold(message.to === "live" ? (range?.newest.version ?? null) : message.to.version);
+    } else if (message.type === "pause") this.stopAt = null;
+    this.#transmit(message);
+  }
+
+  /** The page drew `view` on a canvas of that size: tell the server, if that is news. @param {View} view @param {number} width @param {number} height */
+  look({ rotation, translation: t, focal, principal }, width, height) {
+    const r = Array.from(rotation);
+    const position = [0, 1, 2].map((i) => -(r[i] * t[0] + r[3 + i] * t[1] + r[6 + i] * t[2]));
+    this.view = JSON.stringify({ type: "view", width, height, rotation: r, position, focal, principal });
+    this.#sendView();
+  }
+
+  #sendView() {
+    if (!this.view || this.view === this.toldView || this.viewTimer) return;
+    const wait = this.toldAt + VIEW_MS - performance.now();
+    if (wait > 0) {
+      this.viewTimer = window.setTimeout(() => {
+        this.viewTimer = 0;
+        this.#sendView();
+      }, wait);
+    } else if (this.socket?.readyState === WebSocket.OPEN) {
+      this.socket.send(this.view);
+      this.toldView = this.view;
+      this.toldAt = performance.now();
+    }
+  }
+
+  /** @param {object} message */
+  #transmit(message) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  #tick() {
+    const before = this.session.status.phase;
+    this.session.tick(performance.now());
+    if (this.session.status.phase !== before) this.#status();
+  }
+
+  #close() {
+    clearInterval(this.ticker);
+    clearTimeout(this.retry);
+    clearTimeout(this.viewTimer);
+    this.socket?.close(1000);
+    this.socket = null;
+  }
+}

@@ -1,0 +1,138 @@
+"""The page in a Chromium without WebGL: the server draws, everything else is as ever."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from codec.container import SlodWriter
+from core.splat import Splatter
+from server.settings import Limits, Settings
+from server.spec import StreamSpec
+from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
+from tests.client.web.miniserver import Clip, make_clip
+from tests.client.web.scenes import make_scene
+from tests.client.web.test_browser import WAIT, Console, picture, psnr, shows
+from tests.server.conftest import Running, running
+
+pytestmark = pytest.mark.browser
+FRAMES = 30
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    """A scene whose network does not see the view."""
+    return make_clip(make_scene(400, view_dependent=False), FRAMES)
+
+
+@pytest.fixture(scope="module")
+def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """The real server, at the end of a recorded clip."""
+    recording = tmp_path_factory.mktemp("thin") / "clip.slod"
+    with SlodWriter(recording) as writer:
+        writer.append(clip.key())
+        for version in range(1, FRAMES):
+            writer.append(clip.residual(version - 1, version))
+    with running(Settings(limits=Limits(thin_viewers=1)), StreamSpec(play=recording, loop=False)) as server:
+        server.wait(lambda stream: stream["state"] == "ended")
+        yield server
+
+
+@pytest.fixture(scope="module")
+def blind(chromium: Any) -> Iterator[Any]:
+    """A Chromium without any 3D."""
+    flags = [flag for flag in CHROMIUM_FLAGS if "swiftshader" not in flag]
+    browser = chromium.browser_type.launch(executable_path=chromium_path(), args=[*flags, "--disable-3d-apis"])
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def page(blind: Any) -> Iterator[Any]:
+    """A page of the rig's picture size whose console must stay empty."""
+    context = blind.new_context(viewport={"width": 320, "height": 240}, reduced_motion="reduce")
+    page = context.new_page()
+    page.complaints = Console(page)
+    yield page
+    context.close()
+    assert page.complaints.lines == []
+
+
+def drawn(page: Any, version: int, quality: int = 92) -> None:
+    """Wait for a picture of that version and quality."""
+    page.wait_for_function(
+        "([v, q]) => window.drawn && drawn.version === v && drawn.drawn.quality >= q", arg=[version, quality], **WAIT
+    )
+
+
+def listen(page: Any) -> None:
+    """Keep what is known of the newest picture in `drawn`."""
+    page.evaluate("streamlod.on('picture', (p) => { window.drawn = p; }); 0")
+
+
+def test_the_server_draws_the_same_picture_and_obeys(page: Any, server: Running, clip: Clip) -> None:
+    """Pictures of rig cameras agree with the Python client's; orbit, seek, pause and focus work."""
+    page.goto(f"{server.url}/?ui=0")
+    shows(page, f"s.version === {FRAMES - 1} && s.phase === 'ended'")
+    assert page.locator("#stage").get_attribute("data-thin") is not None
+    listen(page)
+    for version, number in ((FRAMES - 1, 1), (8, 3), (14, 0)):
+        page.evaluate("window.drawn = null; 0")
+        if version < FRAMES - 1:
+            page.evaluate("streamlod.pause()")
+            shows(page, "s.phase === 'paused'")
+            page.evaluate(f"streamlod.seek({version})")
+            shows(page, f"s.version === {version} && s.phase === 'paused'")
+        page.evaluate(f"window.drawn = null; streamlod.setCamera({number})")
+        drawn(page, version)
+        scene = clip.states[version]
+        expected = Splatter().picture(scene, scene.header.cameras[number]) / 255
+        assert psnr(picture(page), expected) >= 35
+    home = page.evaluate("streamlod.state.camera")
+    page.mouse.move(160, 120)
+    page.mouse.down()
+    page.mouse.move(220, 130, steps=4)
+    page.evaluate("window.drawn = null; 0")
+    page.mouse.up()
+    drawn(page, 14)
+    turned = page.evaluate("streamlod.state.camera")
+    assert turned != home
+    assert psnr(picture(page), expected) < 25
+    page.mouse.dblclick(160, 150)
+    page.wait_for_function("(before) => streamlod.state.camera !== before", arg=turned, **WAIT)
+    page.keyboard.press("End")
+    shows(page, f"s.version === {FRAMES - 1} && s.mode === 'live'")
+
+
+def test_says_that_the_server_is_full(page: Any, blind: Any, server: Running) -> None:
+    """The second viewer hears why there is no picture, tries again, and gets the place when it is free."""
+    context = blind.new_context(viewport={"width": 320, "height": 240})
+    other = context.new_page()
+    other.goto(f"{server.url}/")
+    shows(other, "s.version !== null")
+    page.goto(f"{server.url}/")
+    page.locator("#card-text", has_text="draws for 1 viewers already").wait_for(**WAIT)
+    context.close()
+    shows(page, f"s.version === {FRAMES - 1}")
+
+
+def test_thin_on_request_and_back(chromium: Any, server: Running) -> None:
+    """A browser that could draw lets the server do it when asked to, and takes it back from the menu."""
+    context = chromium.new_context(viewport={"width": 640, "height": 480}, reduced_motion="reduce")
+    page = context.new_page()
+    console = Console(page)
+    page.goto(f"{server.url}/?thin=1")
+    shows(page, f"s.version === {FRAMES - 1} && s.splats === 0")
+    page.locator("#b-quality").click()
+    page.locator("#quality-menu button", has_text="Server draws").click()
+    shows(page, f"s.version === {FRAMES - 1} && s.splats > 0")
+    context.close()
+    assert console.lines == []
+
+
+def test_recordings_need_webgl(page: Any, server: Running) -> None:
+    """Without a server that draws there is no picture, and the page says so."""
+    page.goto(f"{server.url}/?src=/v1/streams/main/bitstream")
+    page.locator("#card-title", has_text="This browser cannot show the scene").wait_for(**WAIT)
