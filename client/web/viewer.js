@@ -13,17 +13,24 @@ import { Renderer } from "./renderer.js";
 /** @typedef {import("./messages.js").Status} Status */
 
 const GLIDE_MS = 450;
+const REST_MS = 400; // a picture that has not changed for so long is drawn at full resolution
+const VSYNC_MS = 25, ASLEEP_MS = 3000; // between two frames: more means that drawing was waited for; that nobody looked
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
 export class Viewer extends EventTarget {
-  /** @param {HTMLCanvasElement} canvas @throws {Error} without WebGL2 */
-  constructor(canvas) {
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {ReturnType<typeof import("./thin.js").createThin> | null} [thin] - where the server draws
+   * @throws {Error} without WebGL2, unless the server draws
+   */
+  constructor(canvas, thin = null) {
     super();
     this.canvas = canvas;
-    this.renderer = new Renderer(canvas);
+    this.thin = thin !== null;
+    this.renderer = thin?.renderer ?? new Renderer(canvas);
     this.software = /swiftshader|llvmpipe|software|basic render/i.test(this.renderer.hardware);
-    this.worker = new Worker(new URL("worker.js", import.meta.url), { type: "module" });
-    this.worker.onmessage = ({ data }) => this.#hear(data);
+    this.worker = thin?.worker ?? new Worker(new URL("worker.js", import.meta.url), { type: "module" });
+    this.worker.onmessage = (/** @type {{ data: FromWorker }} */ { data }) => this.#hear(data);
     /** @type {Pose} */
     this.pose = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, stretch: 1, shift: [0, 0] };
     /** @type {Vec3} */
@@ -37,8 +44,13 @@ export class Viewer extends EventTarget {
     /** @type {import("./messages.js").PictureMessage | null} */
     this.picture = null;
     this.posed = false; // someone chose a pose: a new scene does not move the camera
-    this.levels = 16;
-    this.resolution = 1; // fraction of the screen's own
+    this.levels = Infinity;
+    this.reach = Infinity; // how far away fine levels are drawn, see engine.js
+    this.resolution = 1; // fraction of the screen's own, while things move
+    this.resting = false; // drawn at full resolution, because nothing moves
+    this.timed = { frames: 0, ms: 0 }; // drawn since `pace` was asked for, and the time that took
+    this.lastFrame = 0;
+    this.drew = false;
     this.fps = 0;
     this.frames = 0;
     /** @type {{ from: Pose, to: Pose, start: number } | null} */
@@ -158,12 +170,12 @@ export class Viewer extends EventTarget {
   viewChanged() {
     this.dirty = true;
     const { position, rotation } = this.pose;
-    this.tell({ type: "view", view: { position, rotation, levels: this.levels } });
+    this.tell({ type: "view", view: { position, rotation, levels: this.levels, reach: this.reach } });
   }
 
   /** Fit the drawing buffer to the page. */
   resize() {
-    const scale = this.resolution * Math.min(devicePixelRatio || 1, 2);
+    const scale = (this.resting ? 1 : this.resolution) * Math.min(devicePixelRatio || 1, 2);
     const width = Math.max(1, Math.round(this.canvas.clientWidth * scale));
     const height = Math.max(1, Math.round(this.canvas.clientHeight * scale));
     if (width === this.canvas.width && height === this.canvas.height) return;
@@ -193,8 +205,15 @@ export class Viewer extends EventTarget {
       this.viewChanged();
     }
     this.dispatchEvent(new CustomEvent("frame", { detail: { now } }));
-    if (!this.dirty) return;
+    this.#clock(now);
+    const rested = !this.dirty && now - this.lastDraw > REST_MS;
+    if (!this.dirty && (!rested || this.resting || this.resolution === 1)) return;
+    if (rested !== this.resting) {
+      this.resting = rested;
+      this.resize();
+    }
     this.dirty = false;
+    this.drew = !rested;
     this.draw();
     const elapsed = now - this.lastDraw;
     this.lastDraw = now;
@@ -203,6 +222,25 @@ export class Viewer extends EventTarget {
 
   draw() {
     this.renderer.draw(this.view());
+  }
+
+  /** Time that drawing took: that until the next frame, and that of frames which came late. @param {number} now */
+  #clock(now) {
+    const ms = now - this.lastFrame;
+    this.lastFrame = now;
+    if (ms < ASLEEP_MS && (this.drew || ms > VSYNC_MS)) {
+      this.timed.frames += Number(this.drew);
+      this.timed.ms += ms;
+    }
+    this.drew = false;
+  }
+
+  /** Frames a second that drawing sustained since the last answer; null where too little was drawn to tell. */
+  pace() {
+    const { frames, ms } = this.timed;
+    if (frames < 2 || ms < 200) return null;
+    this.timed = { frames: 0, ms: 0 };
+    return (1000 * frames) / ms;
   }
 
   #restore() {
@@ -215,7 +253,10 @@ export class Viewer extends EventTarget {
 
   /** What is seen now, as an image. @returns {Promise<Blob>} */
   capture() {
+    this.resting = true; // at full resolution, until the next frame
+    this.resize();
     this.draw();
+    this.dirty = true;
     return new Promise((resolve, reject) => {
       this.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("no picture"))), "image/png");
     });

@@ -41,7 +41,7 @@ MEASURE = """async ([address, rounds]) => {
   for (let round = 0; round < rounds; round++) {
     const engine = new Engine(kernel);
     timed(times.key, () => engine.push(packets[0]));
-    const view = { position: [0, -0.9, -3.2 - round * 0.5], rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: 16 };
+    const view = { position: [0, -0.9, -3.2 - round * 0.5], rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: 16, reach: Infinity };
     engine.picture(view);
     for (const packet of packets.slice(1)) {
       timed(times.residual, () => engine.push(packet));

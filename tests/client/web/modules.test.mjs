@@ -6,6 +6,7 @@ import * as camera from "../../../client/web/camera.js";
 import { crc32 } from "../../../client/web/checksum.js";
 import { moments, plan } from "../../../client/web/container.js";
 import { inflateColumns } from "../../../client/web/deflate.js";
+import { Quality } from "../../../client/web/quality.js";
 import { Session } from "../../../client/web/session.js";
 import { DepthSort, fillQuads } from "../../../client/web/sort.js";
 import { clock, words } from "../../../client/web/states.js";
@@ -213,4 +214,45 @@ test("every phase has words, and none stands in the way of a picture without nee
   assert.match(words({ ...status, phase: "reconnecting" }, true, 2500).chip, /3 s/);
   assert.equal(clock(3690, 30), "2:03");
   assert.equal(clock(12, null), "12");
+});
+
+/** A screen that draws at a given rate, and what is told to the worker. */
+function screen(fps) {
+  const told = [];
+  return { fps, told, resolution: 1, reach: Infinity, levels: Infinity, pace() { return this.fps; }, resize() {}, viewChanged() {}, tell: (message) => told.push(message) };
+}
+
+test("auto gives up resolution first, then far details, and asks only for levels that the view calls for", () => {
+  const viewer = screen(60), quality = new Quality(viewer, null);
+  quality.limit(4);
+  for (let i = 0; i < 30; i++) quality.tick();
+  assert.deepEqual([viewer.resolution, viewer.reach], [1, Infinity]);
+  viewer.fps = 15;
+  quality.tick();
+  assert.equal(viewer.resolution, 1, "one slow measurement may be chance");
+  quality.tick();
+  assert.deepEqual([viewer.resolution, viewer.reach], [0.75, Infinity]);
+  viewer.fps = 3;
+  quality.tick();
+  assert.deepEqual([viewer.resolution, viewer.reach], [0.5, 2], "far too slow: two steps at once");
+  viewer.fps = null;
+  assert.deepEqual(viewer.told, []);
+  quality.need(2);
+  for (let i = 0; i < 25; i++) quality.tick();
+  assert.deepEqual(viewer.told, [{ type: "wishes", wishes: { levels: 2 } }]);
+  quality.need(4);
+  assert.deepEqual(viewer.told[1], { type: "wishes", wishes: { levels: null } }, "a nearer view gets its details at once");
+  viewer.fps = 60;
+  for (let i = 0; i < 400; i++) quality.tick();
+  assert.deepEqual([viewer.resolution, viewer.reach], [1, Infinity]);
+});
+
+test("low asks for one level less, high for all", () => {
+  const viewer = screen(60), quality = new Quality(viewer, "low");
+  quality.limit(3);
+  assert.deepEqual([quality.wishes(), viewer.resolution], [{ levels: 2 }, 0.75]);
+  viewer.fps = 1;
+  quality.choose("high");
+  for (let i = 0; i < 10; i++) quality.tick();
+  assert.deepEqual([quality.wishes(), viewer.resolution], [{ levels: null }, 1]);
 });

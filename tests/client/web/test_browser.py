@@ -180,7 +180,7 @@ def test_orbit_keys_and_focus(page: Any, clip: Clip) -> None:
     with serving(create_app(clip, Behaviour(newest=3))) as url:
         page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 3")
-        page.wait_for_timeout(200)
+        page.evaluate(INSPECT)  # answered after the question how far away the scene is
         poses = [page.evaluate("streamlod.state.camera")]
         page.mouse.move(160, 120)
         page.mouse.down()
