@@ -10,47 +10,54 @@ from codec import change_model
 from codec.column_model import columns_items
 from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, scale_of, words_of
 from codec.rans import VALUE_LIMIT, Array
-from core.anchors import LATENTS
-from core.arrays import Int32, Int64
+from core.anchors import LATENTS, AnchorLevel
+from core.arrays import Int32, Int64, UInt8
 from core.entropy_model import SCALES
 
 _SCALE_MASK, _NOT_PREDICTED = 127, 128  # of the position scale's byte
 
 
-def encode(voxel: Int32, rows: Int64, position: Int64, latent: Int64) -> bytes | None:
+def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64) -> bytes | None:
     """The chunk, or None if a number is too large for it; arguments as in `codec.chunks.encode_change`."""
-    errors, plain = change_model.position_errors(voxel[rows].astype(np.int64), position, _salt()), 0
+    errors, plain = change_model.position_errors(level.voxel[rows].astype(np.int64), position, _salt()), 0
     if np.log2(1.0 + np.abs(position)).sum() < np.log2(1.0 + np.abs(errors)).sum():
         errors, plain = position, _NOT_PREDICTED
     if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= VALUE_LIMIT:
         return None
-    changed = np.zeros(len(voxel), np.uint8)
+    changed, before = np.zeros(len(level), np.uint8), touched(level)
     changed[rows] = 1
     position_scale = min(scale_of(float(np.abs(errors).mean()) if len(errors) else 0.0), _SCALE_MASK)
     side, scale = encode_scales(latent)
 
     def model_pass(items: Array) -> int:
-        count = change_model.rows_items(changed, items, 0)
+        count = change_model.rows_items(changed, before, items, 0)
         count = change_model.positions_items(errors, SCALES[position_scale], items, count)
         return columns_items(latent, scale, items, count)
 
-    lanes, words = encode_items(model_pass, len(voxel) + 2 * (errors.size + latent.size))
+    lanes, words = encode_items(model_pass, len(level) + 2 * (errors.size + latent.size))
     return bytes([lanes, position_scale | plain]) + side + words
 
 
-def decode(data: bytes, voxel: Int32) -> tuple[Int64, Int32, Int32]:
+def decode(data: bytes, level: AnchorLevel) -> tuple[Int64, Int32, Int32]:
     """Rows [n], position [n,3] and latent [n,24]; BitstreamError `corrupt_chunk`."""
     if len(data) < 2:
         raise corrupt("a change ends before its position scale")
     scale, at = decode_scales(data, 2, LATENTS)
     predicted = not data[1] & _NOT_PREDICTED
-    nodes = np.array(voxel, np.int32, order="C")  # a plain array, whatever came: another layout would be compiled anew
+    nodes = np.array(
+        level.voxel, np.int32, order="C"
+    )  # a plain array, whatever came: another layout would be compiled anew
     sound, rows, position, latent = change_model.decode_change(
-        words_of(data, at), data[0], nodes, SCALES[data[1] & _SCALE_MASK], predicted, scale, _salt()
+        words_of(data, at), data[0], nodes, touched(level), SCALES[data[1] & _SCALE_MASK], predicted, scale, _salt()
     )
     if not sound:
         raise corrupt("an entropy-coded chunk does not end as it must")
     return rows, position.astype(np.int32), latent.astype(np.int32)
+
+
+def touched(level: AnchorLevel) -> UInt8:
+    """[N] 1 for rows that are no longer what they were at the keyframe: they are likelier to change again."""
+    return np.asarray(level.position.any(axis=1) | level.latent.any(axis=1), np.uint8)
 
 
 def _salt() -> np.uint64:

@@ -11,22 +11,29 @@ from codec.compiled import compiled
 from codec.rans import Array, begin, finish, magnitude_bin, put_flag, put_value, take_flag, take_value
 
 BLOCK = 64
-BLOCK_MODELS, ROW_MODELS = 4, 8
+BLOCK_MODELS, ROW_MODELS = 8, 16
 
 
 @compiled
-def rows_items(changed: Array, items: Array, n: int) -> int:
-    """Model pass over the set: `changed` [N] 0 or 1."""
+def _any(touched: Array, first: int) -> int:
+    """Whether a row of the block from `first` was touched."""
+    return 1 if touched[first : first + BLOCK].any() else 0
+
+
+@compiled
+def rows_items(changed: Array, touched: Array, items: Array, n: int) -> int:
+    """Model pass over the set: `changed` [N] 0 or 1, `touched` [N] 1 for rows that changed since the keyframe."""
     blocks, models = np.ones((BLOCK_MODELS, 2), np.int64), np.ones((ROW_MODELS, 2), np.int64)
     block_context, row_context = 0, 0
     for first in range(0, len(changed), BLOCK):
         block = changed[first : first + BLOCK]
         used = 1 if block.any() else 0
-        n = put_flag(items, n, blocks[block_context], used)
+        n = put_flag(items, n, blocks[4 * _any(touched, first) + block_context], used)
         block_context = (used << 1 | block_context >> 1) & 3
         if used:
-            for bit in block:
-                n = put_flag(items, n, models[row_context], bit)
+            for i in range(len(block)):
+                bit = block[i]
+                n = put_flag(items, n, models[8 * touched[first + i] + row_context], bit)
                 row_context = bit << 2 | row_context >> 1
         else:
             row_context = 0
@@ -34,15 +41,15 @@ def rows_items(changed: Array, items: Array, n: int) -> int:
 
 
 @compiled
-def _take_rows(words: Array, x: Array, ctl: Array, changed: Array) -> int:
+def _take_rows(words: Array, x: Array, ctl: Array, touched: Array, changed: Array) -> int:
     blocks, models = np.ones((BLOCK_MODELS, 2), np.int64), np.ones((ROW_MODELS, 2), np.int64)
     block_context, row_context, count = 0, 0, 0
     for first in range(0, len(changed), BLOCK):
-        used = take_flag(words, x, ctl, blocks[block_context])
+        used = take_flag(words, x, ctl, blocks[4 * _any(touched, first) + block_context])
         block_context = (used << 1 | block_context >> 1) & 3
         if used:
             for i in range(first, min(first + BLOCK, len(changed))):
-                bit = take_flag(words, x, ctl, models[row_context])
+                bit = take_flag(words, x, ctl, models[8 * touched[i] + row_context])
                 changed[i] = bit
                 count += bit
                 row_context = bit << 2 | row_context >> 1
@@ -152,7 +159,14 @@ def _take_positions(
 
 @compiled
 def decode_change(
-    words: Array, lanes: int, voxel: Array, position_scale: int, predicted: bool, scale: Array, salt: Any
+    words: Array,
+    lanes: int,
+    voxel: Array,
+    touched: Array,
+    position_scale: int,
+    predicted: bool,
+    scale: Array,
+    salt: Any,
 ) -> tuple[bool, Array, Array, Array]:
     """Whether the stream is sound; rows [n], position [n,3], latent [n,C], all int64."""
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
@@ -160,7 +174,7 @@ def decode_change(
     count = 0
     begin(words, x, ctl)
     if ctl[2] == 0:
-        count = _take_rows(words, x, ctl, changed)
+        count = _take_rows(words, x, ctl, touched, changed)
     if ctl[2]:
         count = 0
     rows = np.zeros(count, np.int64)

@@ -38,8 +38,14 @@ def channel_weights(scale: Array) -> tuple[Array, Array, Array, int]:
 
 @compiled
 def renews(c: int) -> bool:
-    """Whether the context is computed anew before channel c: 0, 4, 8, 16, 32, ..."""
-    return c == 0 or (c >= 4 and c & (c - 1) == 0)
+    """Whether the context is computed anew before channel c: every second one."""
+    return c & 1 == 0
+
+
+@compiled
+def row_gain(mean: int, total: int, energy: int, seen: int) -> int:
+    """Bins by which the row's channels so far, and the rows before, exceed what their scales expect."""
+    return magnitude_bin(256 * (mean + 2 * energy) // (total + 2 * seen)) - 24
 
 
 @compiled
@@ -53,13 +59,13 @@ def columns_items(values: Array, scale: Array, items: Array, n: int) -> int:
         energy, seen, gain = 0, 0, 0
         for c in range(len(scale)):
             if renews(c):
-                gain = magnitude_bin(256 * (6 * mean + energy) // (6 * total + seen)) - 24
+                gain = row_gain(mean, total, energy, seen)
             if scale[c]:
                 value = values[i, c]
                 n = put_value(items, n, value, bins[c] + gain)
                 energy += weight[c] * min(abs(value), ENERGY_LIMIT)
                 seen += expected[c]
-        mean += (energy - mean) >> 2
+        mean += (energy - mean) >> 3
     return n
 
 
@@ -74,7 +80,7 @@ def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array
         energy, seen, gain = 0, 0, 0
         for c in range(len(scale)):
             if renews(c):
-                gain = magnitude_bin(256 * (6 * mean + energy) // (6 * total + seen)) - 24
+                gain = row_gain(mean, total, energy, seen)
             if scale[c]:
                 b = max(bins[c] + gain, 0)
                 state = x[item & lanes]
@@ -98,7 +104,7 @@ def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array
                 values[i, c] = value
                 energy += weight[c] * min(abs(value), ENERGY_LIMIT)
                 seen += expected[c]
-        mean += (energy - mean) >> 2
+        mean += (energy - mean) >> 3
         if ctl[2]:
             return
     ctl[0], ctl[1] = item, at

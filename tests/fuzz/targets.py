@@ -18,6 +18,7 @@ from codec import chunks
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
 from codec.limits import Limits
+from core.anchors import AnchorLevel, empty_level
 from core.errors import BitstreamError, InputError, SessionError
 from server.messages import parse_control, parse_hello
 from tests.codec.scenes import make_header
@@ -112,10 +113,13 @@ def entropy(data: bytes) -> None:
     header = make_header(2, 1, 2)
     rows = np.arange(200)
     voxel = np.stack([rows >> 5, rows >> 2 & 7, rows & 3], axis=1).astype(np.int32)
+    empty, touched = empty_level(2, 1), np.tile(np.array([0, 1], np.int16), 100)[:, None].repeat(24, axis=1)
+    columns = {n: np.zeros((200, *getattr(empty, n).shape[1:]), getattr(empty, n).dtype) for n in empty.__slots__}
+    level = AnchorLevel(**{**columns, "voxel": voxel, "latent": touched})
     for decode in (
         lambda: chunks.decode_geometry(data, 1, 4096),
         lambda: chunks.decode_base(data, 1, header, voxel),
-        lambda: chunks.decode_change(data, 1, voxel),
+        lambda: chunks.decode_change(data, 1, level),
         lambda: chunks.decode_removed(data, 1, 200),
         lambda: chunks.decode_added(data, 1, header, 4096),
     ):
