@@ -1,23 +1,53 @@
-"""Build hook: assembles the viewer's WebAssembly kernel from its text, so that no binary is kept in the repository."""
+"""Build hook of the viewer page: assembles its WebAssembly kernel from text, and packs its files for wheels."""
 
 from __future__ import annotations
 
+import gzip
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SOURCE = Path("client/web/kernel.wat")
+PAGE = Path("client/web")
+SERVED = {".js", ".css", ".html", ".svg", ".wasm"}
 
 
-class AssembleKernel(BuildHookInterface):  # type: ignore[type-arg]
-    """Writes kernel.wasm next to kernel.wat before files are collected, for wheels and editable installs alike."""
+class BuildPage(BuildHookInterface):  # type: ignore[type-arg]
+    """Writes kernel.wasm next to kernel.wat, for wheels and editable installs alike; neither it nor what is packed is
+    kept in the repository."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Assemble and announce the artefact, which version control ignores."""
+        """Before files are collected: make what is missing, and announce it."""
         import wasmtime
 
-        source = Path(self.root) / SOURCE
+        source = Path(self.root) / PAGE / "kernel.wat"
         target = source.with_suffix(".wasm")
         target.write_bytes(wasmtime.wat2wasm(source.read_text()))
-        build_data["artifacts"].append(str(SOURCE.with_suffix(".wasm")))
+        build_data["artifacts"].append(f"{PAGE}/{target.name}")
+        if self.target_name != "wheel" or version != "standard":
+            return
+        self.packed = TemporaryDirectory()
+        for name, content in pack(source.parent):
+            place = Path(self.packed.name) / name
+            place.write_bytes(content)
+            build_data["force_include"][str(place)] = f"{PAGE}/{name}"
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """After the archive is written."""
+        if hasattr(self, "packed"):
+            self.packed.cleanup()
+
+
+def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
+    """Names and contents of the page's files without comments, compressed twice: `main.js.br` and `main.js.gz`."""
+    import brotli  # type: ignore[import-untyped]
+    import rjsmin  # type: ignore[import-untyped]
+
+    for path in sorted(path for path in folder.iterdir() if path.suffix in SERVED):
+        content = path.read_bytes()
+        if path.suffix == ".js":
+            content = rjsmin.jsmin(content.decode()).encode()
+        yield f"{path.name}.br", brotli.compress(content)
+        yield f"{path.name}.gz", gzip.compress(content, mtime=0)

@@ -11,7 +11,6 @@ from typing import Any
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, PlainTextResponse
-from fastapi.staticfiles import StaticFiles
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
@@ -20,6 +19,7 @@ from server.api.access import Problem, need, problem_response, registry_of
 from server.api.schemas import Health
 from server.auth import Right
 from server.metrics import collector_registry
+from server.page import PageFiles
 from server.registry import Registry
 from server.settings import Settings
 from server.spec import StreamSpec
@@ -131,7 +131,7 @@ def _add_health(app: FastAPI) -> None:
 def _add_page(app: FastAPI) -> None:
     folder = _page_folder()
     if folder is not None:
-        app.mount("/", StaticFiles(directory=folder, html=True), name="page")
+        app.mount("/", PageFiles(directory=folder, html=True), name="page")
         return
 
     @app.get("/", include_in_schema=False)

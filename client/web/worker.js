@@ -3,7 +3,6 @@
 import { Connection } from "./connection.js";
 import { Engine } from "./engine.js";
 import { loadKernel } from "./expand.js";
-import { Recording } from "./recording.js";
 import { BitstreamError, versionOf } from "./scene.js";
 import { digest } from "./checksum.js";
 import { RECORD } from "./expand.js";
@@ -19,7 +18,7 @@ const LONGEST_HOLD_MS = 1500;
 
 /** @type {Engine | null} */
 let engine = null;
-/** @type {Connection | Recording | null} */
+/** @type {Connection | import("./recording.js").Recording | null} */
 let source = null;
 /** @type {import("./engine.js").EngineView | null} */
 let view = null;
@@ -101,6 +100,12 @@ function hold(version) {
 
 const handlers = { packet: decode, hold, status };
 
+/** A file; who watches live does not load what plays files. @param {string} url */
+async function openRecording(url) {
+  const { Recording } = await import("./recording.js");
+  return new Recording(url, handlers);
+}
+
 /** @param {MessageEvent<ToWorker>} event */
 self.onmessage = async ({ data: message }) => {
   switch (message.type) {
@@ -108,7 +113,7 @@ self.onmessage = async ({ data: message }) => {
       source?.close();
       drawn = { keyframe: -1, generation: -1 };
       engine?.reset();
-      source = message.recording ? new Recording(message.url, handlers) : new Connection(message.url, message.token, handlers);
+      source = message.recording ? await openRecording(message.url) : new Connection(message.url, message.token, handlers);
       source.session.wishes = message.wishes;
       if (message.start) source.session.start = message.start;
       status();

@@ -21,6 +21,7 @@ from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
 from core.anchors import Scene
 from core.residual import difference
+from server.page import PageFiles
 from tests.client.web.scenes import moved
 
 WEB = Path(__file__).parents[3] / "client" / "web"
@@ -172,7 +173,7 @@ class Viewer:
                 await self.event("position", mode=self.mode, **self.position(self.version), clamped=False)
 
 
-def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None) -> FastAPI:
+def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None, page: Path = WEB) -> FastAPI:
     """The page, the live socket, the list of streams and, where given, a folder of files under /files."""
     app = FastAPI()
     started = time.monotonic()
@@ -190,7 +191,7 @@ def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None) -> F
 
     if files is not None:
         app.mount("/files", StaticFiles(directory=files))
-    app.mount("/", StaticFiles(directory=WEB, html=True))
+    app.mount("/", PageFiles(directory=page, html=True))
     return app
 
 

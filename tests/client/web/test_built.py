@@ -1,0 +1,84 @@
+"""The page as a wheel brings it: without comments, compressed, and still working."""
+
+from __future__ import annotations
+
+import gzip
+import importlib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.client.web.conftest import WEB
+from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
+from tests.client.web.test_browser import clip, page, shows
+
+__all__ = ["clip", "page"]
+
+pytestmark = pytest.mark.browser
+
+ROOT = WEB.parents[1]
+MOST_BYTES = 46_000  # of all that a live viewer loads
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory: pytest.TempPathFactory, kernel: bytes) -> Path:
+    """The page's folder with what the build hook adds to it."""
+    brotli = pytest.importorskip("brotli", reason="brotli packs the page: pip install brotli rjsmin hatchling")
+    pytest.importorskip("rjsmin", reason="rjsmin packs the page: pip install brotli rjsmin hatchling")
+    pytest.importorskip("hatchling", reason="hatchling builds the wheel: pip install brotli rjsmin hatchling")
+    out = tmp_path_factory.mktemp("wheel")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        build = importlib.import_module("hatchling.build")
+        wheel = out / build.build_wheel(str(out))
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(out, [name for name in archive.namelist() if name.startswith("client/web/")])
+    folder = out / "client" / "web"
+    script = brotli.decompress((folder / "main.js.br").read_bytes())
+    assert b"/**" not in script
+    assert gzip.decompress((folder / "main.js.gz").read_bytes()) == script
+    assert (folder / "kernel.wasm").read_bytes() == kernel
+    return folder
+
+
+def test_works_compressed_and_is_small(page: Any, clip: Clip, packed: Path) -> None:
+    """Chromium loads the compressed files and shows the stream; nothing is loaded that a live viewer does not need."""
+    sizes: dict[str, int] = {}
+
+    def note(response: Any) -> None:
+        coding, name = response.headers.get("content-encoding"), response.url.rpartition("/")[2]
+        if "/v1/" not in response.url:
+            assert coding == "br", response.url
+            sizes[name] = int(response.headers["content-length"])
+
+    page.on("response", note)
+    with serving(create_app(clip, Behaviour(newest=4), page=packed)) as url:
+        page.goto(f"{url}/")
+        shows(page, "s.version === 4")
+    assert {"main.js", "worker.js", "kernel.wasm"} <= set(sizes)
+    assert not {"recording.js", "thin.js", "webxr.js"} & set(sizes)
+    assert sum(sizes.values()) < MOST_BYTES, sizes
+
+
+def test_codings_as_asked_for(packed: Path, clip: Clip) -> None:
+    """br before gzip before plain; types stay; a copy that is still good is not sent again."""
+    with serving(create_app(clip, Behaviour(), page=packed)) as url, httpx.Client(base_url=url) as client:
+        plain = client.get("/main.js", headers={"Accept-Encoding": "identity"})
+        assert "content-encoding" not in plain.headers
+        assert plain.content == (packed / "main.js").read_bytes()
+        for accept, coding in (("gzip, br", "br"), ("gzip", "gzip"), ("br;q=0, gzip", "gzip"), ("zstd", None)):
+            answer = client.get("/", headers={"Accept-Encoding": accept})
+            assert answer.headers.get("content-encoding") == coding
+            assert answer.headers["content-type"].startswith("text/html")
+            assert answer.headers["vary"] == "Accept-Encoding"
+        etag = answer.headers["etag"]
+        again = client.get("/", headers={"Accept-Encoding": "zstd", "If-None-Match": etag})
+        assert again.status_code == 304
+        wasm = client.get("/kernel.wasm", headers={"Accept-Encoding": "gzip"})
+        assert wasm.headers["content-type"] == "application/wasm"
+        assert wasm.content[:4] == b"\0asm"
+        assert client.get("/../app.py", headers={"Accept-Encoding": "gzip"}).status_code == 404
+        assert client.get("/nothing.js", headers={"Accept-Encoding": "gzip"}).status_code == 404
