@@ -57,7 +57,8 @@ def decode(data: bytes, level: AnchorLevel) -> tuple[Int64, Int32, Int32]:
 
 def touched(level: AnchorLevel) -> UInt8:
     """[N] 1 for rows that are no longer what they were at the keyframe: they are likelier to change again."""
-    return np.asarray(level.position.any(axis=1) | level.latent.any(axis=1), np.uint8)
+    position, latent = np.array(level.position, np.int32, order="C"), np.array(level.latent, np.int16, order="C")
+    return np.asarray(change_model.touched_rows(position, latent), np.uint8)
 
 
 def _salt() -> np.uint64:

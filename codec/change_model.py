@@ -15,6 +15,18 @@ BLOCK_MODELS, ROW_MODELS = 8, 16
 
 
 @compiled
+def touched_rows(position: Array, latent: Array) -> Array:
+    """[N] uint8: 1 where any of `position` [N,3] or `latent` [N,C] is not 0."""
+    touched = np.zeros(len(position), np.uint8)
+    for i in range(len(position)):
+        for value in position[i]:
+            touched[i] |= value != 0
+        for value in latent[i]:
+            touched[i] |= value != 0
+    return touched
+
+
+@compiled
 def _any(touched: Array, first: int) -> int:
     """Whether a row of the block from `first` was touched."""
     return 1 if touched[first : first + BLOCK].any() else 0

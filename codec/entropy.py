@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from codec.rans import Array, rans_encode
-from core.arrays import Int64
+from core.arrays import Float64, Int64
 from core.entropy_model import HIGHEST_SCALE, MAGNITUDE_UNIT, SCALES
 from core.errors import BitstreamError
 
@@ -47,7 +47,12 @@ def words_of(data: bytes, at: int) -> Array:
 
 def scale_of(mean: float) -> int:
     """Index into SCALES of a mean magnitude."""
-    return int(np.clip(round(8 * np.log2(max(mean, 1e-9) * 256)), 0, HIGHEST_SCALE))
+    return int(_scale_indices(np.array([mean]))[0])
+
+
+def _scale_indices(means: Float64) -> Int64:
+    index = np.round(8 * np.log2(np.maximum(means, 1e-9) * MAGNITUDE_UNIT))
+    return np.asarray(np.clip(index, 0, HIGHEST_SCALE), np.int64)
 
 
 def encode_scales(values: Array) -> tuple[bytes, Int64]:
@@ -56,7 +61,7 @@ def encode_scales(values: Array) -> tuple[bytes, Int64]:
     Where channels differ little or rows are few, all channels share one scale.
     """
     means = np.abs(values).mean(axis=0) if len(values) else np.zeros(values.shape[1])
-    wanted = np.array([scale_of(mean) for mean in means], np.int64)
+    wanted = _scale_indices(means)
     base = int(wanted[means > 0].min(initial=HIGHEST_SCALE))
     base = max(base, int(wanted.max(initial=0)) - _STEPS * (_NIBBLES - 1), 0)
     nibbles = np.minimum((np.maximum(wanted - base, 0) + _STEPS // 2) // _STEPS, (HIGHEST_SCALE - base) // _STEPS) + 1

@@ -96,7 +96,8 @@ def apply_level(level: AnchorLevel, residual: LevelResidual) -> AnchorLevel:
     position[residual.rows] = _add(level.position[residual.rows], residual.position, _INT32)
     latent[residual.rows] = _add(level.latent[residual.rows], residual.latent, _INT16)
     alive[residual.removed] = False
-    return append_rows(replace(level, position=position, latent=latent, alive=alive), residual.added)
+    changed = replace(level, position=position, latent=latent, alive=alive)
+    return append_rows(changed, residual.added) if len(residual.added) else changed
 
 
 def _level_difference(before: AnchorLevel, after: AnchorLevel) -> LevelResidual:
