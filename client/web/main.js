@@ -153,6 +153,11 @@ async function start(viewer) {
     if (document.fullscreenElement) document.exitFullscreen();
     else document.documentElement.requestFullscreen?.().catch(() => toast("Full screen is not allowed here"));
   };
+  const enterVr = async () => {
+    if (button("b-vr").hidden || viewer.presenting) return;
+    const { enterVr: enter } = await import("./webxr.js");
+    await enter(viewer).catch((error) => toast(`The headset cannot be used: ${error.message}`));
+  };
   const statistics = () => {
     const panel = element("stats");
     panel.hidden = !panel.hidden;
@@ -165,6 +170,8 @@ async function start(viewer) {
   button("b-share").onclick = share;
   button("b-shot").onclick = save;
   button("b-full").onclick = fullScreen;
+  button("b-vr").onclick = enterVr;
+  if (!viewer.thin) navigator.xr?.isSessionSupported("immersive-vr").then((can) => (button("b-vr").hidden = !can), () => {});
   button("b-stats").onclick = statistics;
   button("b-help").onclick = help;
   button("stream-name").onclick = () => showStreams(options);
@@ -205,7 +212,7 @@ async function start(viewer) {
   /** @type {Record<string, () => unknown>} */
   const keys = {
     " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.seek(timeline.oldest),
-    end: () => timeline.live(), r: goHome, f: fullScreen, p: save, l: share, i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
+    end: () => timeline.live(), r: goHome, f: fullScreen, v: enterVr, p: save, l: share, i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);

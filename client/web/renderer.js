@@ -79,6 +79,8 @@ void main() { result = vec4(.36, .66, .98, 1) * .8; }`;
  * @property {[number, number]} principal - pixels
  */
 
+/** A part of a framebuffer, pixels. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number }} Target */
+
 export class Renderer {
   /**
    * @param {HTMLCanvasElement} canvas
@@ -109,6 +111,7 @@ export class Renderer {
     gl.vertexAttribPointer(point, 3, gl.FLOAT, false, 0, 0);
     gl.bindVertexArray(this.plain);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
+    gl.enable(gl.SCISSOR_TEST); // clearing one eye's part must not clear the other's
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
@@ -181,11 +184,13 @@ export class Renderer {
     this.lineCount = segments.length / 3;
   }
 
-  /** @param {View} view */
-  draw(view) {
+  /** @param {View} view @param {Target} [target] - the canvas where none is given */
+  draw(view, target) {
     const { gl } = this;
-    const { width, height } = gl.canvas;
-    gl.viewport(0, 0, width, height);
+    const { framebuffer, x, y, width, height } = target ?? { framebuffer: null, x: 0, y: 0, width: gl.canvas.width, height: gl.canvas.height };
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.viewport(x, y, width, height);
+    gl.scissor(x, y, width, height);
     gl.clearColor(...this.background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (this.count) {

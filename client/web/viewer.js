@@ -61,6 +61,7 @@ export class Viewer extends EventTarget {
     this.generation = -1;
     this.dirty = true;
     this.running = true;
+    this.presenting = false; // a headset draws, the page does not
     this.lastDraw = 0;
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => this.#restore());
@@ -169,7 +170,11 @@ export class Viewer extends EventTarget {
 
   viewChanged() {
     this.dirty = true;
-    const { position, rotation } = this.pose;
+    this.lookFrom(this.pose);
+  }
+
+  /** Ask for splats as they are seen from there. @param {{ position: Vec3, rotation: number[] }} view */
+  lookFrom({ position, rotation }) {
     this.tell({ type: "view", view: { position, rotation, levels: this.levels, reach: this.reach } });
   }
 
@@ -196,6 +201,7 @@ export class Viewer extends EventTarget {
   }
 
   #frame() {
+    if (this.presenting) return;
     const now = performance.now();
     if (this.glide) {
       const t = Math.min(1, (now - this.glide.start) / GLIDE_MS);

@@ -1,8 +1,13 @@
-"""`python -m tests.bench.web_bench`: the page's decode, MLP, sort and drawing, measured in headless Chromium."""
+"""`python -m tests.bench.web_bench [FILE.slod ...]`: the page in headless Chromium.
+
+Decode, network, sort, drawing, joining. Files are recordings to measure besides the synthetic streams. Drawing is in
+software (SwiftShader) and takes all cores there are: leave the machine alone meanwhile.
+"""
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import tempfile
 from dataclasses import replace
 from functools import reduce
@@ -22,36 +27,41 @@ from tests.client.web.miniserver import Behaviour, create_app, make_clip, servin
 from tests.client.web.scenes import make_scene
 from tests.codec import scenes as codec_scenes
 
-FRAMES = 12
+FRAMES, ROUNDS, JOINS = 12, 4, 5
 MEASURE = """async ([address, rounds]) => {
   const { walkRecords } = await import("/container.js");
-  const { SceneDecoder } = await import("/decoder.js");
   const { Engine } = await import("/engine.js");
   const { loadKernel } = await import("/expand.js");
+  const { fromCamera, homeCamera, orbit, rigUp } = await import("/camera.js");
   const kernel = await loadKernel(await (await fetch("/kernel.wasm")).arrayBuffer());
   const file = new Uint8Array(await (await fetch(address)).arrayBuffer());
-  const packets = walkRecords(file).map(({ offset, size }) => file.slice(offset, offset + size));
-  const times = { key: [], residual: [], expandAll: [], expandChanged: [], sort: [] };
+  const packets = walkRecords(file).map(({ offset, size, kind }) => {
+    return { key: kind === 0, bytes: file.slice(offset, offset + size) };
+  });
+  const keys = packets.filter(({ key }) => key), residuals = packets.filter(({ key }) => !key).slice(0, 40);
+  const times = { key: [], residual: [], expandFirst: [], expandAll: [], expandChanged: [], sort: [] };
   const timed = (list, act) => {
     const start = performance.now();
     act();
     list.push(performance.now() - start);
   };
-  let anchors = 0, splats = 0;
+  let anchors = 0, splats = 0, header = null;
   for (let round = 0; round < rounds; round++) {
     const engine = new Engine(kernel);
-    timed(times.key, () => engine.push(packets[0]));
-    const view = { position: [0, -0.9, -3.2 - round * 0.5], rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: 16, reach: Infinity };
-    engine.picture(view);
-    for (const packet of packets.slice(1)) {
-      timed(times.residual, () => engine.push(packet));
-      const picture = engine.picture(view);
+    timed(times.key, () => keys.forEach(({ bytes }) => engine.push(bytes)));
+    header = engine.scene.header;
+    let pose = fromCamera(header.cameras[homeCamera(header.cameras)], 3);
+    const view = () => ({ position: pose.position, rotation: pose.rotation, levels: 16, reach: Infinity });
+    times.expandFirst.push(engine.picture(view()).expandMs);
+    for (const { bytes } of residuals) {
+      timed(times.residual, () => engine.push(bytes));
+      const picture = engine.picture(view());
       times.expandChanged.push(picture.expandMs);
       times.sort.push(picture.sortMs);
       splats = picture.splats;
     }
-    const turned = engine.picture({ ...view, position: [5, -0.9, -3.2] });
-    times.expandAll.push(turned.expandMs);
+    pose = orbit(pose, rigUp(header.cameras), 0.3, 0);
+    times.expandAll.push(engine.picture(view()).expandMs);
     anchors = engine.summary().anchors;
     if (round === rounds - 1) {
       const { expander } = engine;
@@ -66,8 +76,32 @@ MEASURE = """async ([address, rounds]) => {
       times.layers = [inputs, 32, 11 * slots];
     }
   }
-  return { times, anchors, splats, bytes: packets.map((packet) => packet.length) };
+  const sum = (list) => list.reduce((total, { bytes }) => total + bytes.length, 0);
+  return { times, anchors, splats, slots: header.slots, viewDependent: header.viewDependent,
+    keyBytes: sum(keys), residualBytes: residuals.map(({ bytes }) => bytes.length) };
 }"""
+ORBIT = """async (seconds) => {
+  const key = { code: "ArrowLeft", key: "ArrowLeft", bubbles: true };
+  document.body.dispatchEvent(new KeyboardEvent("keydown", key));
+  await new Promise((resolve) => setTimeout(resolve, 500));
+  let drawn = 0;
+  const stop = streamlod.on("frame", () => drawn++);
+  const start = performance.now();
+  await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+  stop();
+  const canvas = document.getElementById("canvas");
+  const fps = 1000 * drawn / (performance.now() - start);
+  return { fps, size: `${canvas.width}x${canvas.height}`, splats: streamlod.state.splats };
+}"""
+WATCH_JOIN = """addEventListener("DOMContentLoaded", () => {
+  const stage = document.getElementById("stage");
+  const shown = () => requestAnimationFrame(() => requestAnimationFrame(() => (window.joinedMs = performance.now())));
+  new MutationObserver((changes, observer) => {
+    if (!stage.hasAttribute("data-shown")) return;
+    observer.disconnect();
+    shown();
+  }).observe(stage, { attributes: true });
+});"""
 
 
 def median(values: list[float]) -> float:
@@ -86,72 +120,101 @@ def tiled(scene: Scene, times: int) -> Scene:
     return replace(scene, levels=tuple(levels))
 
 
-def codec_times(page: Any, url: str, slots: int, folder: Path) -> None:
-    """Decode, MLP and sort of a scene of about 20 000 anchors."""
-    scene = tiled(codec_scenes.make_scene((1500, 9000, 20_000), slots=slots, features=32), 4)
+def record_synthetic(file: Path, slots: int, features: int, view_dependent: bool) -> None:
+    """A stream of about 23 000 anchors of which a tenth change from frame to frame."""
+    scene = tiled(codec_scenes.make_scene((1500, 9000, 20_000), slots=slots, features=features), 4)
+    if not view_dependent:
+        weights = replace(scene.weights, hidden_weight=scene.weights.hidden_weight[:features])
+        scene = replace(scene, header=replace(scene.header, view_dependent=False), weights=weights)
     states, residuals = codec_scenes.steps(scene, FRAMES)
-
-    with SlodWriter(folder / "bench.slod") as writer:
+    with SlodWriter(file) as writer:
         writer.append(encode_keyframe(scene, time_ns=0))
         for number, residual in enumerate(residuals):
-            before = states[number]
-            writer.append(encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=number + 1))
-    found = page.evaluate(MEASURE, [f"{url}/files/bench.slod", 4])
-    (folder / "bench.slod").unlink()
+            writer.append(
+                encode_residual(states[number], residual, kind=PacketKind.PREDICTED, time_ns=number * 33_333_333)
+            )
+
+
+def codec_times(page: Any, url: str, title: str, file: Path) -> None:
+    """Decode, network, packing and sort of a recording, without a worker's or a socket's share."""
+    found = page.evaluate(MEASURE, [f"{url}/files/{file.name}", ROUNDS])
     times = found["times"]
-    changed = median([sum(len(level.rows) for level in residual.levels) for residual in residuals])
-    print(
-        f"{found['anchors']} anchors, K = {slots}, {found['splats']} splats drawn, {changed:.0f} anchors change a frame"
-    )
-    print(f"  keyframe {found['bytes'][0] / 1000:.0f} kB, residual {median(found['bytes'][1:]) / 1000:.1f} kB")
-    for label, name in (
+    views = "view-dependent" if found["viewDependent"] else "the same from all views"
+    print(f"{title}: {found['anchors']} anchors, K = {found['slots']}, {views}, {found['splats']} splats drawn")
+    print(f"  keyframe {found['keyBytes'] / 1000:.0f} kB, residual {median(found['residualBytes']) / 1000:.1f} kB")
+    rows = [
         ("decode keyframe", "key"),
         ("decode residual", "residual"),
         (f"MLP {'-'.join(map(str, times['layers']))}, all anchors", "mlp"),
-        ("expand all for a new view", "expandAll"),
+        ("expand all of a keyframe", "expandFirst"),
         ("expand what changed", "expandChanged"),
         ("sort and index", "sort"),
-    ):
-        print(f"  {label:32s} {median(times[name]):8.2f} ms (least {min(times[name]):.2f})")
+    ]
+    if found["viewDependent"]:
+        rows.insert(4, ("expand all for a new view", "expandAll"))
+    for label, name in rows:
+        print(f"  {label:32s} {median(times[name]):8.2f} ms (least {min(times[name]):.2f})", flush=True)
 
 
-def draw_rate(browser: Any, anchors: int) -> None:
-    """Frames a second while orbiting a live stream at 640x480."""
-    clip = make_clip(make_scene(anchors), 60)
-    with serving(create_app(clip, Behaviour(fps=15))) as url:
-        page = browser.new_page(viewport={"width": 640, "height": 480})
-        page.goto(f"{url}/?ui=0&quality=high")
-        page.wait_for_function("window.streamlod?.state.version >= 1", timeout=60_000)
-        frames = page.evaluate(
-            """async () => {
-              let drawn = 0;
-              streamlod.on("frame", () => drawn++);
-              const start = performance.now();
-              const key = { code: "ArrowLeft", key: "ArrowLeft", bubbles: true };
-              document.body.dispatchEvent(new KeyboardEvent("keydown", key));
-              await new Promise((resolve) => setTimeout(resolve, 4000));
-              return 1000 * drawn / (performance.now() - start);
-            }"""
-        )
-        splats = page.evaluate("streamlod.state.splats")
-        print(f"drawing {splats} splats at 640x480 while orbiting a live stream: {frames:.1f} frames a second")
-        page.close()
+def draw_rate(browser: Any, address: str, title: str, settle_s: float = 0.0) -> None:
+    """Frames a second while orbiting at 640x480; auto quality finds its step in the `settle_s` before that."""
+    page = browser.new_page(viewport={"width": 640, "height": 480})
+    page.goto(address)
+    page.wait_for_function("window.streamlod?.state.version >= 1", timeout=60_000)
+    if settle_s:
+        page.evaluate(ORBIT, settle_s)
+    found = page.evaluate(ORBIT, 4)
+    print(f"  {title}: {found['splats']} splats at {found['size']}: {found['fps']:.1f} frames a second", flush=True)
+    page.close()
+
+
+def join_time(browser: Any, address: str) -> None:
+    """From the navigation to the first picture on the screen, with nothing cached."""
+    times = []
+    for _ in range(JOINS):
+        context = browser.new_context(viewport={"width": 640, "height": 480})
+        page = context.new_page()
+        page.add_init_script(WATCH_JOIN)
+        page.goto(address)
+        page.wait_for_function("window.joinedMs", timeout=60_000)
+        times.append(page.evaluate("joinedMs"))
+        context.close()
+    print(f"  join to first picture: {median(times):.0f} ms (least {min(times):.0f})", flush=True)
 
 
 def main() -> None:
     """Print all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+    parser.add_argument("files", nargs="*", type=Path, help="recordings to measure too")
+    files = parser.parse_args().files
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+        folder = Path(name)
         browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)
-        clip = make_clip(make_scene(100), 2)
-        with serving(create_app(clip, Behaviour(), Path(folder))) as url:
+        subjects = {"default header": folder / "default.slod", "the paper's header": folder / "paper.slod"}
+        record_synthetic(subjects["default header"], 4, 16, False)
+        record_synthetic(subjects["the paper's header"], 10, 32, True)
+        for number, file in enumerate(files):
+            subjects[file.name] = Path(shutil.copy(file, folder / f"{number}.slod"))
+        with serving(create_app(make_clip(make_scene(100), 2), Behaviour(), folder)) as url:
             page = browser.new_page()
             page.goto(f"{url}/favicon.svg")
-            codec_times(page, url, 10, Path(folder))
+            for title, file in subjects.items():
+                codec_times(page, url, title, file)
             page.close()
-        for anchors in (1250, 5000):
-            draw_rate(browser, anchors)
+        for anchors in (1250, 6250):
+            clip = make_clip(make_scene(anchors), 60)
+            print(f"live stream of {anchors} anchors, K = 4, orbiting at 640x480:")
+            with serving(create_app(clip, Behaviour(fps=15))) as url:
+                draw_rate(browser, f"{url}/?ui=0&quality=high", "high")
+                draw_rate(browser, f"{url}/?ui=0", "auto", settle_s=6)
+                join_time(browser, f"{url}/?ui=0")
+        for number, file in enumerate(files):
+            print(f"{file.name}, orbiting at 640x480:")
+            with serving(create_app(make_clip(make_scene(100), 2), Behaviour(), folder)) as url:
+                address = f"{url}/?ui=0&src=files/{number}.slod"
+                draw_rate(browser, f"{address}&quality=high", "high")
+                draw_rate(browser, address, "auto", settle_s=6)
+                join_time(browser, address)
         browser.close()
 
 
