@@ -65,6 +65,9 @@ Views = Annotated[int | None, typer.Option(min=1, help="So many training cameras
 Preset = Annotated[str, typer.Option(help="live, balanced, quality or paper.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
 Frames = Annotated[int | None, typer.Option(min=1, help="At most so many frames.")]
+SplitFile = Annotated[
+    Path | None, typer.Option(help='JSON file {"train": [...], "test": [...]} that names cameras instead of views.')
+]
 Downscale = Annotated[float, typer.Option(min=1, help="Make pictures so many times smaller.")]
 
 
@@ -276,9 +279,12 @@ def study(
     ] = "all",
     downscale: Downscale = 1.0,
     test: Test = "",
+    split: SplitFile = None,
     preset: Preset = "balanced",
     device: DeviceOption = Device.auto,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("study-output"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds is not redone.")] = Path(
+        "study-output"
+    ),
 ) -> None:
     """Measure what each part of the method is worth, by leaving it out, on cameras that training never saw."""
     _require_folder(data)
@@ -290,6 +296,7 @@ def study(
         ablate=_names(ablate),
         downscale=downscale,
         test=_names(test),
+        split=split,
         preset=preset,
         device=device.value,
     )
@@ -303,14 +310,15 @@ def tradeoff(
     views: Annotated[int, typer.Option(min=1, help="So many training cameras.")] = 5,
     downscale: Downscale = 1.0,
     test: Test = "",
+    split: SplitFile = None,
     device: DeviceOption = Device.auto,
     seed: Seed = 0,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("tradeoff-output"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds stays.")] = Path("tradeoff-output"),
 ) -> None:
     """Sweep time, size and quality against each other; finds what nothing else beats."""
     _require_folder(data)
     options = _load("core.evaluate.tradeoff:TradeoffOptions")(
-        frames=frames, views=views, downscale=downscale, test=_names(test), device=device.value, seed=seed
+        frames=frames, views=views, downscale=downscale, test=_names(test), split=split, device=device.value, seed=seed
     )
     _call("server.studies:tradeoff", data, out, options)
 

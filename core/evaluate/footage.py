@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from core.camera import Camera
-from core.data import Dataset, Split, open_dataset, prefetch
+from core.data import Dataset, Split, linspace_split, open_dataset, prefetch, read_split
 from core.errors import InputError
 from core.frames import FrameSet, PointCloud
 from core.initialise import first_points
@@ -36,6 +36,30 @@ class Footage:
         """(training, held-out) pictures of each instant, in order."""
         training, testing = (part.frames(0, self.frames) for part in (self.training, self.testing))
         yield from zip(prefetch(training), prefetch(testing), strict=True)
+
+
+def chosen_split(data: Path, split: Path | None, views: int | None, test: tuple[str, ...], downscale: float) -> Split:
+    """The split of file `split`, or else `views` cameras by the linspace rule with `test` held out.
+
+    Args:
+        test: the first camera of the rig where none is named.
+
+    Raises:
+        InputError: unusable data, a split file that does not fit it, or one that holds out no camera.
+    """
+    names = open_dataset(data, downscale=downscale).names
+    if split is None:
+        return linspace_split(names, views, test or names[:1])
+    found = read_split(split, names)
+    if not found.test:
+        raise InputError(split, "'test' must name at least one held-out camera")
+    return found
+
+
+def footage_frames(data: Path, frames: int | None) -> int:
+    """How many frames of a recording are used; `frames` is the most, None for all."""
+    count = open_dataset(data).frame_count
+    return count if frames is None else min(frames, count)
 
 
 def open_footage(

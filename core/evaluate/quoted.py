@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,3 +102,52 @@ ABLATIONS = (
     QuotedAblation("3 views, without dropout", 17.99, None, None, 0.256, 1.096, 498),
     QuotedAblation("3 views, full", 18.85, None, None, 0.253, 1.073, 547),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """A published row of a dense-view table: kilobytes and training seconds a frame, rendered frames a second."""
+
+    method: str
+    source: str
+    psnr: float
+    ssim: float | None
+    kilobytes: float
+    seconds: float | None
+    fps: float
+
+
+_QUARC, _COMGS = "QuARC-GS paper, RTX PRO 6000", "ComGS paper, A100"
+PEERS_SOURCE = (
+    "all training views, 300 frames, cam00 held out; N3DV at 1352x1014. Sizes are the authors' own, mostly Shannon "
+    "estimates; 3DGStream and StreamRF with frame 0"
+)
+PEERS = {
+    "N3DV, six scenes": (
+        Peer(_STREAMRF, _QUARC, 30.68, 0.930, 31_500, 15, 10),
+        Peer(_GSTREAM, _QUARC, 31.35, 0.948, 7_800, 8.1, 245),
+        Peer(_GSTREAM, _COMGS, 31.67, None, 7_800, 8.5, 261),
+        Peer(_GSTREAM, "its own paper, RTX 3090", 31.67, None, 7_800, 12, 215),
+        Peer(_HICOM, _QUARC, 31.17, None, 900, 11, 260),
+        Peer(_4DGC, _QUARC, 31.58, 0.943, 500, 50, 168),
+        Peer("QUEEN-s", _COMGS, 31.89, None, 680, 4.65, 345),
+        Peer("QUEEN-l", _QUARC, 32.19, 0.946, 750, 7.9, 248),
+    ),
+    "Meet Room, three scenes": (
+        Peer(_STREAMRF, _COMGS, 26.72, None, 9_000, 10.2, 10),
+        Peer(_GSTREAM, _QUARC, 29.30, 0.948, 4_100, 4.77, 260),
+        Peer(_GSTREAM, _COMGS, 30.79, None, 4_100, 4.9, 350),
+        Peer(_HICOM, _QUARC, 26.73, None, 600, 9.8, 258),
+    ),
+}
+
+
+def quoted_json() -> dict[str, Any]:
+    """All of it, for reports."""
+    return {
+        "source": SOURCE,
+        "tables": {name: [asdict(row) for row in rows] for name, rows in TABLES.items()},
+        "ablations": [asdict(row) for row in ABLATIONS],
+        "peers_source": PEERS_SOURCE,
+        "peers": {name: [asdict(row) for row in rows] for name, rows in PEERS.items()},
+    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -34,7 +35,7 @@ class FrameScore:
         frame: its number; 0 is the keyframe.
         picture: quality and rendering time on the held-out cameras.
         size: bytes of the real packet; shannon_bytes: the usual estimate.
-        report: of the trainer.
+        report: of the trainer. cpu_seconds: processor time of training, of all threads.
         motion: the dynamic set against the truth, None where there is no truth.
     """
 
@@ -43,6 +44,7 @@ class FrameScore:
     size: PacketSize
     shannon_bytes: float
     report: FrameReport
+    cpu_seconds: float
     motion: MotionScore | None = None
 
 
@@ -79,6 +81,7 @@ class _FirstFrame:
     trained: TrainedFrame
     steps: PredictConfig
     peak_bytes: int
+    cpu_seconds: float
 
 
 @dataclass(slots=True)
@@ -88,16 +91,18 @@ class FirstFrames:
     device: str = "auto"
     _known: dict[tuple[ModelConfig, KeyframeConfig, int], _FirstFrame] = field(default_factory=dict)
 
-    def get(self, footage: Footage, frame: FrameSet, config: TrainConfig) -> tuple[TrainedFrame, int]:
-        """The first frame under `config`, with the peak memory that its training took in bytes."""
+    def get(self, footage: Footage, frame: FrameSet, config: TrainConfig) -> tuple[TrainedFrame, int, float]:
+        """The first frame under `config`, with the peak memory in bytes and the processor time of its training."""
         key = (config.model, config.keyframe, config.seed)
         if key not in self._known:
             forget_peak()
+            begin = time.process_time()
             trained = _trainer(footage, config, self.device).keyframe(frame, footage.points)
-            self._known[key] = _FirstFrame(trained, config.predict, peak_bytes())
+            seconds = time.process_time() - begin
+            self._known[key] = _FirstFrame(trained, config.predict, peak_bytes(), seconds)
         first = self._known[key]
         scene = with_steps(first.trained.scene, first.steps, config.predict)
-        return replace(first.trained, scene=scene), first.peak_bytes
+        return replace(first.trained, scene=scene), first.peak_bytes, first.cpu_seconds
 
 
 def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:
@@ -139,7 +144,7 @@ def run_system(
     perceived = set(np.linspace(0, footage.frames - 1, PERCEIVED).round().astype(int).tolist())
     scores: list[FrameScore] = []
     peak, scene, truth = 0, None, None
-    for trained, before, testing, held in _trained_frames(config, footage, first_frames, frozen):
+    for trained, before, testing, held, seconds in _trained_frames(config, footage, first_frames, frozen):
         peak, scene = max(peak, held), trained.scene
         if not testing.present.all():
             _log.warning("frame %d is not measured: a held-out camera delivered nothing", testing.index)
@@ -157,7 +162,7 @@ def run_system(
             shannon = shannon_residual_bytes(before, trained.residual)
             if spec is not None:
                 motion = dynamic_precision_recall(spec, before, trained.residual, index)
-        scores.append(FrameScore(index, picture, size, shannon, trained.report, motion))
+        scores.append(FrameScore(index, picture, size, shannon, trained.report, seconds, motion))
     if scene is None or truth is None:
         raise ModelError("no frame could be measured: the held-out cameras delivered nothing")
     caps = tuple(
@@ -169,13 +174,13 @@ def run_system(
 
 def _trained_frames(
     config: TrainConfig, footage: Footage, first_frames: FirstFrames, frozen: bool
-) -> Iterator[tuple[TrainedFrame, Scene | None, FrameSet, int]]:
-    """(frame, state before, held-out pictures, peak memory of the first frame) in order."""
+) -> Iterator[tuple[TrainedFrame, Scene | None, FrameSet, int, float]]:
+    """(frame, state before, held-out pictures, peak memory of the first frame, processor seconds) in order."""
     trainer = _trainer(footage, config, first_frames.device)
     peak = 0
     for training, testing in footage.pairs():
         if not trainer.has_state:
-            first, peak = first_frames.get(footage, training, config)
+            first, peak, seconds = first_frames.get(footage, training, config)
             forget_peak()
             trainer.resume(first.scene)
             if not frozen and footage.frames > 1:
@@ -183,15 +188,16 @@ def _trained_frames(
                 # itself, keep the reference, and drop what it trained
                 trainer.predict(training)
                 trainer.resume(first.scene, keep_references=True)
-            yield first, None, testing, peak
+            yield first, None, testing, peak, seconds
         elif frozen:
             before = trainer.scene
             after = replace(before, version=training.index)
             trainer.resume(after)
-            yield TrainedFrame(after, difference(before, after), _NO_TRAINING), before, testing, peak
+            yield TrainedFrame(after, difference(before, after), _NO_TRAINING), before, testing, peak, 0.0
         else:
-            before = trainer.scene
-            yield trainer.predict(training), before, testing, peak
+            before, begin = trainer.scene, time.process_time()
+            trained = trainer.predict(training)
+            yield trained, before, testing, peak, time.process_time() - begin
 
 
 def _trainer(footage: Footage, config: TrainConfig, device: str) -> Trainer:

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from core.data import linspace_split, open_dataset
 from core.evaluate.design import BASE, Point, one_at_a_time
-from core.evaluate.footage import Footage, open_footage
+from core.evaluate.footage import Footage, chosen_split, footage_frames, open_footage
 from core.evaluate.machine import machine
 from core.evaluate.output import result_folder, write_json, write_text
 from core.evaluate.pareto import pareto_front
+from core.evaluate.resume import as_json, earlier_report
 from core.evaluate.sizes import SizeOf
 from core.evaluate.summary import run_figures
 from core.evaluate.svg import Axis, Dot, scatter
-from core.evaluate.systems import FirstFrames, run_system
+from core.evaluate.systems import FirstFrames, Run, run_system
 from core.evaluate.tables import number, table
 
 _log = logging.getLogger(__name__)
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,7 @@ class TradeoffOptions:
         views: training cameras, by the linspace rule; None for all that are not held out.
         downscale: of the held-out pictures, and of the training pictures where that is not the knob.
         test: held-out cameras; the first one of the rig where none is named.
+        split: a file that names the cameras instead of `views` and `test`.
         device: to train on; seed: of every point.
     """
 
@@ -58,6 +60,7 @@ class TradeoffOptions:
     views: int | None = 5
     downscale: float = 1.0
     test: tuple[str, ...] = ()
+    split: Path | None = None
     device: str = "auto"
     seed: int = 0
 
@@ -65,7 +68,8 @@ class TradeoffOptions:
 def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeOf, points: Sequence[Point] = ()) -> str:
     """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`; returns a sentence.
 
-    All files are renewed after every point, so that a sweep that is stopped leaves what it has measured.
+    All files are renewed after every point, so that a sweep that is stopped leaves what it has measured. Points that
+    `out` holds already are not measured again.
 
     Args:
         points: configurations to measure instead of the design's.
@@ -74,8 +78,7 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeO
         InputError: unusable data, or options that do not fit them.
     """
     points = points or one_at_a_time()
-    names = open_dataset(data, downscale=options.downscale).names
-    split = linspace_split(names, options.views, options.test or names[:1])
+    split = chosen_split(data, options.split, options.views, options.test, options.downscale)
     out = result_folder(out)
     footages: dict[float, tuple[Footage, FirstFrames]] = {}
     value: dict[str, Any] = {
@@ -85,30 +88,41 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeO
         "base": BASE,
         "split": {"name": split.name, "train": list(split.train), "test": list(split.test)},
         "downscale": options.downscale,
-        "frames": None,
+        "seed": options.seed,
+        "frames": footage_frames(data, options.frames),
         "points": [],
         "fronts": {},
     }
+    facts = {key: value[key] for key in ("schema", "data", "machine", "split", "downscale", "seed", "frames")}
+    known = {_identity(point): point for point in earlier_report(out / "tradeoff.json", facts).get("points", [])}
     for point in points:
-        if point.shrink not in footages:
-            trained_at = options.downscale * point.shrink
-            footage = open_footage(
-                data, split, frames=options.frames, downscale=trained_at, test_downscale=options.downscale
-            )
-            footages[point.shrink] = footage, FirstFrames(options.device)
-        footage, first_frames = footages[point.shrink]
-        value["frames"] = footage.frames
-        run = run_system(replace(point.config, seed=options.seed), footage, first_frames, size_of)
-        figures = run_figures(run)
-        figures["render_milliseconds"] = 1000 / figures["render_fps"]
-        shown = {key: figures[key] for key in ("psnr", "ssim", "anchors", *(cost.key for cost in COSTS))}
-        value["points"].append(
-            {"name": point.name, "knob": point.knob, "shrink": point.shrink, **shown, "config": asdict(point.config)}
-        )
+        entry: dict[str, Any] = {"name": point.name, "knob": point.knob, "shrink": point.shrink}
+        entry["config"] = as_json(asdict(point.config))
+        found = known.get(_identity(entry))
+        if found is None:
+            if point.shrink not in footages:
+                trained_at = options.downscale * point.shrink
+                footage = open_footage(
+                    data, split, frames=options.frames, downscale=trained_at, test_downscale=options.downscale
+                )
+                footages[point.shrink] = footage, FirstFrames(options.device)
+            run = run_system(replace(point.config, seed=options.seed), *footages[point.shrink], size_of)
+            found = _figures(run)
+            _log.info("%s: %.2f dB", point.name, found["psnr"])
+        value["points"].append({**found, **entry})
         value["fronts"] = fronts(value["points"])
         _write(out, value)
-        _log.info("%s: %.2f dB", point.name, figures["psnr"])
     return f"{out / 'tradeoff.md'}: {len(points)} points, {len(value['fronts'][COSTS[0].key])} on the front of seconds"
+
+
+def _figures(run: Run) -> dict[str, Any]:
+    figures = run_figures(run)
+    figures["render_milliseconds"] = 1000 / figures["render_fps"]
+    return {key: figures[key] for key in ("psnr", "ssim", "anchors", *(cost.key for cost in COSTS))}
+
+
+def _identity(point: dict[str, Any]) -> str:
+    return json.dumps([point["config"], point["shrink"]], sort_keys=True)
 
 
 def _write(out: Path, value: dict[str, Any]) -> None:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
+import pytest
+
 from core.data.pictures import read_picture
+from core.errors import InputError
 from core.evaluate.design import one_at_a_time
 from core.evaluate.quoted import MEET_ROOM, N3DV
-from core.evaluate.rows import study_rows
+from core.evaluate.resume import earlier_report
+from core.evaluate.rows import Row, study_rows
 from core.evaluate.study import StudyOptions, run_study
 from core.evaluate.summary import FIGURES
 from core.evaluate.tradeoff import COSTS, TradeoffOptions, beaten_by, run_tradeoff
@@ -43,11 +48,47 @@ def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) 
             assert row["summary"]["psnr"]["spread"] > 0
             assert read_picture(tmp_path / "out" / row["picture"]).shape == (SPEC.height, 3 * SPEC.width, 3)
     report = (tmp_path / "out" / "study.md").read_text()
-    for word in ("linspace 2 of 3", "ours", "±", "Quoted, not measured here", "A800", "Left out: heads"):
+    for word in ("linspace 2 of 3", "ours", "±", "Quoted, not measured here", "A800", "RTX 3090", "Left out: heads"):
         assert word in report
     widths = {line.count("|") for line in report.splitlines() if line.startswith("| ours |")}
     assert len(widths) > 1
     assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_a_study_goes_on_where_it_stopped(clip: Path, tmp_path: Path) -> None:
+    """What was measured stays as it is, times and all; another system is measured."""
+    split = tmp_path / "split.json"
+    split.write_text('{"train": ["cam01", "cam03"], "test": ["cam02"]}')
+    (ours, *_) = study_rows("balanced", [])
+    row = replace(ours, config=shortened(ours.config))
+    out = tmp_path / "out"
+
+    def measure(row: Row, seeds: int) -> list[dict[str, Any]]:
+        options = StudyOptions(split=split, frames=1, seeds=seeds, device="cpu")
+        run_study(clip, out, options, packet_size, (row,))
+        (entry,) = json.loads((out / "study.json").read_text())["splits"]
+        assert (entry["name"], entry["train"], entry["test"]) == ("split.json", ["cam01", "cam03"], ["cam02"])
+        runs: list[dict[str, Any]] = entry["rows"][0]["seeds"]
+        return runs
+
+    (first,) = measure(row, 1)
+    both = measure(row, 2)
+    assert both[0] == first
+    assert both[1]["psnr"] != first["psnr"]
+    assert measure(row, 2) == both
+    shorter = replace(row.config, keyframe=replace(row.config.keyframe, steps=10))
+    assert measure(replace(row, config=shorter), 1)[0]["psnr"] != first["psnr"]
+
+
+def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "study.json"
+    assert earlier_report(path, {}) == {}
+    path.write_text("my notes")
+    with pytest.raises(InputError, match="is not a report"):
+        earlier_report(path, {})
+    path.write_text('{"schema": 2, "data": "room"}')
+    assert earlier_report(path, {"data": "room"}) == {"schema": 2, "data": "room"}
+    assert earlier_report(path, {"data": "kitchen"}) == {}
 
 
 def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> None:
@@ -69,6 +110,8 @@ def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> N
     assert not any(name in beaten for name, beaten in better.items())
     report = (tmp_path / "tradeoff.md").read_text()
     assert all(name in report for name in names)
+    run_tradeoff(clip, tmp_path, options, packet_size, points)
+    assert json.loads((tmp_path / "tradeoff.json").read_text()) == value  # nothing was measured again
 
 
 def test_quoted_tables_hold_what_was_published() -> None:

@@ -28,10 +28,10 @@ def first_frames() -> FirstFrames:
 
 def test_first_frames_are_shared_by_what_differs_later_only(footage: Footage, first_frames: FirstFrames) -> None:
     training, _ = next(footage.pairs())
-    one, _ = first_frames.get(footage, training, CONFIG)
-    other, _ = first_frames.get(footage, training, replace(CONFIG, predict=replace(CONFIG.predict, everything=True)))
+    one, *_ = first_frames.get(footage, training, CONFIG)
+    other, *_ = first_frames.get(footage, training, replace(CONFIG, predict=replace(CONFIG.predict, everything=True)))
     assert one.scene.levels is other.scene.levels
-    reseeded, _ = first_frames.get(footage, training, replace(CONFIG, seed=1))
+    reseeded, *_ = first_frames.get(footage, training, replace(CONFIG, seed=1))
     assert reseeded.scene.levels is not one.scene.levels
 
 
