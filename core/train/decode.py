@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from core.expand import LOG_SCALE_LIMIT
+from core.gaussians import GaussianCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +48,10 @@ class Splats:
     def rows(self, index: Tensor) -> Splats:
         """Only the Gaussians of `index`."""
         return Splats(*(part[index] for part in self.astuple()))
+
+    def cloud(self) -> GaussianCloud:
+        """The same values for kernels; on the CPU only."""
+        return GaussianCloud(*(part.detach().contiguous().numpy() for part in self.astuple()))
 
     def detached(self) -> Splats:
         """The same values, outside of the graph."""

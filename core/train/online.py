@@ -66,10 +66,18 @@ class ResidualTrainer:
         rows: [n] rows of the dynamic anchors.
         static: [m] rows of the other anchors alive.
         views: pictures of the instant.
+        shown: [C,H,W,3] what `field` shows the cameras; NaN where that is not known.
     """
 
     def __init__(
-        self, scene: Scene, field: Field, rows: Tensor, static: Tensor, views: Views, exposure: Exposure | None
+        self,
+        scene: Scene,
+        field: Field,
+        rows: Tensor,
+        static: Tensor,
+        views: Views,
+        exposure: Exposure | None,
+        shown: Tensor,
     ) -> None:
         self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
         self._known = len(rows)
@@ -87,8 +95,14 @@ class ResidualTrainer:
             }
         )
         self._static = _static_splats(field, static, self._centres)
+        self._shown = shown
         self._stages: dict[int, Stage] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
+
+    @property
+    def anchors(self) -> int:
+        """Anchors of the state before, alive or not."""
+        return len(self._all)
 
     def run(self, config: PredictConfig, backend: Backend, generator: torch.Generator) -> Quanta:
         """Train as configured and round."""
@@ -106,12 +120,18 @@ class ResidualTrainer:
                 self._grow(config)
         return self._quanta(total, float(torch.stack(losses[-len(views) :]).mean()))
 
+    def show(self, field: Field, rows: Tensor) -> Tensor:
+        """[C,H,W,3] what the usable cameras see once `field` has taken over at `rows`; NaN for the others."""
+        pictures = torch.full_like(self._views.targets, torch.nan)
+        with torch.no_grad():
+            for number, stage in self._stages.items():
+                pictures[number] = stage.render(field.decode(self._centres[number], rows))[0].image
+        return pictures
+
     def _step(self, number: int, config: PredictConfig, backend: Backend, decay: float) -> Tensor:
         """One view, one update; returns the detached loss."""
-        dynamic, stage = self._dynamic_splats(number), self._stages[number]
-        if not stage.covers(dynamic):
-            stage = self._stages[number] = self._stage(number, dynamic.detached(), backend)
-        raster = stage.render(dynamic, self._background, backend)
+        raster, stage = self._stages[number].render(self._dynamic_splats(number))
+        self._stages[number] = stage
         image = raster.image if self._exposure is None else self._exposure.apply(raster.image, number)
         loss = photometric_loss(image, self._views.targets[number], config.dssim_weight, stage.region)
         if config.rate_weight:
@@ -125,7 +145,9 @@ class ResidualTrainer:
         return loss.detach()
 
     def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
-        return make_stage(self._views.cameras[number], dynamic, self._static[number], self._background, backend)
+        camera, base = self._views.cameras[number], self._shown[number]
+        known = None if base[0, 0, 0].isnan() else base
+        return make_stage(camera, dynamic, self._static[number], self._background, backend, known)
 
     def _dynamic_field(self) -> Field:
         """The dynamic anchors with their residuals, rounded as they will be sent."""

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from core.arrays import Bool, Float32
 from core.camera import Camera
-from core.gaussians import GaussianCloud
 from core.render.backends import Backend
+from core.render.cpu.autograd import rasterise_over
+from core.render.cpu.backdrop import Backdrop, prepare
 from core.render.differentiable import rasterise
-from core.render.dirty import DirtyPlan, plan_dirty
+from core.render.dirty import bounding_box, touched_tiles
 from core.render.raster import Raster
 from core.render.tiles import Box
 from core.train.decode import Splats, join
 
 _ROOM_PIXELS = 4.0  # how far a Gaussian's edge may travel before its camera is planned anew
-_WHOLE = 0.7  # share of dirty tiles from which masking no longer pays
+_WHOLE = 0.7  # share of dirty tiles from which the whole picture is planned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,54 +30,75 @@ class Stage:
     Attributes:
         camera: whose picture.
         static: Gaussians that are drawn but not trained.
-        plan: which tiles to render; None for all of them.
-        base: [H,W,3] the picture outside of those tiles.
+        background: [3] behind all of them.
+        backend: of the rasteriser.
+        backdrop: the static ones, ready to be drawn behind moving ones; on the CPU only.
+        region: pixels that the loss needs, None for all.
+        is_empty: whether no Gaussian that is trained can reach this picture.
     """
 
     camera: Camera
     static: Splats
-    plan: DirtyPlan | None = None
-    base: Tensor | None = None
+    background: Tensor
+    backend: Backend
+    backdrop: Backdrop | None = None
+    region: Box | None = None
+    is_empty: bool = False
 
-    @property
-    def region(self) -> Box | None:
-        """Pixels that the loss needs, None for all."""
-        return None if self.plan is None else self.plan.box
+    def render(self, dynamic: Splats) -> tuple[Raster, Stage]:
+        """The picture with gradients for `dynamic`, and the stage to go on with: a wider one if one left its room."""
+        if self.backdrop is None:
+            return self._render_whole(dynamic), self
+        stage, raster = self, self._render_over(dynamic)
+        if raster is None:
+            stage = self._for_tiles(_room(self.camera, dynamic) | self.backdrop.stale)
+            raster = stage._render_over(dynamic)
+        if raster is None:  # what enters from far outside is projected a little differently when room is planned
+            stage = self._for_tiles(np.ones_like(self.backdrop.stale))
+            raster = stage._render_over(dynamic)
+        assert raster is not None
+        return raster, stage
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether no Gaussian that is trained reaches this picture."""
-        return self.plan is not None and self.plan.box is None
+    def _render_over(self, dynamic: Splats) -> Raster | None:
+        assert self.backdrop is not None
+        return rasterise_over(*dynamic.astuple(), backdrop=self.backdrop, background=self.background)
 
-    def covers(self, dynamic: Splats) -> bool:
-        """Whether `dynamic`, where they are now, stay inside the planned tiles."""
-        return self.plan is None or self.plan.covers(_cloud(dynamic))
-
-    def render(self, dynamic: Splats, background: Tensor, backend: Backend) -> Raster:
-        """The picture, with gradients for `dynamic`."""
-        mask = None if self.plan is None else torch.from_numpy(self.plan.tile_mask)
+    def _render_whole(self, dynamic: Splats) -> Raster:
+        parameters, rows = join(dynamic, self.static).astuple(), len(dynamic)
         return rasterise(
-            *join(dynamic, self.static).astuple(),
-            camera=self.camera,
-            background=background,
-            gradient_rows=len(dynamic),
-            tile_mask=mask,
-            base=self.base,
-            backend=backend,
+            *parameters, camera=self.camera, background=self.background, gradient_rows=rows, backend=self.backend
         )
 
+    def _for_tiles(self, tile_mask: Bool) -> Stage:
+        """This stage, planned anew for other tiles."""
+        assert self.backdrop is not None
+        return _planned(self, tile_mask, self.backdrop.stale, self.backdrop.base)
 
-def make_stage(camera: Camera, dynamic: Splats, static: Splats, background: Tensor, backend: Backend) -> Stage:
-    """Plan `camera`'s picture for `dynamic` Gaussians before `static` ones."""
+
+def make_stage(
+    camera: Camera, dynamic: Splats, static: Splats, background: Tensor, backend: Backend, base: Tensor | None = None
+) -> Stage:
+    """Plan `camera`'s picture for `dynamic` Gaussians before `static` ones.
+
+    Args:
+        base: [H,W,3] the picture of both, where it is at hand; rendered otherwise.
+    """
+    stage = Stage(camera, static, background, backend)
     if backend != "cpu":
-        return Stage(camera, static)
-    plan = plan_dirty(camera, _cloud(dynamic), _cloud(static), _ROOM_PIXELS)
-    if plan.share > _WHOLE:
-        return Stage(camera, static)
-    with torch.no_grad():
-        everything = rasterise(*join(dynamic, static).astuple(), camera=camera, background=background, backend=backend)
-    return Stage(camera, static.rows(torch.from_numpy(plan.static_rows)), plan, everything.image.detach())
+        return stage
+    if base is None:
+        with torch.no_grad():
+            base = stage.render(dynamic)[0].image
+    stale = touched_tiles(camera, dynamic.cloud())
+    return _planned(stage, _room(camera, dynamic) | stale, stale, base.numpy())
 
 
-def _cloud(splats: Splats) -> GaussianCloud:
-    return GaussianCloud(*(part.detach().contiguous().numpy() for part in splats.astuple()))
+def _planned(stage: Stage, tile_mask: Bool, stale: Bool, base: Float32) -> Stage:
+    tile_mask = np.ones_like(tile_mask) if tile_mask.mean() > _WHOLE else tile_mask
+    backdrop = prepare(stage.static.cloud(), stage.camera, tile_mask, stale, base)
+    region = bounding_box(tile_mask, stage.camera)
+    return replace(stage, backdrop=backdrop, region=region, is_empty=region is None)
+
+
+def _room(camera: Camera, dynamic: Splats) -> Bool:
+    return touched_tiles(camera, dynamic.cloud(), _ROOM_PIXELS)

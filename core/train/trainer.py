@@ -37,6 +37,7 @@ class _State:
         scene: the decoder's integer state; field: the same, dequantised.
         canonical: the keyframe's field, for the paper's motion cue.
         references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
+        shown: [C,H,W,3] what the state shows, NaN where that is not known; None likewise.
         dynamic: [N] trained in the latest frame.
     """
 
@@ -44,6 +45,7 @@ class _State:
     field: Field
     canonical: Field
     references: Tensor | None
+    shown: Tensor | None
     dynamic: Bool
 
 
@@ -134,7 +136,7 @@ class Trainer:
         """
         references = self._state.references if keep_references and self._state is not None else None
         field = field_of(scene).to(self._device)
-        self._state = _State(scene, field, field, references, np.zeros(_rows(scene), np.bool_))
+        self._state = _State(scene, field, field, references, None, np.zeros(_rows(scene), np.bool_))
 
     def predict(self, frames: FrameSet) -> TrainedFrame:
         """Train a later frame; its residual leads from the state before.
@@ -146,7 +148,7 @@ class Trainer:
         config = self._config.predict
         alive = _alive(state.scene).to(self._device)
         with watch.stage("partition"):
-            references, unknown = self._known_references(state, alive, views)
+            references, shown, unknown = self._known_pictures(state, alive, views)
             masks = change_masks(references, views, config.noise_floor)
             due = frames.index % config.partition_interval == 0 or not state.dynamic.any()
             dynamic = state.dynamic & alive.cpu().numpy()
@@ -154,12 +156,12 @@ class Trainer:
                 source = state.canonical if config.cue == "canonical" else state.field
                 dynamic = partition(source, alive, references, views, masks, dynamic, config, self._backend)
         rows = torch.from_numpy(np.flatnonzero(dynamic)).to(self._device)
-        quanta = no_quanta(0)
+        quanta, trainer = no_quanta(0), None
         if len(rows):
             with watch.stage("train"):
                 static = torch.nonzero(alive & ~torch.from_numpy(dynamic).to(self._device))[:, 0]
                 exposure = self._exposure if self._config.model.exposure else None
-                trainer = ResidualTrainer(state.scene, state.field, rows, static, views, exposure)
+                trainer = ResidualTrainer(state.scene, state.field, rows, static, views, exposure, shown)
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 quanta = trainer.run(config, self._backend, generator)
         with watch.stage("round"):
@@ -167,12 +169,17 @@ class Trainer:
             scene = apply(state.scene, residual)
             state = _next(state, scene, residual, references, dynamic)
         with watch.stage("settle"):
+            if trainer is not None:
+                alive = _alive(scene).to(self._device)
+                if len(alive) == trainer.anchors:
+                    shown = trainer.show(state.field, rows[alive[rows]])
+                else:  # anchors were added, and rows are numbered anew
+                    shown = rendered(state.field, alive, views, self._backend)
             if masks.any():
-                shown = rendered(state.field, _alive(scene).to(self._device), views, self._backend)
                 references = renewed_references(references, shown, views, masks, config.unsettled_floor)
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
-            self._state = replace(state, references=references)
+            self._state = replace(state, references=references, shown=shown)
         report = FrameReport(
             watch.seconds,
             quanta.steps,
@@ -198,20 +205,26 @@ class Trainer:
         field = field_of(scene).to(self._device)
         references = torch.full_like(views.targets, torch.nan)
         references[views.usable] = views.targets[views.usable]
-        self._state = _State(scene, field, field, references, np.zeros(_rows(scene), np.bool_))
+        self._state = _State(scene, field, field, references, None, np.zeros(_rows(scene), np.bool_))
 
-    def _known_references(self, state: _State, alive: Tensor, views: Views) -> tuple[Tensor, list[int]]:
-        """References for every usable camera, and the numbers of those that had none.
+    def _known_pictures(self, state: _State, alive: Tensor, views: Views) -> tuple[Tensor, Tensor, list[int]]:
+        """References, and what the state shows, for every usable camera; and the numbers of those without references.
 
         A camera has none after a resume, and when it joins late; what the state shows it now must do.
         """
-        old = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
-        unknown = [number for number in views.usable if bool(old[number, 0, 0, 0].isnan())]
-        if not unknown:
-            return old, unknown
-        references = old.clone()
-        references[unknown] = rendered(state.field, alive, replace(views, usable=unknown), self._backend)[unknown]
-        return references, unknown
+        nothing = torch.full_like(views.targets, torch.nan)
+        references = nothing if state.references is None else state.references
+        shown = nothing if state.shown is None else state.shown
+        unknown = [number for number in views.usable if bool(references[number, 0, 0, 0].isnan())]
+        missing = [number for number in views.usable if bool(shown[number, 0, 0, 0].isnan())]
+        if missing:
+            pictures = rendered(state.field, alive, replace(views, usable=missing), self._backend)
+            shown = shown.clone()
+            shown[missing] = pictures[missing]
+        if unknown:
+            references = references.clone()
+            references[unknown] = shown[unknown]
+        return references, shown, unknown
 
     def _require(self) -> _State:
         if self._state is None:

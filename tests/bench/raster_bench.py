@@ -23,10 +23,12 @@ import torch
 
 from core.gaussians import GaussianCloud
 from core.render import rasterise
-from core.render.cpu.frame import backward, forward, pack_camera
+from core.render.cpu.frame import backward, forward
+from core.render.cpu.listing import pack_camera
 from core.render.cpu.workspace import Workspace
-from core.render.dirty import plan_dirty
+from core.train.decode import Splats
 from core.train.losses import photometric_loss
+from core.train.stage import Stage, make_stage
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles
 
 Subjects = dict[str, Callable[[], object]]
@@ -141,36 +143,32 @@ def dirty(count: int = 200_000) -> dict[str, Any]:
                 GaussianCloud(*(np.ascontiguousarray(getattr(cloud, n)[rows]) for n in NAMES))
                 for rows in (order[:moving], order[moving:])
             )
-            plan = plan_dirty(camera, dynamic, static)
             others = tensors(static, gradients=False)
-            near = [t[torch.from_numpy(plan.static_rows)] for t in others]
-            mask = torch.from_numpy(plan.tile_mask)
             base = rasterise(*tensors(cloud, gradients=False), camera, background).image
+            stage = make_stage(camera, _splats(dynamic), _splats(static), background, "cpu", base)
 
             def whole(loss: Any, dynamic: GaussianCloud = dynamic, others: Any = others) -> None:
                 joined = [torch.cat(pair) for pair in zip(tensors(dynamic), others, strict=True)]
                 loss(rasterise(*joined, camera, background).image, target).backward()
 
-            def part(
-                dynamic: GaussianCloud = dynamic,
-                near: Any = near,
-                mask: Any = mask,
-                base: Any = base,
-                box: Any = plan.box,
-            ) -> None:
-                joined = [torch.cat(pair) for pair in zip(tensors(dynamic), near, strict=True)]
-                options = {"gradient_rows": len(dynamic), "tile_mask": mask, "base": base}
-                image = rasterise(*joined, camera, background, **options).image
-                photometric_loss(image, target, region=box).backward()
+            def part(dynamic: GaussianCloud = dynamic, stage: Stage = stage) -> None:
+                image = stage.render(_splats(dynamic, gradients=True))[0].image
+                photometric_loss(image, target, region=stage.region).backward()
 
             subjects: Subjects = {
                 "dirty": part,
                 "full": lambda whole=whole: whole(photometric_loss),
                 "full, convolutions": lambda whole=whole: whole(convolution_loss),
             }
-            numbers = {"tiles dirty": plan.share, "static needed": len(plan.static_rows) / max(1, len(static))}
+            assert stage.backdrop is not None
+            tiles, still = float(stage.backdrop.stale.mean()), len(stage.backdrop.records)
+            numbers = {"tiles dirty": tiles, "static needed": still / max(1, len(static))}
             found[f"{layout} {share:.0%}"] = numbers | ratios(subjects, "dirty", rounds=3)
     return found
+
+
+def _splats(cloud: GaussianCloud, *, gradients: bool = False) -> Splats:
+    return Splats(*tensors(cloud, gradients))
 
 
 def threads() -> dict[str, Any]:

@@ -12,7 +12,8 @@ import numpy as np
 from core.arrays import Float32, check_array
 from core.camera import Camera
 from core.gaussians import GaussianCloud
-from core.render.cpu.frame import MAX_PAIRS, forward
+from core.render.cpu.frame import forward
+from core.render.cpu.listing import MAX_PAIRS
 from core.render.cpu.warming import warm
 from core.render.cpu.workspace import Pool
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from core.camera import Camera
 from core.gaussians import GaussianCloud
 from core.render.cpu import POOL
+from core.render.cpu.backdrop import Backdrop, forward_over
 from core.render.cpu.frame import Frame, backward, forward
 from core.render.cpu.workspace import Workspace
 from core.render.raster import Probe, Raster
@@ -32,6 +33,8 @@ class _Call:
 
 
 class _Rasterise(torch.autograd.Function):
+    """Gives out the picture that `call` already holds, and differentiates it."""
+
     @staticmethod
     def forward(
         ctx: Any,
@@ -40,15 +43,9 @@ class _Rasterise(torch.autograd.Function):
         scales: Tensor,
         opacities: Tensor,
         colours: Tensor,
-        background: Tensor,
-        tile_mask: Tensor | None,
-        base: Tensor | None,
         call: _Call,
     ) -> tuple[Tensor, Tensor]:
-        cloud = _cloud(means, quaternions, scales, opacities, colours)
-        mask = None if tile_mask is None else tile_mask.detach().cpu().numpy().astype(np.bool_)
-        under = None if base is None else _array(base)
-        call.frame = forward(call.workspace, cloud, call.camera, _array(background), mask, under)
+        assert call.frame is not None
         ctx.call = call
         image, light = torch.from_numpy(call.frame.image), torch.from_numpy(call.frame.transmittance)
         # The frame reads the same memory as the outputs; saving them makes autograd notice if they change in place.
@@ -72,7 +69,7 @@ class _Rasterise(torch.autograd.Function):
         call.frame = None
         call.release()
         parts = (gradients.means, gradients.quaternions, gradients.scales, gradients.opacities, gradients.colours)
-        return (*(torch.from_numpy(part) for part in parts), None, None, None, None)
+        return (*(torch.from_numpy(part) for part in parts), None)
 
 
 def rasterise_cpu(
@@ -88,13 +85,37 @@ def rasterise_cpu(
     base: Tensor | None,
 ) -> Raster:
     """`core.render.differentiable.rasterise` on numba kernels; arguments as there."""
-    call = _Call(camera, gradient_rows)
-    image, light = _Rasterise.apply(  # type: ignore[no-untyped-call]
-        means, quaternions, scales, opacities, colours, background, tile_mask, base, call
-    )
+    call, parameters = _Call(camera, gradient_rows), (means, quaternions, scales, opacities, colours)
+    mask = None if tile_mask is None else tile_mask.detach().cpu().numpy().astype(np.bool_)
+    under = None if base is None else _array(base)
+    call.frame = forward(call.workspace, _cloud(*parameters), camera, _array(background), mask, under)
+    return _raster(parameters, call)
+
+
+def rasterise_over(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    backdrop: Backdrop,
+    background: Tensor,
+) -> Raster | None:
+    """Picture and gradients of these Gaussians before still ones: those of `rasterise` for both.
+
+    Returns:
+        None where a Gaussian reaches a tile that the backdrop was not prepared for.
+    """
+    call, parameters = _Call(backdrop.camera, None), (means, quaternions, scales, opacities, colours)
+    call.frame = forward_over(call.workspace, _cloud(*parameters), backdrop, _array(background))
+    return None if call.frame is None else _raster(parameters, call)
+
+
+def _raster(parameters: tuple[Tensor, ...], call: _Call) -> Raster:
+    image, light = _Rasterise.apply(*parameters, call)  # type: ignore[no-untyped-call]
     assert call.frame is not None
-    rows = call.frame.rows
-    visible = rows if gradient_rows is None else rows[: np.searchsorted(rows, gradient_rows)]
+    rows, most = call.frame.rows, call.gradient_rows
+    visible = rows if most is None else rows[: np.searchsorted(rows, most)]
     call.probe = Probe(torch.from_numpy(visible.astype(np.int64)))
     return Raster(image, light, call.probe)
 

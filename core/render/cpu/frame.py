@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
-from core.arrays import Bool, Float32, Int32, Int64, UInt8
+from core.arrays import Bool, Float32, Int32, Int64
 from core.camera import Camera
-from core.errors import InputError, ModelError
 from core.gaussians import GaussianCloud
 from core.render.cpu.kernels.backward import differentiate_tiles
-from core.render.cpu.kernels.binning import count_pairs, fill_lists
 from core.render.cpu.kernels.forward import blend_tiles
-from core.render.cpu.kernels.inline.constants import RECORD, SUMS
-from core.render.cpu.kernels.project import project
+from core.render.cpu.kernels.inline.constants import SUMS
 from core.render.cpu.kernels.project_backward import differentiate_projection
+from core.render.cpu.listing import MAX_PAIRS, list_gaussians, pack_camera, projected, share_tiles
 from core.render.cpu.workspace import Workspace
 from core.render.tiles import tile_grid
-
-MAX_PAIRS = 1 << 27  # of a Gaussian and a tile: 512 MiB, seconds of work; sane scenes have a thousandth of it
-_EMPTY_TILE = 64  # cost of a tile without Gaussians, in pairs, for sharing tiles out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +26,8 @@ class Frame:
         image: [H,W,3] float32, own memory. transmittance: [H,W] float32, own memory.
         camera: [16] float32, see `pack_camera`.
         rows: [M] int32 ascending rows of the visible Gaussians, own memory.
-        slots: [M] int32 depth rank -> index into `rows`.
-        records: [N,16] by row; sorted_records: [M,16] by depth rank.
+        slots: by depth rank, index into `rows`; beyond its end for Gaussians that never want gradients.
+        records: [N,16] by row; sorted_records: [...,16] by depth rank.
         tiles, bounds: tiles rendered, and each worker's share of them. offsets, lists: the tile lists.
     """
 
@@ -68,19 +62,6 @@ class Gradients:
     screen: Float32
 
 
-def pack_camera(camera: Camera) -> Float32:
-    """[16] float32: rotation row by row, translation, fx fy cx cy.
-
-    Raises:
-        InputError: the camera has lens distortion, which splatting cannot follow.
-    """
-    if camera.has_distortion:
-        raise InputError(f"camera {camera.name}", "has lens distortion; undistort its pictures and use undistorted()")
-    pose, k = camera.world_to_camera, camera.intrinsics
-    focal = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
-    return np.concatenate([pose[:3, :3].ravel(), pose[:3, 3], focal]).astype(np.float32)
-
-
 def forward(
     workspace: Workspace,
     cloud: GaussianCloud,
@@ -102,39 +83,45 @@ def forward(
         InputError: the camera has lens distortion.
         ModelError: the Gaussians are so large that their tile lists would not fit.
     """
-    packed, width, height = pack_camera(camera), camera.width, camera.height
-    count, workers = len(cloud), numba.get_num_threads()
-    records = workspace.take("records", (count, RECORD), np.float32)
-    boxes = workspace.take("boxes", (count, 4), np.int32)
-    depths = workspace.take("depths", (count,), np.float32)
-    parameters = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.colours)
-    project(workers, *parameters, packed, width, height, records, boxes, depths)
-
-    rows = np.flatnonzero(depths > 0).astype(np.int32)
-    slots = _depth_order(depths[rows])
-    tiles_y, tiles_x = tile_grid(width, height)
+    seen = projected(workspace, cloud, camera)
+    rows = np.flatnonzero(seen.depths > 0).astype(np.int32)
+    tiles_y, tiles_x = tile_grid(camera.width, camera.height)
     mask = np.ones(tiles_y * tiles_x, np.uint8) if tile_mask is None else tile_mask.astype(np.uint8).ravel()
-    sorted_records = workspace.take("sorted_records", (len(rows), RECORD), np.float32)
-    sorted_boxes = workspace.take("sorted_boxes", (len(rows), 4), np.int32)
-    cursors = workspace.take("cursors", (workers, len(mask)), np.int64)
-    offsets = workspace.take("offsets", (len(mask) + 1,), np.int64)
-    order = rows[slots]
-    count_pairs(workers, records, boxes, order, sorted_records, sorted_boxes, tiles_x, mask, cursors, offsets)
-    pairs = int(offsets[-1])
-    if pairs > most_pairs:
-        fault = f"Gaussians cover {pairs} tiles together, more than {most_pairs}: their scales are out of hand"
-        raise ModelError(fault)
-    lists = workspace.take("lists", (pairs,), np.int32)
-    fill_lists(workers, sorted_records, sorted_boxes, tiles_x, mask, cursors, lists)
+    listing = list_gaussians(workspace, seen, rows, camera, mask, most_pairs=most_pairs)
+    tiles, bounds = share_tiles(mask, np.diff(listing.offsets))
+    image, transmittance = _canvas(camera, tile_mask is None, base)
+    return blend(
+        Frame(
+            image=image,
+            transmittance=transmittance,
+            camera=pack_camera(camera),
+            rows=rows,
+            slots=listing.slots,
+            records=listing.records,
+            sorted_records=listing.sorted_records,
+            tiles=tiles,
+            bounds=bounds,
+            offsets=listing.offsets,
+            lists=listing.lists,
+        ),
+        background,
+    )
 
-    tiles, bounds = _share_tiles(mask, offsets, workers)
-    if tile_mask is None:
-        image, transmittance = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
-    else:
-        image = np.zeros((height, width, 3), np.float32) if base is None else base.copy()
-        transmittance = np.ones((height, width), np.float32)
-    blend_tiles(tiles, bounds, tiles_x, sorted_records, offsets, lists, background, image, transmittance)
-    return Frame(image, transmittance, packed, rows, slots, records, sorted_records, tiles, bounds, offsets, lists)
+
+def blend(frame: Frame, background: Float32) -> Frame:
+    """`frame` itself, its tiles drawn."""
+    tiles_x = tile_grid(*frame.transmittance.shape[::-1])[1]
+    lists = (frame.sorted_records, frame.offsets, frame.lists)
+    blend_tiles(frame.tiles, frame.bounds, tiles_x, *lists, background, frame.image, frame.transmittance)
+    return frame
+
+
+def _canvas(camera: Camera, whole: bool, base: Float32 | None) -> tuple[Float32, Float32]:
+    """Picture and transmittance to draw over."""
+    size = camera.height, camera.width
+    if whole:
+        return np.empty((*size, 3), np.float32), np.empty(size, np.float32)
+    return np.zeros((*size, 3), np.float32) if base is None else base.copy(), np.ones(size, np.float32)
 
 
 def backward(
@@ -174,22 +161,3 @@ def backward(
         into = (out.means, out.quaternions, out.scales, out.opacities, out.colours, out.screen)
         differentiate_projection(workers, wanted, frame.records, sums, *parameters, *into)
     return out
-
-
-def _depth_order(depths: Float32) -> Int32:
-    """Indices from near to far, ties in order of index.
-
-    Positive floats sort like their bits, so that one sort of 64-bit integers, depth above index, is stable and fast.
-    """
-    keys = (depths.view(np.uint32).astype(np.uint64) << np.uint64(32)) | np.arange(len(depths), dtype=np.uint64)
-    keys.sort()
-    return keys.astype(np.uint32).view(np.int32)
-
-
-def _share_tiles(mask: UInt8, offsets: Int64, workers: int) -> tuple[Int32, Int64]:
-    """Tiles to render, and where each worker's share begins: contiguous shares of about equal work."""
-    tiles = np.flatnonzero(mask).astype(np.int32)
-    work = np.cumsum(np.diff(offsets)[tiles] + _EMPTY_TILE)
-    total = int(work[-1]) if len(work) else 0
-    inner = np.searchsorted(work, total * np.arange(1, workers) / workers)
-    return tiles, np.concatenate([[0], inner, [len(tiles)]]).astype(np.int64)

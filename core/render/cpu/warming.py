@@ -12,7 +12,6 @@ from core.arrays import Float32
 from core.camera import pinhole
 from core.gaussians import GaussianCloud
 from core.render.cpu.frame import backward, forward
-from core.render.cpu.kernels.dirty import find_touching, mark_tiles
 from core.render.cpu.photometric import photometric_sums
 from core.render.cpu.workspace import Workspace
 
@@ -25,6 +24,9 @@ def warm(tell: Callable[[str], None] | None = None) -> None:
     Args:
         tell: called with one sentence before and after each group of kernels; the log by default.
     """
+    from core.render.cpu.backdrop import forward_over, prepare  # which import this package
+    from core.render.dirty import touched_tiles
+
     tell = tell or _LOG.info
     workspace, background = Workspace(), np.zeros(3, np.float32)
     camera = pinhole("warm", (8.0, 8.0), (4.0, 4.0), (8, 8), np.eye(4))
@@ -34,17 +36,11 @@ def warm(tell: Callable[[str], None] | None = None) -> None:
     frame = forward(workspace, cloud, camera, background)
     tell("compiling the rasteriser's backward kernels")
     backward(workspace, frame, cloud, np.ones_like(frame.image))
-    tell("compiling the loss and the search for dirty tiles")
+    tell("compiling the loss and what renders parts of a picture")
     photometric_sums(frame.image, frame.image, 0.2, (0, 0, 8, 8))
-    find_touching(
-        1,
-        frame.records,
-        np.zeros((1, 4), np.int32),
-        np.ones(1, np.float32),
-        np.ones((1, 1), np.uint8),
-        np.ones(1, np.uint8),
-    )
-    mark_tiles(frame.records, np.ones(1, np.float32), np.float32(0), np.float32(1), np.zeros((1, 1), np.uint8))
+    all_tiles = np.ones((1, 1), np.bool_)
+    touched_tiles(camera, cloud, 1.0)
+    forward_over(workspace, cloud, prepare(cloud, camera, all_tiles, all_tiles, frame.image), background)
     tell(f"rasteriser ready after {time.perf_counter() - started:.1f} s")
 
 

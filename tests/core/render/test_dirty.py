@@ -1,18 +1,27 @@
-"""Dirty tiles give the picture and the gradients of the full rendering."""
+"""Moving Gaussians before still ones give the picture and the gradients of the full rendering."""
+
+from collections.abc import Iterator
 
 import numba
 import numpy as np
 import pytest
 import torch
 
-from core.gaussians import GaussianCloud, concatenate
-from core.render import rasterise
-from core.render.dirty import plan_dirty, static_rows, touched_tiles
-from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
+from core.camera import Camera, pinhole
+from core.gaussians import GaussianCloud
+from core.render import Raster, rasterise
+from core.render.cpu.autograd import rasterise_over
+from core.render.cpu.backdrop import Backdrop, prepare
+from core.render.dirty import bounding_box, reaching_rows, tiles_of, touched_tiles
+from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
+from core.train.decode import Splats
 from core.train.losses import photometric_loss
+from core.train.stage import make_stage
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
 
 CAMERA = make_camera(200, 150)
+BACKGROUND = torch.tensor([0.1, 0.2, 0.3])
+PER_PIXEL = 5.0 / (0.9 * 200)  # world units at the scene's distance
 
 
 def rows_of(cloud: GaussianCloud, rows: np.ndarray) -> GaussianCloud:
@@ -34,43 +43,97 @@ def tensors(cloud: GaussianCloud) -> list[torch.Tensor]:
     return [torch.from_numpy(getattr(cloud, name)) for name in NAMES]
 
 
-def test_step_equals_the_full_step_bit_by_bit() -> None:
+def full(dynamic: list[torch.Tensor], static: GaussianCloud, camera: Camera = CAMERA) -> Raster:
+    joined = (torch.cat(pair) for pair in zip(dynamic, tensors(static), strict=True))
+    return rasterise(*joined, camera, BACKGROUND, gradient_rows=len(dynamic[0]))
+
+
+def planned(dynamic: GaussianCloud, static: GaussianCloud, room: float) -> Backdrop:
+    base = full(tensors(dynamic), static).image.numpy()
+    return prepare(static, CAMERA, touched_tiles(CAMERA, dynamic, room), touched_tiles(CAMERA, dynamic), base)
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """With more, sums over workers split differently."""
     threads = numba.get_num_threads()
-    numba.set_num_threads(1)  # with more, sums over workers split differently
-    dynamic, static = scene()
-    background, target = (
-        torch.tensor([0.1, 0.2, 0.3]),
-        torch.rand(150, 200, 3, generator=torch.Generator().manual_seed(1)),
-    )
-    plan = plan_dirty(CAMERA, dynamic, static, 6.0)
-    assert plan.box is not None
-    assert 0.05 < plan.share < 0.7
-    assert len(plan.static_rows) < 0.9 * len(static)
-    base = rasterise(*tensors(concatenate([dynamic, static])), CAMERA, background).image
-    now = moved(dynamic, (0.01, 0.0, -0.01))  # as after an optimiser's step
-    assert plan.covers(now)
-    gradients, pictures = [], []
-    for dirty in (False, True):
-        leaves = [t.clone().requires_grad_() for t in tensors(now)]
-        others = tensors(rows_of(static, plan.static_rows) if dirty else static)
-        raster = rasterise(
-            *(torch.cat([a, b]) for a, b in zip(leaves, others, strict=True)),
-            CAMERA,
-            background,
-            gradient_rows=len(dynamic),
-            tile_mask=torch.from_numpy(plan.tile_mask) if dirty else None,
-            base=base if dirty else None,
-        )
-        photometric_loss(raster.image, target, region=plan.box if dirty else None).backward()
-        pictures.append(raster.image.detach())
-        gradients.append([leaf.grad for leaf in leaves] + [raster.probe.gradients])
+    numba.set_num_threads(1)
+    yield
     numba.set_num_threads(threads)
-    assert torch.equal(*pictures)
-    for full, part in zip(*gradients, strict=True):
-        assert full is not None
-        assert part is not None
-        assert torch.equal(full, part)
-    assert any(g is not None and g.abs().max() > 0 for g in gradients[0])
+
+
+def differentiated(raster: Raster, leaves: list[torch.Tensor], region: Box | None) -> list[torch.Tensor]:
+    """Gradients of the photometric loss against a random picture, by the leaves and the projected means."""
+    target = torch.rand(150, 200, 3, generator=torch.Generator().manual_seed(1))
+    (photometric_loss(raster.image, target, region=region) + raster.transmittance.mean()).backward()
+    gradients = [leaf.grad for leaf in leaves]
+    assert all(gradient is not None and gradient.abs().max() > 0 for gradient in gradients)
+    return [gradient for gradient in gradients if gradient is not None] + [raster.probe.gradients]
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_step_equals_the_full_step_bit_by_bit() -> None:
+    dynamic, static = scene()
+    backdrop = planned(dynamic, static, 6.0)
+    region = bounding_box(backdrop.tile_mask, CAMERA)
+    assert 0.05 < backdrop.tile_mask.mean() < 0.7
+    assert len(backdrop.records) < 0.9 * len(static)
+    now = moved(dynamic, (0.01, 0.0, -0.01))  # as after an optimiser's step
+    ours, wanted = ([t.clone().requires_grad_() for t in tensors(now)] for _ in range(2))
+    found, whole = rasterise_over(*ours, backdrop, BACKGROUND), full(wanted, static)
+    assert found is not None
+    assert torch.equal(found.image, whole.image)
+    assert torch.equal(found.probe.visible, whole.probe.visible)
+    for part, other in zip(differentiated(found, ours, region), differentiated(whole, wanted, region), strict=True):
+        assert torch.equal(part, other)
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_gaussians_at_one_depth_are_drawn_in_the_full_order() -> None:
+    """Still and moving ones in one plane: moving ones come first, as their rows do."""
+    camera = pinhole("axis", (150.0, 150.0), (100.0, 75.0), (200, 150), np.eye(4))
+    cloud = make_cloud(600, seed=3, size=0.1)
+    means = cloud.means.copy()
+    means[:, 2] = 4.0
+    cloud = GaussianCloud(means, *(getattr(cloud, name) for name in NAMES[1:]))
+    dynamic, static = rows_of(cloud, np.arange(60)), rows_of(cloud, np.arange(60, 600))
+    everywhere = np.ones_like(touched_tiles(camera, dynamic))
+    whole = full(tensors(dynamic), static, camera).image
+    backdrop = prepare(static, camera, everywhere, everywhere, whole.numpy())
+    found = rasterise_over(*tensors(dynamic), backdrop, BACKGROUND)
+    assert found is not None
+    assert torch.equal(found.image, whole)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_picture_is_that_of_any_number_of_threads(threads: int) -> None:
+    dynamic, static = scene()
+    backdrop, whole = planned(dynamic, static, 4.0), full(tensors(dynamic), static).image
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    found = rasterise_over(*tensors(dynamic), backdrop, BACKGROUND)
+    numba.set_num_threads(before)
+    assert found is not None
+    assert torch.equal(found.image, whole)
+
+
+@pytest.mark.usefixtures("one_thread")
+@pytest.mark.parametrize("pixels", [0.5, 30.0, 2000.0])
+def test_stage_follows_gaussians_that_leave_their_room(pixels: float) -> None:
+    dynamic, static = (Splats(*tensors(cloud)) for cloud in scene())
+    stage = make_stage(CAMERA, dynamic, static, BACKGROUND, "cpu")
+    now = moved(scene()[0], (pixels * PER_PIXEL, 0.0, 0.0))
+    ours, wanted = ([t.clone().requires_grad_() for t in tensors(now)] for _ in range(2))
+    raster, wider = stage.render(Splats(*ours))
+    whole = full(wanted, scene()[1])
+    assert (wider is stage) == (pixels != 30.0)  # out of the picture they reach no tile
+    assert torch.equal(raster.image, whole.image)
+    if pixels < 100:  # further away nothing is seen of them
+        assert wider.region is not None
+        for part, other in zip(
+            differentiated(raster, ours, wider.region), differentiated(whole, wanted, wider.region), strict=True
+        ):
+            assert torch.equal(part, other)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -87,12 +150,14 @@ def test_touched_tiles_are_those_that_change(seed: int) -> None:
 
 def test_room_to_move_is_kept_and_leaving_it_is_noticed() -> None:
     dynamic, static = scene()
-    plan = plan_dirty(CAMERA, dynamic, static, 8.0)
-    per_pixel = 5.0 / (0.9 * 200)  # world units at the scene's distance
+    backdrop = planned(dynamic, static, 8.0)
+
+    def fits(shift: tuple[float, float, float]) -> bool:
+        return rasterise_over(*tensors(moved(dynamic, shift)), backdrop, BACKGROUND) is not None
+
     for angle in np.linspace(0, 2 * np.pi, 8):
-        shift = 5 * per_pixel * np.array([np.cos(angle), np.sin(angle), 0.0])
-        assert plan.covers(moved(dynamic, tuple(shift)))
-    assert not plan.covers(moved(dynamic, (60 * per_pixel, 0.0, 0.0)))
+        assert fits((5 * PER_PIXEL * np.cos(angle), 5 * PER_PIXEL * np.sin(angle), 0.0))
+    assert not fits((60 * PER_PIXEL, 0.0, 0.0))
 
 
 def test_gaussians_that_may_enter_from_outside_have_their_tiles() -> None:
@@ -108,11 +173,12 @@ def test_gaussians_that_may_enter_from_outside_have_their_tiles() -> None:
     assert touched_tiles(camera, one, 8.0)[:, 0].any()
 
 
-def test_static_rows_are_those_that_reach_the_mask() -> None:
+def test_reaching_rows_are_those_that_the_mask_needs() -> None:
     cloud = make_cloud(200, seed=8, size=0.1)
     mask = np.zeros_like(touched_tiles(CAMERA, cloud))
     mask[4, 2] = mask[5, 4] = True
-    rows = static_rows(CAMERA, cloud, mask)
+    visible, rows = reaching_rows(CAMERA, cloud, mask)
+    assert torch.equal(torch.from_numpy(visible), rasterise(*tensors(cloud), CAMERA, BACKGROUND).probe.visible)
     assert 0 < len(rows) < len(cloud) / 2
     pictures = [
         rasterise(*tensors(part), CAMERA, torch.zeros(3), tile_mask=torch.from_numpy(mask)).image
@@ -122,13 +188,28 @@ def test_static_rows_are_those_that_reach_the_mask() -> None:
     assert not torch.equal(pictures[0], pictures[2])  # and the first is
 
 
+def test_tiles_of_pixels() -> None:
+    pixels = np.zeros((150, 200), np.bool_)
+    pixels[149, 199] = pixels[16, 31] = True
+    tiles = tiles_of(pixels)
+    assert tiles.shape == touched_tiles(CAMERA, make_cloud(0)).shape
+    assert np.argwhere(tiles).tolist() == [[1, 1], [9, 12]]
+
+
 def test_nothing_dynamic_means_nothing_dirty() -> None:
-    plan = plan_dirty(CAMERA, make_cloud(0), make_cloud(50), 4.0)
-    assert plan.box is None
-    assert plan.share == 0
-    assert len(plan.static_rows) == 0
+    static = make_cloud(50)
     base = torch.rand(150, 200, 3)
-    raster = rasterise(
-        *tensors(make_cloud(0)), CAMERA, torch.zeros(3), tile_mask=torch.from_numpy(plan.tile_mask), base=base
-    )
+    stage = make_stage(CAMERA, Splats(*tensors(make_cloud(0))), Splats(*tensors(static)), BACKGROUND, "cpu", base)
+    assert stage.is_empty
+    assert stage.region is None
+    raster, _ = stage.render(Splats(*tensors(make_cloud(0))))
     assert torch.equal(raster.image, base)
+
+
+def test_the_whole_picture_is_planned_where_most_of_it_moves() -> None:
+    cloud = make_cloud(300, size=0.4)
+    dynamic, static = rows_of(cloud, np.arange(150)), rows_of(cloud, np.arange(150, 300))
+    stage = make_stage(CAMERA, Splats(*tensors(dynamic)), Splats(*tensors(static)), BACKGROUND, "cpu")
+    assert stage.region == Box(0, 0, 200, 150)
+    raster, _ = stage.render(Splats(*tensors(dynamic)))
+    assert torch.equal(raster.image, full(tensors(dynamic), static).image)

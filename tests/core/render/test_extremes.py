@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from core.camera import Camera, pinhole
 from core.errors import ModelError
 from core.gaussians import GaussianCloud, concatenate
-from core.render.cpu import frame, render
+from core.render.cpu import render
 from tests.core.render.scenes import BACKGROUND, NAMES, Outcome, make_camera, make_cloud, relative, run
 
 CAMERA = make_camera()
@@ -170,11 +170,10 @@ def test_ten_thousand_layers_over_the_whole_screen() -> None:
     assert len(outcome.probe.visible) > 5000
 
 
-def test_more_layers_than_memory_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame, "MAX_PAIRS", 500)
+def test_more_layers_than_memory_holds_are_refused() -> None:
     cloud = replace(make_cloud(200, spread=0.3), scales=np.full((200, 3), 50, np.float32))
     with pytest.raises(ModelError, match="scales are out of hand"):
-        render(cloud, CAMERA, BACKGROUND)
+        render(cloud, CAMERA, BACKGROUND, most_pairs=500)
 
 
 def test_a_gaussian_far_larger_than_the_screen_is_flat() -> None:

@@ -178,6 +178,14 @@ def _load_tile(
             pixels[_BEHIND + p] = behind
 
 
+@njit(**INLINE)
+def _end_of_wanted(start: Any, stop: Any, slots: Int32, lists: Int32, wanted: Any) -> Any:
+    """Where to stop in the list [start, stop): behind its last Gaussian that wants a gradient, no sum changes."""
+    while stop > start and slots[lists[stop - 1]] >= wanted:
+        stop -= 1
+    return stop
+
+
 @njit(**SERIAL)
 def _differentiate_tile(
     tile: int,
@@ -193,11 +201,14 @@ def _differentiate_tile(
     sums: Float32,
     pixels: Float32,
 ) -> None:
+    start, wanted = offsets[tile], sums.shape[0]
+    stop = _end_of_wanted(start, offsets[tile + 1], slots, lists, wanted)
+    if stop == start:
+        return
     tile_y = tile // tiles_x
     x0, y0 = (tile - tile_y * tiles_x) * TILE_WIDTH, tile_y * TILE_HEIGHT
     rows, columns = min(TILE_HEIGHT, image.shape[0] - y0), min(TILE_WIDTH, image.shape[1] - x0)
     _load_tile(x0, y0, rows, columns, image, transmittance, image_gradient, light_gradient, pixels)
-    start, stop, wanted = offsets[tile], offsets[tile + 1], sums.shape[0]
     for entry in range(start, stop):
         ahead = lists[min(entry + _AHEAD, stop - 1)]
         prefetch(records, np.int64(ahead) * RECORD)

@@ -1,7 +1,8 @@
 """Tile lists: for each tile, the depth ranks of the Gaussians that reach it, near to far.
 
 A counting sort: every worker takes a slice of the depth order, counts, and then writes behind the workers before it.
-Lists come out in depth order, whatever the number of workers, and pairs are never sorted.
+Lists come out in depth order, whatever the number of workers, and pairs are never sorted. Lists of still Gaussians,
+made once, and of moving ones, made at every step, are merged by depth.
 """
 
 from __future__ import annotations
@@ -120,3 +121,52 @@ def fill_lists(
     for w in prange(workers):
         start, stop = count * w // workers, count * (w + 1) // workers
         _fill_slice(start, stop, sorted_records, sorted_boxes, tiles_x, tile_mask, cursors[w], lists)
+
+
+@njit(**SERIAL)
+def _merge_tile(
+    front: Int32, front_depths: Float32, back: Int32, back_depths: Float32, shift: int, merged: Int32
+) -> None:
+    i, j = 0, 0
+    for k in range(merged.shape[0]):
+        if j == back.shape[0] or (i < front.shape[0] and front_depths[front[i]] <= back_depths[back[j]]):
+            merged[k] = front[i] + shift
+            i += 1
+        else:
+            merged[k] = back[j]
+            j += 1
+
+
+@njit(**KERNEL)
+def merge_lists(
+    tiles: Int32,
+    bounds: Int64,
+    front_offsets: Int64,
+    front_lists: Int32,
+    front_depths: Float32,
+    back_offsets: Int64,
+    back_lists: Int32,
+    back_depths: Float32,
+    shift: int,
+    offsets: Int64,
+    lists: Int32,
+) -> None:
+    """Merge two lists of each tile by depth; at equal depths those of the front come first.
+
+    Args:
+        tiles, bounds: tiles to do, and each worker's share of them, as for `blend_tiles`.
+        front_offsets, front_lists, front_depths, and so for the back: lists of ranks, and the depth of each rank.
+        shift: added to the ranks of the front.
+        offsets: [T+1] where the merged lists begin. lists: out, [pairs].
+    """
+    for w in prange(bounds.shape[0] - 1):
+        for t in range(bounds[w], bounds[w + 1]):
+            tile = tiles[t]
+            _merge_tile(
+                front_lists[front_offsets[tile] : front_offsets[tile + 1]],
+                front_depths,
+                back_lists[back_offsets[tile] : back_offsets[tile + 1]],
+                back_depths,
+                shift,
+                lists[offsets[tile] : offsets[tile + 1]],
+            )
