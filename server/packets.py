@@ -75,12 +75,21 @@ def stream_packet(number: int, epoch: int, data: bytes) -> StreamPacket:
 
 def binary_frame(data: bytes) -> bytes:
     """An unmasked, final websocket frame of opcode 2 (RFC 6455 section 5.2)."""
+    return _frame(0x82, data)
+
+
+def text_frame(message: str) -> bytes:
+    """An unmasked, final websocket frame of opcode 1."""
+    return _frame(0x81, message.encode())
+
+
+def _frame(first: int, data: bytes) -> bytes:
     size = len(data)
     if size < 126:
-        return bytes((0x82, size)) + data
+        return bytes((first, size)) + data
     if size < 1 << 16:
-        return b"\x82\x7e" + size.to_bytes(2, "big") + data
-    return b"\x82\x7f" + size.to_bytes(8, "big") + data
+        return bytes((first, 126)) + size.to_bytes(2, "big") + data
+    return bytes((first, 127)) + size.to_bytes(8, "big") + data
 
 
 class PacketWindow:

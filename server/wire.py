@@ -9,41 +9,59 @@ from __future__ import annotations
 import asyncio
 import socket
 from asyncio.transports import BaseTransport
+from collections.abc import Callable
 from typing import Any
 
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame
 
 CONNECTION = "streamlod.connection"  # where an endpoint finds its connection in the ASGI scope
 
 
-def websocket_class(send_buffer_bytes: int) -> type[WebSocketsSansIOProtocol]:
+class ViewerProtocol(WebSocketsSansIOProtocol):
+    """One websocket, and what its endpoint's `Connection` needs of it.
+
+    Attributes:
+        send_buffer_bytes: size of the kernel's buffer, about.
+        take: offered every text message before the endpoint; whether it took it.
+    """
+
+    send_buffer_bytes = 256 * 1024
+    take: Callable[[bytes], bool] | None = None
+
+    def connection_made(self, transport: BaseTransport) -> None:
+        super().connection_made(transport)
+        raw = transport.get_extra_info("socket")
+        if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
+            # the kernel doubles the value for its bookkeeping
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self.send_buffer_bytes // 2)
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def handle_text(self, event: Frame) -> None:
+        if self.take is None or not event.fin or not self.take(bytes(event.data)):
+            super().handle_text(event)
+
+    async def run_asgi(self) -> None:
+        scope: dict[str, Any] = self.scope  # type: ignore[assignment]
+        scope[CONNECTION] = Connection(self)
+        await super().run_asgi()
+
+
+def websocket_class(send_buffer_bytes: int) -> type[ViewerProtocol]:
     """The protocol class for uvicorn's ``ws`` option, with kernel buffers of about `send_buffer_bytes`."""
-
-    class ViewerProtocol(WebSocketsSansIOProtocol):
-        """One websocket; also the endpoint's `Connection`."""
-
-        def connection_made(self, transport: BaseTransport) -> None:
-            super().connection_made(transport)
-            raw = transport.get_extra_info("socket")
-            if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
-                # the kernel doubles the value for its bookkeeping
-                raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_buffer_bytes // 2)
-                raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-        async def run_asgi(self) -> None:
-            scope: dict[str, Any] = self.scope  # type: ignore[assignment]
-            scope[CONNECTION] = Connection(self)
-            await super().run_asgi()
-
-    return ViewerProtocol
+    return type("ViewerProtocol", (ViewerProtocol,), {"send_buffer_bytes": send_buffer_bytes})
 
 
 class Connection:
     """What a viewer session needs of its transport."""
 
-    def __init__(self, protocol: WebSocketsSansIOProtocol) -> None:
+    def __init__(self, protocol: ViewerProtocol) -> None:
         self._protocol = protocol
+
+    def listen(self, take: Callable[[bytes], bool] | None) -> None:
+        """Give text messages to `take` as they arrive, without a queue; what it does not take goes the ordinary way."""
+        self._protocol.take = take
 
     @property
     def unsent_bytes(self) -> int:

@@ -28,6 +28,7 @@ from server.messages import (
     parse_control,
     parse_hello,
 )
+from server.packets import text_frame
 from server.registry import Registry
 from server.thin import ThinSession
 from server.viewer import ViewerSession
@@ -41,24 +42,18 @@ router = APIRouter()
 
 
 class _Transport:
-    """A session's way out: packets by the shared-buffer path, control messages by the ordinary one."""
+    """A session's way out: frames made here, past the websocket library, so that viewers share them."""
 
     def __init__(self, websocket: WebSocket, stuck_seconds: float) -> None:
-        self._websocket, self._stuck = websocket, stuck_seconds
-        self._connection: Connection = websocket.scope[CONNECTION]
+        self._stuck = stuck_seconds
+        self.connection: Connection = websocket.scope[CONNECTION]
+        self.offer = self.connection.offer
 
     async def binary(self, frame: bytes) -> None:
-        await self._connection.write(frame, self._stuck)
+        await self.connection.write(frame, self._stuck)
 
     async def text(self, message: str) -> None:
-        await self._connection.drain(self._stuck)
-        await self._websocket.send_text(message)
-
-    def offer(self, frame: bytes) -> bool:
-        return self._connection.offer(frame)
-
-    def abort(self) -> None:
-        self._connection.abort()
+        await self.connection.write(text_frame(message), self._stuck)
 
 
 @router.websocket("/v1/streams/{stream_id}/live")
@@ -82,7 +77,7 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.5):
                 await _close(websocket, BUSY, f"no progress for {seconds:g} s")
-        transport.abort()
+        transport.connection.abort()
     except _GONE:
         return
     except Exception:
@@ -137,12 +132,22 @@ async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello
         session: ViewerSession = ThinSession(stream, hello, transport, limits, registry.painter)
     else:
         session = ViewerSession(stream, hello, transport, limits)
+
+    def take(text: bytes) -> bool:
+        try:
+            session.on_control(parse_control(text.decode()))
+        except (SessionError, UnicodeDecodeError):
+            return False  # once more by `_listen`, which closes the connection
+        return True
+
     registry.sessions[session] = address_of(websocket)
+    transport.connection.listen(take)
     sending = asyncio.create_task(session.run())
     listening = asyncio.create_task(_listen(websocket, session))
     try:
         done, _ = await asyncio.wait([sending, listening], return_when=asyncio.FIRST_COMPLETED)
     finally:
+        transport.connection.listen(None)
         registry.sessions.pop(session, None)
         for task in (sending, listening):
             task.cancel()

@@ -31,6 +31,8 @@ _ACCEPT = (
     b"Sec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\nSec-WebSocket-Protocol: streamlod.v1\r\n\r\n"
 )
 
+_LONGEST_WAIT = 0.5  # s, where a viewer skipped a packet and will never have taken all bytes
+
 
 class _Log(logging.Handler):
     """Keeps warnings."""
@@ -85,8 +87,9 @@ class _Feed:
             await self._one(packets)
             due += 1 / rate if rate else 0
             await asyncio.sleep(max(0.0, due - time.monotonic()) if rate else 0)
-            while not rate and self._busy():
-                await asyncio.sleep(0.0005)
+            limit = time.monotonic() + _LONGEST_WAIT
+            while not rate and self._busy() and time.monotonic() < limit:
+                await asyncio.sleep(0.002)
         wall = time.monotonic() - begin
         return Run(times, time.process_time() - cpu, wall, self._sent() - sent, resident_bytes(), kernel_bytes(),
                    self._cut_off(), tuple(self._log.lines))  # fmt: skip
@@ -112,8 +115,8 @@ async def _serve_hub(pipe: Connection, packets: list[bytes]) -> None:
 
     async def publish(data: bytes) -> None:
         nonlocal newest
-        await stream.on_message(Tag.PACKET, data)
         newest = stream.counters.sent_bytes + len(data) * stream.viewers
+        await stream.on_message(Tag.PACKET, data)
 
     feed = _Feed(publish, lambda: stream.counters.sent_bytes < newest, lambda: stream.counters.sent_bytes,
                  lambda: stream.counters.stuck)  # fmt: skip
