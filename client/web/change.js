@@ -119,7 +119,7 @@ function decodePositions(coder, rows, voxel, start, predict) {
     const x = voxel[3 * rows[i]], y = voxel[3 * rows[i] + 1], z = voxel[3 * rows[i] + 2];
     let near = 0;
     sum.fill(0);
-    for (let dx = -1; dx <= 1; dx++) {
+    for (let dx = predict ? -1 : 2; dx <= 1; dx++) {
       for (let dy = -1; dy <= 1; dy++) {
         for (let dz = -1; dz <= 1; dz++) {
           const j = table.entry[table.place(x + dx, y + dy, z + dz)] - 1;
@@ -144,7 +144,7 @@ function decodePositions(coder, rows, voxel, start, predict) {
     }
     earlier = before;
     before = 256 * size;
-    table.entry[table.place(x, y, z)] = i + 1;
+    if (predict) table.entry[table.place(x, y, z)] = i + 1;
   }
   return delta;
 }

@@ -1,9 +1,11 @@
 /** The range coder's decoder: integers only, codec/FORMAT.md section 6.2 and 6.3. */
 
 import { must } from "./packet.js";
-import { bin, FREQUENCY, SCALE, START, SYMBOL_OF, SYMBOLS } from "./tables.js";
+import { BitstreamError } from "./scene.js";
+import { bin, SCALE, STEPS } from "./tables.js";
 
 const FINAL = 65536;
+const ESCAPE = 16, TOP_BIN = 30;
 
 /** Adaptive models of one bit. */
 export class BitModels {
@@ -80,24 +82,28 @@ export class RansDecoder {
   value(b) {
     let s = 0;
     if (b < 0) b = 0;
-    else if (b > 30) {
+    else if (b > TOP_BIN) {
       b = Math.min(b, 120);
       s = (b - 27) >> 2;
       b -= 4 * s;
     }
-    const { lane } = this, slot = this.state[lane] & 4095;
-    let z = SYMBOL_OF[(b << 12) | slot];
-    const i = b * SYMBOLS + z;
-    this.#advance(lane, FREQUENCY[i], slot - START[i]);
-    if (z === 16) {
+    const { lane } = this, step = STEPS[(b << 12) | (this.state[lane] & 4095)];
+    let z = step >>> 25;
+    this.#advance(lane, (step >>> 12) & 8191, step & 4095);
+    if (z === ESCAPE) {
       let width = 0;
       while (this.bits(1)) must(++width <= 30, "corrupt_chunk", "a coded number is too large");
       z = 15 + 2 ** width + this.raw(width);
     }
-    let result = z % 2 ? -(z + 1) / 2 : z / 2;
-    if (s) result = result * 2 ** s - 2 ** (s - 1) + this.raw(s);
+    let result = z & 1 ? -(z + 1) / 2 : z / 2;
+    if (s) result = result * (1 << s) - (1 << (s - 1)) + (s <= 12 ? this.bits(s) : this.raw(s));
     must(result < 1073741824 && result > -1073741824, "corrupt_chunk", "a coded number is too large");
     return result;
+  }
+
+  /** The words ran out. @returns {never} */
+  fail() {
+    throw new BitstreamError("corrupt_chunk", "a coded chunk ends too early");
   }
 
   /** All must be used up. */
@@ -148,18 +154,42 @@ export function decodeColumns(coder, rows, { magnitude, channels }) {
     total += share[c];
   }
   if (!total) return result;
-  let energy = total;
-  for (let i = 0, at = 0; i < rows; i++) {
+  // The common case of `coder.value` is spelt out below on local variables: a symbol of its table, no escape.
+  const { words, state, mask } = coder;
+  let { at, lane } = coder, energy = total;
+  for (let i = 0, place = 0; i < rows; i++) {
     let t = 0, r = 0, g = 0;
-    for (let c = 0; c < channels; c++, at++) {
+    for (let c = 0; c < channels; c++, place++) {
       if (!(c & 1)) g = bin(Math.floor((256 * (energy + 2 * t)) / (total + 2 * r))) - 24;
       if (!magnitude[c]) continue;
-      const v = coder.value(bins[c] + g);
-      result[at] = v;
-      t += weight[c] * Math.min(v < 0 ? -v : v, 65535);
+      const b = Math.max(bins[c] + g, 0), step = b > TOP_BIN ? ESCAPE << 25 : STEPS[(b << 12) | (state[lane] & 4095)];
+      const z = step >>> 25;
+      let v = 0;
+      if (z === ESCAPE) {
+        coder.at = at;
+        coder.lane = lane;
+        v = coder.value(b);
+        at = coder.at;
+        lane = coder.lane;
+      } else {
+        let x = (Math.imul((step >>> 12) & 8191, state[lane] >>> 12) + (step & 4095)) >>> 0;
+        if (x < FINAL) {
+          if (at === words.length) coder.fail();
+          x = ((x << 16) | words[at++]) >>> 0;
+        }
+        state[lane] = x;
+        lane = (lane + 1) & mask;
+        v = z & 1 ? -((z + 1) >> 1) : z >> 1;
+      }
+      if (v) {
+        result[place] = v;
+        t += weight[c] * Math.min(v < 0 ? -v : v, 65535);
+      }
       r += share[c];
     }
     energy += Math.floor((t - energy) / 8);
   }
+  coder.at = at;
+  coder.lane = lane;
   return result;
 }

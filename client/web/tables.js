@@ -67,13 +67,11 @@ export const SCALE = Int32Array.from(`1 1 1 1 1 2 2 2 2 2 2 3 3 3 3 4
 4194304 4573921 4987896 5439339 5931642 6468501 7053950 7692387 8388608 9147842 9975792 10878679 11863283 12937002 14107901 15384775`.split(/\s+/), Number);
 
 export const FREQUENCY = Uint16Array.from(FREQUENCIES.split(/\s+/), Number);
-export const START = new Uint16Array(BINS * SYMBOLS);
-export const SYMBOL_OF = new Uint8Array(BINS * 4096);
-for (let b = 0; b < BINS; b++) {
-  for (let s = 0, start = 0; s < SYMBOLS; s++) {
-    const i = b * SYMBOLS + s;
-    START[i] = start;
-    SYMBOL_OF.fill(s, b * 4096 + start, b * 4096 + start + FREQUENCY[i]);
-    start += FREQUENCY[i];
+/** For each bin and slot: symbol << 25 | frequency << 12 | slot - start, so that decoding looks up once. */
+export const STEPS = new Uint32Array(BINS * 4096);
+for (let b = 0, at = 0; b < BINS; b++) {
+  for (let s = 0; s < SYMBOLS; s++) {
+    const frequency = FREQUENCY[b * SYMBOLS + s];
+    for (let rest = 0; rest < frequency; rest++) STEPS[at++] = (s << 25) | (frequency << 12) | rest;
   }
 }
