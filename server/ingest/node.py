@@ -65,6 +65,7 @@ class _Node:
     pushed: Pushed = field(default_factory=Pushed)
     failure: StreamlodError | None = None
     _line: _Line | None = None
+    _told: str = ""
     _retry_at: float = 0.0
     _delay: float = _FIRST_DELAY
 
@@ -87,16 +88,19 @@ class _Node:
                     self.pushed.dropped += 1
                     return
                 self._line = _Line(self.url, self.token)
-                self._delay = _FIRST_DELAY
             message = PushMessage(self.camera.name, sequence, taken.capture_ns, taken.codec, taken.body)
-            self._line.send(message, self.pushed)
+            if self._line.send(message, self.pushed):
+                self._delay, self._told = _FIRST_DELAY, ""
         except (WebSocketException, OSError) as error:
             self._break(error)
 
     def _break(self, error: Exception) -> None:
         if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in _REFUSALS:
             raise InputError(self.url, f"refuses camera {self.camera.name}: {error.rcvd.reason}") from error
-        _LOG.warning("camera %s: no connection (%s); trying again", self.camera.name, error)
+        reason = _reason(error)
+        if reason != self._told:
+            self._told = reason
+            _LOG.warning("camera %s: no connection (%s); trying again", self.camera.name, reason)
         self.pushed.dropped += 1 if self._line is None else self._line.waiting
         self._line, self._retry_at = None, time.monotonic() + self._delay
         self._delay = min(2 * self._delay, _LONGEST_DELAY)
@@ -115,20 +119,21 @@ class _Line:
             open_timeout=5,
             close_timeout=1,
         )
-        self.waiting = 0
+        self.waiting, self._answered = 0, False
         self._told = ""
 
-    def send(self, message: PushMessage, pushed: Pushed) -> None:
-        """Send a picture unless too many are on their way."""
+    def send(self, message: PushMessage, pushed: Pushed) -> bool:
+        """Send a picture unless too many are on their way; whether the server has answered to any so far."""
         data = pack_push(message)
         if len(data) > MAX_MESSAGE_BYTES:
             raise InputError(f"camera {message.camera}", f"has pictures of more than {MAX_MESSAGE_BYTES >> 20} MiB")
         self._take_answers(pushed, 0)
         if self.waiting >= _ON_THEIR_WAY:
             pushed.dropped += 1
-            return
-        self.waiting += 1
-        self._connection.send(data)
+        else:
+            self.waiting += 1
+            self._connection.send(data)
+        return self._answered
 
     def finish(self, pushed: Pushed) -> None:
         """Wait for the last answers and hang up."""
@@ -146,7 +151,7 @@ class _Line:
                     raise
                 return
             self.waiting -= 1
-            seconds = 0
+            self._answered, seconds = True, 0
             if answer.get("type") == "ack":
                 pushed.acknowledged += 1
                 continue
@@ -154,3 +159,9 @@ class _Line:
             if (reason := str(answer.get("reason"))) != self._told:
                 self._told = reason
                 _LOG.warning("camera %s: a picture is refused: %s", answer.get("camera"), reason)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, ConnectionClosed) and error.rcvd is not None:
+        return error.rcvd.reason or f"close code {error.rcvd.code}"
+    return str(error)

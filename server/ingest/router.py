@@ -43,11 +43,14 @@ def push_router(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) -
     async def push(websocket: WebSocket, stream_id: str) -> None:
         """A capture node of docs/ingest.md."""
         offers = websocket.scope.get("subprotocols", [])
-        await websocket.accept(PUSH_SUBPROTOCOL if PUSH_SUBPROTOCOL in offers else None)
         try:
-            if PUSH_SUBPROTOCOL not in offers:
-                raise SessionError(BAD_VERSION, f"offer the sub-protocol {PUSH_SUBPROTOCOL}")
-            await _take(websocket, await open_intake(websocket, stream_id))
+            try:
+                if PUSH_SUBPROTOCOL not in offers:
+                    raise SessionError(BAD_VERSION, f"offer the sub-protocol {PUSH_SUBPROTOCOL}")
+                intake = await open_intake(websocket, stream_id)
+            finally:  # also to be refused: close codes and reasons need a connection
+                await websocket.accept(PUSH_SUBPROTOCOL if PUSH_SUBPROTOCOL in offers else None)
+            await _take(websocket, intake)
         except SessionError as error:
             await _close(websocket, error.close_code, error.detail)
         except (WebSocketDisconnect, ConnectionError):

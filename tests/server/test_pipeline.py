@@ -3,27 +3,34 @@
 from __future__ import annotations
 
 import json
+import threading
+from collections.abc import Iterator
 from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
+from codec.encoder import encode_residual
 from codec.packet import PacketKind, peek
+from core.anchors import Scene
 from core.data.synthetic import SyntheticSpec
-from core.errors import InputError
+from core.errors import InputError, ModelError
+from core.frames import FrameSet
+from core.train import TrainedFrame, Trainer, preset
 from core.train import config as train_config
-from core.train import preset
 from server.job import TrainJob
 from server.pipeline import EncodedFrame, open_job, train_clip, train_stream
+from server.trace import Span
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
 JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")
 
 
-@pytest.fixture(autouse=True)
-def short_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True, scope="module")
+def short_runs() -> Iterator[None]:
     """A first frame of 60 steps: these tests are about what flows, not about quality."""
 
     def brief(name: str) -> train_config.TrainConfig:
@@ -34,24 +41,83 @@ def short_runs(monkeypatch: pytest.MonkeyPatch) -> None:
             predict=replace(config.predict, epochs=2, minimum_steps=8),
         )
 
-    monkeypatch.setattr("server.pipeline.preset", brief)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("server.pipeline.preset", brief)
+        yield
 
 
-def test_a_clip_becomes_a_file_that_plays(tmp_path: Path) -> None:
-    out, seen = tmp_path / "scene.slod", list[EncodedFrame]()
-    train_clip(open_job(JOB), out, seen.append)
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
+    """A folder with the clip as a file, and its frames as they were handed on."""
+    folder, seen = tmp_path_factory.mktemp("trained"), list[EncodedFrame]()
+    train_clip(open_job(JOB), folder / "scene.slod", seen.append)
+    return folder, seen
+
+
+def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame]]) -> None:
+    folder, seen = trained
     assert [frame.version for frame in seen] == [0, 1, 2, 3]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.slod", "scene.slod.json"]
+    assert sorted(path.name for path in folder.iterdir()) == ["scene.slod", "scene.slod.json"]
     decoder = SceneDecoder()
-    with SlodReader(out) as reader:
+    with SlodReader(folder / "scene.slod") as reader:
         for packet in reader.packets():
             decoder.push(packet)
     assert decoder.scene is not None
     assert decoder.scene.version == 3
     assert [camera.name for camera in decoder.scene.header.cameras] == [f"cam{n:02d}" for n in range(5)]
-    figures = json.loads((tmp_path / "scene.slod.json").read_text())
+    figures = json.loads((folder / "scene.slod.json").read_text())
     assert figures["first_frame_seconds"] > figures["train_seconds"] > 0
     assert set(figures["per_frame"][1]["seconds"]) >= {"partition", "round", "encode"}
+
+
+def overlap(ones: list[Span], others: list[Span]) -> float:
+    """Seconds that spans of both kinds have in common."""
+    return sum(max(0.0, min(a.end, b.end) - max(a.begin, b.begin)) for a in ones for b in others)
+
+
+def test_the_stages_of_three_frames_run_side_by_side(trained: tuple[Path, list[EncodedFrame]]) -> None:
+    _, frames = trained
+
+    def lane(name: str, chosen: list[EncodedFrame]) -> list[Span]:
+        return [span for frame in chosen for span in frame.spans if span.lane == name]
+
+    assert [span.lane for span in frames[2].spans if span.lane != "train"] == ["read", "encode", "write"]
+    assert {span.name for span in lane("train", frames)} >= {"points", "seed", "train", "partition", "round"}
+    for name in ("read", "train", "encode", "write"):  # within a lane, one after the other
+        spans = lane(name, frames)
+        assert all(a.end <= b.begin for a, b in pairwise(spans))
+    assert overlap(lane("read", frames[1:]), lane("train", frames[:-1])) > 0
+    assert overlap(lane("encode", frames[:-1]), lane("train", frames[1:])) > 0
+    assert overlap(lane("encode", frames), lane("write", frames)) == 0
+
+
+def test_a_failing_encoder_ends_the_stream_and_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    def encode(before: Scene, *arguments: object, **options: object) -> bytes:
+        if before.version == 1:
+            raise ModelError("the encoder broke")
+        return encode_residual(before, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("server.pipeline.encode_residual", encode)
+    frames = train_stream(open_job(JOB))
+    assert [next(frames).version, next(frames).version] == [0, 1]
+    with pytest.raises(ModelError, match="the encoder broke"):
+        next(frames)
+    assert "training" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_failing_trainer_ends_the_stream_after_what_it_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    predict = Trainer.predict
+
+    def broken(self: Trainer, frames: FrameSet) -> TrainedFrame:
+        if frames.index == 2:
+            raise ModelError("the trainer broke")
+        return predict(self, frames)
+
+    monkeypatch.setattr(Trainer, "predict", broken)
+    frames = train_stream(open_job(JOB))
+    assert [next(frames).version, next(frames).version] == [0, 1]
+    with pytest.raises(ModelError, match="the trainer broke"):
+        next(frames)
 
 
 def test_previews_come_first_and_the_chain_holds() -> None:
