@@ -1,0 +1,120 @@
+"""The page in a headset: an emulated one (iwer), which speaks the real WebXR interface in a real Chromium."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.camera import Camera, pinhole
+from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
+from tests.client.web.test_browser import WAIT, clip, page, psnr, reference, shows
+
+__all__ = ["clip", "page"]
+
+pytestmark = pytest.mark.browser
+
+IWER = Path(__file__).parent / "node_modules" / "iwer" / "build" / "iwer.min.js"
+PUT_ON = """
+window.headset = new IWER.XRDevice(IWER.metaQuest3, { stereoEnabled: true, ipd: 0.064 });
+headset.installRuntime({ forceInstall: true });
+const { requestSession } = navigator.xr;
+navigator.xr.requestSession = async function (...all) {
+  const session = (window.session = await requestSession.apply(this, all));
+  const { requestReferenceSpace, requestAnimationFrame } = session;
+  session.requestReferenceSpace = async (kind) => (window.space = await requestReferenceSpace.call(session, kind));
+  session.requestAnimationFrame = (callback) => requestAnimationFrame.call(session, (time, frame) => {
+    callback(time, frame);
+    window.ticks = (window.ticks ?? 0) + 1;
+    if (!window.look) return;
+    const gl = document.getElementById("canvas").getContext("webgl2"), { baseLayer } = session.renderState;
+    const found = frame.getViewerPose(space).views.map((eye) => {
+      const { x, y, width, height } = baseLayer.getViewport(eye);
+      const pixels = new Uint8Array(4 * width * height);
+      gl.readPixels(x, y, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+      const text = btoa(Array.from(pixels, (v) => String.fromCharCode(v)).join(""));
+      return { width, height, projection: [...eye.projectionMatrix], matrix: [...eye.transform.matrix], pixels: text };
+    });
+    window.look(found);
+    window.look = null;
+  });
+  return session;
+};
+"""
+LOOK = "new Promise((resolve) => (window.look = resolve))"
+
+
+def eye_camera(eye: dict[str, Any], stand: np.ndarray) -> Camera:
+    """A view of WebXR as our camera. `stand` [4,4]: XR space to the scene, metres to world units included."""
+    matrix = np.array(eye["matrix"]).reshape(4, 4).T
+    projection = np.array(eye["projection"]).reshape(4, 4).T
+    width, height = eye["width"], eye["height"]
+    focal = (projection[0, 0] * width / 2, projection[1, 1] * height / 2)
+    centre = ((1 - projection[0, 2]) * width / 2, (1 + projection[1, 2]) * height / 2)
+    scale = np.cbrt(np.linalg.det(stand[:3, :3]))
+    rotation = (stand[:3, :3] / scale) @ matrix[:3, :3] @ np.diag([1.0, -1.0, -1.0])  # camera to world
+    position = (stand @ matrix[:, 3])[:3]
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = rotation.T
+    world_to_camera[:3, 3] = -rotation.T @ position
+    return pinhole("eye", focal, centre, (width, height), world_to_camera)
+
+
+def pixels_of(eye: dict[str, Any]) -> np.ndarray:
+    """[H,W,3] in [0, 1], upright."""
+    rows = np.frombuffer(base64.b64decode(eye["pixels"]), np.uint8).reshape(eye["height"], eye["width"], 4)
+    return rows[::-1, :, :3] / 255
+
+
+def test_both_eyes_see_the_scene(page: Any, clip: Clip) -> None:
+    """Each eye's picture is that of the reference renderer; sticks walk and turn; leaving gives the page back."""
+    if not IWER.exists():
+        pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
+    page.add_init_script(path=IWER)
+    page.add_init_script(PUT_ON)
+    page.set_viewport_size({"width": 480, "height": 240})
+    with serving(create_app(clip, Behaviour(newest=4))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 4")
+        page.evaluate("streamlod.setCamera(2)")
+        pose = page.evaluate("import('/camera.js').then((m) => m.fromText(streamlod.state.camera))")
+        page.click("#b-vr")
+        page.wait_for_function("window.ticks > 3", **WAIT)
+        page.wait_for_timeout(500)
+        scene = clip.states[4]
+        # Upright where the page stood: the viewer's target is two metres away, up is the rig's.
+        up = -sum(camera.world_to_camera[1, :3] for camera in scene.header.cameras)
+        up /= np.linalg.norm(up)
+        ahead = np.array(pose["rotation"][6:9])
+        ahead = ahead - up * (ahead @ up)
+        ahead /= np.linalg.norm(ahead)
+        stand = np.eye(4)
+        stand[:3, :3] = np.stack([np.cross(-up, ahead), up, -ahead], axis=1) * pose["distance"] / 2
+        stand[:3, 3] = pose["position"]
+        eyes = page.evaluate(LOOK)
+        assert len(eyes) == 2
+        cameras = [eye_camera(eye, stand) for eye in eyes]
+        gap = np.linalg.norm(cameras[0].centre - cameras[1].centre)
+        assert gap == pytest.approx(0.064 * pose["distance"] / 2, rel=1e-3)
+        wanted = [reference(scene, camera) for camera in cameras]
+        for eye, image in zip(eyes, wanted, strict=True):
+            assert psnr(pixels_of(eye), image) >= 33  # splats are those of the middle of the head
+        assert psnr(pixels_of(eyes[0]), wanted[1]) < 30
+        page.evaluate("headset.controllers.left.updateAxes('thumbstick', 0, -1)")
+        page.wait_for_timeout(400)
+        page.evaluate("headset.controllers.left.updateAxes('thumbstick', 0, 0)")
+        walked = page.evaluate(LOOK)
+        assert psnr(pixels_of(walked[0]), pixels_of(eyes[0])) < 25
+        page.evaluate("headset.controllers.right.updateAxes('thumbstick', 1, 0)")
+        page.wait_for_timeout(300)
+        turned = page.evaluate(LOOK)
+        assert psnr(pixels_of(turned[0]), pixels_of(walked[0])) < 25
+        page.evaluate("session.end()")
+        page.keyboard.press(".")
+        page.wait_for_function("!document.getElementById('b-vr').hidden", **WAIT)
+        before = page.evaluate("streamlod.state.camera")
+        page.keyboard.press("+")
+        page.wait_for_function("(before) => streamlod.state.camera !== before", arg=before, **WAIT)
