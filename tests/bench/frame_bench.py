@@ -2,17 +2,17 @@
 
 A frame is everything from the pictures to the packet: motion, planning, training, rounding, settling and encoding.
 The naive step is what training the whole model does: all anchors decoded through autograd, whole pictures,
-convolutions, Adam over every parameter. Subjects alternate; times are of the process's CPU on one thread unless said
-otherwise.
+convolutions, Adam over every parameter. Subjects alternate, on one thread, in CPU time; the clip's frames are timed
+on all threads by the wall too, which wants an idle machine. The part ``cuda`` needs a GPU.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,71 +20,16 @@ import numba
 import numpy as np
 import torch
 
-from codec.encoder import encode_residual
-from codec.packet import PacketKind
-from core.render import rasterise
-from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer
-from core.train.convert import field_of
-from core.train.decode import Network
-from tests.bench.frame_subjects import FrameCase, make_case
-from tests.bench.raster_subjects import convolution_loss
+from core.errors import BackendUnavailable
+from core.render import select
+from core.train import PredictConfig, TrainConfig
+from tests.bench.frame_subjects import Naive, Streaming, make_case, trained_clip
+from tests.bench.kernel_time import KernelTime
 
 EPOCHS = 10
-VGA = (640, 480)
 CONFIG = TrainConfig(predict=PredictConfig(epochs=EPOCHS, minimum_steps=0))
-
-
-class Streaming:
-    """Our frame, from the state before to the packet."""
-
-    def __init__(self, case: FrameCase, config: TrainConfig = CONFIG, device: str = "cpu") -> None:
-        self._case = case
-        self._trainer = Trainer(case.cameras, config, 30.0, device)
-        self.result: TrainedFrame | None = None
-        self.packet = b""
-        self.reset()
-
-    def reset(self) -> None:
-        """Back to the state before, shown its own pictures."""
-        self._trainer.resume(self._case.scene)
-        self._trainer.predict(self._case.before)
-
-    def run(self) -> None:
-        """One frame."""
-        before, frames = self._trainer.scene, self._case.after
-        self.result = self._trainer.predict(frames)
-        assert self.result.residual is not None
-        kind = PacketKind.PREDICTED
-        self.packet = encode_residual(before, self.result.residual, kind=kind, time_ns=frames.time_ns)
-
-
-class Naive:
-    """Training steps over the whole model."""
-
-    def __init__(self, case: FrameCase) -> None:
-        self._cameras = case.cameras
-        self._targets = torch.from_numpy(case.after.images).float() / 255
-        field = field_of(case.scene)
-        names = ("feature", "offset", "scaling", "position")
-        self._leaves = {name: getattr(field, name).clone().requires_grad_() for name in names}
-        weights = [value.clone().requires_grad_() for value in field.network.parameters()]
-        self._field = replace(field, **self._leaves, network=Network(*weights))
-        self._optimiser = torch.optim.Adam([*self._leaves.values(), *weights], lr=1e-4)
-
-    def step(self, view: int) -> None:
-        """One view, one update."""
-        camera = self._cameras[view]
-        splats = self._field.decode(torch.from_numpy(camera.centre).float())
-        image = rasterise(*splats.astuple(), camera=camera, background=torch.zeros(3)).image
-        convolution_loss(image, self._targets[view]).backward()  # type: ignore[no-untyped-call]
-        self._optimiser.step()
-        self._optimiser.zero_grad()
-
-    def run(self, epochs: int = EPOCHS) -> None:
-        """As many steps as a streaming frame has."""
-        for _ in range(epochs):
-            for view in range(len(self._cameras)):
-                self.step(view)
+VGA, HD = (640, 480), (1280, 720)
+MOVING = 0.006  # share of the anchors that really move; the partition then trains about 5 %
 
 
 def measured(work: Callable[[], None], clock: Callable[[], float] = time.process_time) -> float:
@@ -95,16 +40,16 @@ def measured(work: Callable[[], None], clock: Callable[[], float] = time.process
 
 
 def whole(rounds: int = 3) -> dict[str, Any]:
-    """A frame against as many naive steps: 200k Gaussians, 5 % compact dynamic, 5 views of 640x480, 50 steps."""
-    case = make_case(20_000, 5, VGA, 0.05)
-    streaming, naive = Streaming(case), Naive(case)
+    """A frame against as many naive steps: 200k Gaussians, about 5 % compact dynamic, 5 views of 640x480, 50 steps."""
+    case = make_case(20_000, 5, VGA, MOVING)
+    streaming, naive = Streaming(case, CONFIG), Naive(case)
     streaming.run()
     naive.step(0)
     ours, theirs = list[float](), list[float]()
     for _ in range(rounds):
         streaming.reset()
         ours.append(measured(streaming.run))
-        theirs.append(measured(naive.run))
+        theirs.append(measured(lambda: naive.run(EPOCHS)))
     found = {"ours s": min(ours), "naive s": min(theirs)}
     found["naive / ours"] = float(np.median(np.array(theirs) / np.array(ours)))
     return {"200k Gaussians": found | describe(streaming)}
@@ -114,15 +59,100 @@ def describe(streaming: Streaming) -> dict[str, Any]:
     """Figures of the frame just trained."""
     assert streaming.result is not None
     report = streaming.result.report
-    stages = {f"{stage} s": seconds for stage, seconds in report.seconds.items()}
+    numbers = {"steps": report.steps, "dynamic": report.dynamic / report.anchors, "bytes": len(streaming.packet)}
+    return numbers | {f"{stage} wall s": seconds for stage, seconds in report.seconds.items()}
+
+
+def clip(frames: int = 4) -> dict[str, Any]:
+    """Frames of the synthetic clip: 480x270, 5 views, 10 epochs, 20k anchors; seconds, and the share of the kernels."""
+    trainer, later = trained_clip((480, 270), 5, 20_000, EPOCHS, frames + 1)
+    trainer.predict(later[0])
+    found: dict[str, Any] = {}
+    for threads in (1, numba.config.NUMBA_NUM_THREADS):
+        numba.set_num_threads(threads)
+        torch.set_num_threads(threads)
+        scene = trainer.scene
+        for frame in later[1:]:
+            with KernelTime() as kernels:
+                cpu, begin = time.process_time(), time.perf_counter()
+                report = trainer.predict(frame).report
+                wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
+            shares = {f"{name} share": seconds / wall for name, seconds in kernels.seconds.items()}
+            numbers = {"wall s": wall, "cpu s": cpu, "kernels share": kernels.total / wall, "dynamic": report.dynamic}
+            numbers |= {f"{stage} s": seconds for stage, seconds in report.seconds.items()}
+            found[f"{threads} threads, frame {frame.index}"] = numbers | shares
+        trainer.resume(scene)
+        trainer.predict(later[0])
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+    return found
+
+
+def growth() -> dict[str, Any]:
+    """CPU seconds of a frame by views and by anchors, at 320x240 and 4 epochs, and the exponent of a fitted power."""
+    config = TrainConfig(predict=PredictConfig(epochs=4, minimum_steps=0))
+
+    def seconds(anchors: int, views: int) -> float:
+        streaming, times = Streaming(make_case(anchors, views, (320, 240), MOVING), config), list[float]()
+        for _ in range(3):
+            streaming.reset()
+            times.append(measured(streaming.run))
+        return min(times)
+
+    views, anchors = (2, 4, 8), (5_000, 10_000, 20_000, 40_000)
+    by_views = {str(n): seconds(10_000, n) for n in views}
+    by_anchors = {str(n): seconds(n, 3) for n in anchors}
     return {
-        "steps": report.steps,
-        "dynamic": report.dynamic / report.anchors,
-        "packet bytes": len(streaming.packet),
-    } | stages
+        "by views": by_views | {"exponent": _exponent(views, by_views)},
+        "by anchors": by_anchors | {"exponent": _exponent(anchors, by_anchors)},
+    }
 
 
-REPORTS: dict[str, Callable[[], dict[str, Any]]] = {"whole": whole}
+def _exponent(sizes: tuple[int, ...], seconds: dict[str, float]) -> float:
+    return float(np.polyfit(np.log(sizes), np.log(list(seconds.values())), 1)[0])
+
+
+def cuda() -> dict[str, Any]:
+    """Wall seconds of a frame by stage on a GPU: 1280x720, 3 and 5 views, 20k, 60k and 200k anchors.
+
+    Raises:
+        BackendUnavailable: there is no GPU, or gsplat does not work here.
+    """
+    select("cuda")
+    found = {}
+    for views in (3, 5):
+        for anchors in (20_000, 60_000, 200_000):
+            streaming = Streaming(make_case(anchors, views, HD, MOVING, "cuda"), CONFIG, "cuda")
+            streaming.run()  # kernels load, memory is reserved
+            streaming.reset()
+            torch.cuda.synchronize()
+            seconds = measured(streaming.run, time.perf_counter)
+            pictures = measured(lambda s=streaming: s.draw(100), time.perf_counter)  # type: ignore[misc]
+            numbers = {"wall s": seconds, "pictures a second": 100 / pictures}
+            found[f"{anchors} anchors, {views} views"] = numbers | describe(streaming)
+    return found
+
+
+REPORTS: dict[str, Callable[[], dict[str, Any]]] = {"whole": whole, "clip": clip, "growth": growth, "cuda": cuda}
+
+
+def run(report: Callable[[str], None], wanted: list[str] | None = None) -> dict[str, Any]:
+    """Measure the `wanted` parts, or all that can work here; report each line as it comes; return every number."""
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+    found: dict[str, Any] = {}
+    for name in wanted or REPORTS:
+        report(name)
+        try:
+            found[name] = REPORTS[name]()
+        except BackendUnavailable as error:
+            if wanted:
+                raise
+            found[name] = {"skipped": {"because": str(error)}}
+        for case, numbers in found[name].items():
+            texts = [f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in numbers.items()]
+            report(f"  {case}: {', '.join(texts)}")
+    return found
 
 
 def main() -> None:
@@ -133,15 +163,10 @@ def main() -> None:
     options = parser.parse_args()
     if set(options.parts) - set(REPORTS):
         parser.error(f"parts are: {', '.join(REPORTS)}")
-    numba.set_num_threads(1)
-    torch.set_num_threads(1)
-    found: dict[str, Any] = {}
-    for name in options.parts or REPORTS:
-        found[name] = REPORTS[name]()
-        print(name)
-        for case, numbers in found[name].items():
-            texts = [f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in numbers.items()]
-            print(f"  {case}: {', '.join(texts)}")
+    try:
+        found = run(print, options.parts)
+    except BackendUnavailable as error:
+        sys.exit(str(error))
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
 

@@ -8,15 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from codec.encoder import encode_residual
+from codec.packet import PacketKind
 from core.anchors import Scene
 from core.camera import Camera, pinhole
+from core.data import linspace_split
+from core.data.synthetic import SyntheticSpec, open_synthetic
 from core.frames import FrameSet
+from core.initialise import first_points
 from core.octree import Octree
-from core.render import Backend, rasterise
-from core.train.config import PredictConfig
+from core.render import Backend, rasterise, select
+from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
 from core.train.convert import field_of, scene_of
 from core.train.decode import Network
-from core.train.field import Field
+from core.train.field import Field, visible_levels
+from tests.bench.raster_subjects import convolution_loss
 
 SLOTS, FEATURES, HIDDEN = 10, 16, 32
 _CELL = 0.02  # world units
@@ -46,6 +52,92 @@ def make_case(anchors: int, views: int, size: tuple[int, int], share: float, bac
     position[moving] += torch.from_numpy(_SHIFT)
     moved = replace(field, position=position)
     return FrameCase(cameras, scene, _filmed(field, cameras, 0, backend), _filmed(moved, cameras, 1, backend))
+
+
+class Streaming:
+    """Our frame, from the state before to the packet."""
+
+    def __init__(self, case: FrameCase, config: TrainConfig, device: str = "cpu") -> None:
+        self._case = case
+        self._trainer = Trainer(case.cameras, config, 30.0, device)
+        self._device = device
+        self.result: TrainedFrame | None = None
+        self.packet = b""
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the state before, shown its own pictures."""
+        self._trainer.resume(self._case.scene)
+        self._trainer.predict(self._case.before)
+
+    def run(self) -> None:
+        """One frame."""
+        before, frames = self._trainer.scene, self._case.after
+        self.result = self._trainer.predict(frames)
+        assert self.result.residual is not None
+        kind = PacketKind.PREDICTED
+        self.packet = encode_residual(before, self.result.residual, kind=kind, time_ns=frames.time_ns)
+
+    def draw(self, pictures: int) -> None:
+        """Decode and draw the state: every picture chooses its levels by distance, as a viewer does."""
+        field, background = field_of(self._trainer.scene).to(self._device), torch.zeros(3, device=self._device)
+        with torch.no_grad():
+            for i in range(pictures):
+                camera = self._case.cameras[i % len(self._case.cameras)]
+                centre = torch.from_numpy(camera.centre).float().to(self._device)
+                rows = torch.nonzero(visible_levels(field, centre, field.octree.levels - 1))[:, 0]
+                splats = field.decode(centre, rows)
+                backend = select(self._device)
+                rasterise(*splats.astuple(), camera=camera, background=background, backend=backend)
+        if self._device == "cuda":
+            torch.cuda.synchronize()
+
+
+class Naive:
+    """Training steps over the whole model."""
+
+    def __init__(self, case: FrameCase) -> None:
+        self._cameras = case.cameras
+        self._targets = torch.from_numpy(case.after.images).float() / 255
+        field = field_of(case.scene)
+        names = ("feature", "offset", "scaling", "position")
+        self._leaves = {name: getattr(field, name).clone().requires_grad_() for name in names}
+        weights = [value.clone().requires_grad_() for value in field.network.parameters()]
+        self._field = replace(field, **self._leaves, network=Network(*weights))
+        self._optimiser = torch.optim.Adam([*self._leaves.values(), *weights], lr=1e-4)
+
+    def step(self, view: int) -> None:
+        """One view, one update."""
+        camera = self._cameras[view]
+        splats = self._field.decode(torch.from_numpy(camera.centre).float())
+        image = rasterise(*splats.astuple(), camera=camera, background=torch.zeros(3)).image
+        convolution_loss(image, self._targets[view]).backward()
+        self._optimiser.step()
+        self._optimiser.zero_grad()
+
+    def run(self, epochs: int) -> None:
+        """As many steps as a streaming frame has."""
+        for _ in range(epochs):
+            for view in range(len(self._cameras)):
+                self.step(view)
+
+
+def trained_clip(
+    size: tuple[int, int], views: int, anchors: int, epochs: int, frames: int
+) -> tuple[Trainer, list[FrameSet]]:
+    """A trainer that has learnt the first frame of the synthetic clip, and all its frames."""
+    made = open_synthetic(SyntheticSpec(frames=frames, width=size[0], height=size[1]))
+    rows = [made.names.index(name) for name in linspace_split(made.names, views, ("cam00",)).train]
+    cameras, live = tuple(made.cameras[row] for row in rows), preset("live")
+    config = replace(
+        live,
+        model=replace(live.model, max_anchors=anchors),
+        predict=replace(live.predict, epochs=epochs, minimum_steps=0),
+    )
+    filmed = [FrameSet(f.index, f.time_ns, f.images[rows], f.present[rows]) for f in made.frames()]
+    trainer = Trainer(cameras, config, made.fps, "cpu")
+    trainer.keyframe(filmed[0], first_points(filmed[0], cameras, depth_bounds=made.depth_bounds))
+    return trainer, filmed
 
 
 def _rig(views: int, width: int, height: int) -> tuple[Camera, ...]:
