@@ -57,6 +57,11 @@ class Residual:
     to_version: int
     levels: tuple[LevelResidual, ...]
 
+    @property
+    def changed(self) -> int:
+        """Anchors that change, are added or go."""
+        return sum(len(part.rows) + len(part.added) + len(part.removed) for part in self.levels)
+
 
 def difference(before: Scene, after: Scene) -> Residual:
     """What turns `before` into `after`.

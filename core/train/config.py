@@ -8,6 +8,7 @@ from typing import Literal
 from core.errors import InputError
 
 LevelSelection = Literal["all", "distance"]
+Heads = Literal["shared", "separate"]
 MotionCue = Literal["difference", "previous", "canonical"]
 
 
@@ -24,7 +25,9 @@ class ModelConfig:
         finer_levels: levels beyond those; pictures hold more detail than first points do.
         max_anchors: most anchors of a keyframe.
         selection: draw all levels, or per camera only those that its distance calls for (paper).
-        exposure: fit a gain and an offset a channel for each training camera.
+        heads: one network for all of a Gaussian's parameters, or separate ones for opacity, colour and shape (F_seps).
+        exposure: fit a gain and an offset a channel for each training camera. Without, what cameras disagree on becomes
+            haze in front of them.
     """
 
     gaussians_per_anchor: int = 4
@@ -35,6 +38,7 @@ class ModelConfig:
     finer_levels: int = 1
     max_anchors: int = 40_000
     selection: LevelSelection = "all"
+    heads: Heads = "shared"
     exposure: bool = False
 
 
@@ -47,9 +51,10 @@ class KeyframeConfig:
     """
 
     steps: int = 1000
+    half_size_until: float = 0.4  # until then pictures of half the width and height: a third of the time a step
     feature_rate: float = 0.02
     offset_rate: float = 0.1
-    scaling_rate: float = 0.1
+    scaling_rate: float = 0.03
     network_rate: float = 0.02
     final_rate: float = 0.05
     dssim_weight: float = 0.2
@@ -59,7 +64,8 @@ class KeyframeConfig:
     dropout_cap: float = 0.5
     progressive_until: float = 0.0  # levels unlock until this fraction of the run; 0: all from the start
     level_cap_share: float = 0.15  # share of steps that draw only levels up to a random one
-    growth_interval: int = 100
+    level_cap_weight: float = 0.2  # of their loss: large gradients of coarse pictures slow Adam down for the whole one
+    growth_interval: int = 50
     growth_from: float = 0.05
     growth_until: float = 0.65
     growth_threshold: float = 2e-4
@@ -82,8 +88,8 @@ class PredictConfig:
         rate_weight: weight of the bits of latents and positions in the loss.
         cue: whose gradient shows motion (paper: canonical).
         posterior: threshold of the mixture's dynamic component (paper: 0.8).
+        repaint_posterior: the same for anchors that changed but may not have moved: of them only features are trained.
         noise_floor: smallest change of grey value, in units of [0, 1], that counts as motion.
-        unsettled_floor: error of grey value, in units of [0, 1], from which a trained pixel counts as changed again.
         partition_interval: frames between partitions (paper's star variant: 4).
         growth_at: share of the frame's steps after which anchors are added where Gaussians pull hard.
         growth_threshold: view-space gradient norm from which that happens.
@@ -102,9 +108,9 @@ class PredictConfig:
     rate_weight: float = 0.03
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
-    posterior: float = 0.05
+    posterior: float = 0.8
+    repaint_posterior: float = 0.05
     noise_floor: float = 0.02
-    unsettled_floor: float = 0.03
     partition_interval: int = 1
     growth_at: float = 0.3
     growth_threshold: float = 1e-4
@@ -134,13 +140,13 @@ def preset(name: str) -> TrainConfig:
         "live": replace(
             default,
             model=replace(default.model, max_anchors=16_000),
-            keyframe=replace(default.keyframe, steps=500, growth_interval=50),
+            keyframe=replace(default.keyframe, steps=500, growth_interval=25),
             predict=replace(default.predict, epochs=8, minimum_steps=40),
         ),
         "quality": replace(
             default,
             model=replace(default.model, max_anchors=80_000),
-            keyframe=replace(default.keyframe, steps=2000),
+            keyframe=replace(default.keyframe, steps=2000, growth_interval=100),
             predict=replace(default.predict, epochs=30, rate_weight=0.01),
         ),
         "paper": TrainConfig(
@@ -155,6 +161,9 @@ def preset(name: str) -> TrainConfig:
             keyframe=replace(
                 default.keyframe,
                 steps=1500,
+                half_size_until=0.0,
+                scaling_rate=0.1,
+                growth_interval=100,
                 dropout_base=0.1,
                 dropout_slope=0.05,
                 progressive_until=0.5,
@@ -164,8 +173,7 @@ def preset(name: str) -> TrainConfig:
                 default.predict,
                 epochs=10,
                 cue="canonical",
-                posterior=0.8,
-                unsettled_floor=10.0,
+                repaint_posterior=1.0,
                 growth_share=0.01,
                 rate_weight=0.0,
                 minimum_steps=0,

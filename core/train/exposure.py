@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+_FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
+_GAINS = (0.25, 4.0)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposure:
@@ -37,3 +40,21 @@ class Exposure:
 def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:
     """No correction for any of `cameras`."""
     return Exposure(torch.ones(cameras, 3, device=device), torch.zeros(cameras, 3, device=device))
+
+
+def fitted(shown: Tensor, targets: Tensor, cameras: list[int]) -> Exposure:
+    """The exposures under which `shown` [C,H,W,3] comes nearest to `targets` [C,H,W,3], a camera and channel at a time.
+
+    Least squares over the pixels, for a scene whose exposures are not known any more; neutral for other `cameras`, and
+    where a picture is all of one colour.
+    """
+    exposure = neutral(len(shown), shown.device)
+    for number in cameras:
+        picture, target = (pictures[number].flatten(0, 1).double() for pictures in (shown, targets))
+        spread = picture - picture.mean(dim=0)
+        variance = spread.square().mean(dim=0)
+        gain = (spread * (target - target.mean(dim=0))).mean(dim=0) / variance.clamp_min(1e-12)
+        gain = torch.where(variance > _FLAT, gain.clamp(*_GAINS), 1.0)
+        exposure.gain[number] = gain.float()
+        exposure.offset[number] = (target.mean(dim=0) - gain * picture.mean(dim=0)).float()
+    return exposure

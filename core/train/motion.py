@@ -3,10 +3,11 @@
 Pixels: each camera's picture is compared with its *reference*, the picture that the model was last trained to show
 there. Only changes above the camera's own noise count, so a still scene yields nothing at all, whatever the model's
 static error; and since the reference is renewed only where a change was accepted, slow drift adds up until it is seen.
+Among the changed pixels, those *moved* that no change of light explains: where the best gain of their neighbourhood,
+which is what a shadow or a lamp does, leaves as much of the change as would count by itself.
 
-Anchors: the view-space gradient of the changed pixels' squared error, per anchor averaged over its Gaussians and over
-the views that see it, split in two by a Gaussian mixture on its fourth root. (On the logarithm, as one might read the
-paper, the mixture's wide low component swallows the top: see docs/method.md.)
+Anchors: scores of motion from `core.train.partition`, split in two by a Gaussian mixture on their fourth root. (On the
+logarithm, as one might read the paper, the mixture's wide low component swallows the top: see docs/method.md.)
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ _LARGEST_FLOOR = 4.0  # floors; no camera worth using is noisier after the blur
 _SEED_FACTOR = 1.6  # a region of change needs a seed this much above the threshold
 _SMALLEST_REGION = 12  # pixels
 _GROW = 5  # pixels that a region is widened by: the blur and the object's edge
+_SHARP = (3, 3)  # pixels; as `_BLUR`, where a region's edge matters
+_LIGHT = (9, 9)  # pixels; neighbourhood that one light falls on
 _FEWEST = 16  # below so many scored anchors a mixture means nothing
 _POWER = 0.25
 
@@ -34,10 +37,7 @@ def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
         floor: smallest difference that counts, in units of [0, 1].
     """
     difference = np.abs(cv2.blur(current, _BLUR) - cv2.blur(reference, _BLUR)).max(axis=2)
-    # most of a picture is still, so its median difference measures the noise (0.6745 sigma of a folded normal); where
-    # most of it changes, in a flash, the median is no noise, hence the limit
-    noise = float(np.median(difference)) / 0.6745
-    threshold = min(max(floor, _NOISE_FACTOR * noise), _LARGEST_FLOOR * floor)
+    threshold = _threshold(difference, floor)
     weak = (difference > threshold).astype(np.uint8)
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
     strongest = np.zeros(count, np.float32)
@@ -46,6 +46,30 @@ def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
     accepted[0] = False
     mask = accepted[labels].astype(np.uint8)
     return np.asarray(cv2.dilate(mask, np.ones((_GROW, _GROW), np.uint8)) > 0)
+
+
+def moved_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
+    """[H,W] where `current` differs from `reference` sharply, and not by a change of light alone; as `changed_pixels`.
+
+    A light that dims or brightens multiplies a neighbourhood by one gain. What the best gain leaves of the squared
+    change, sum(c c) - sum(r c)^2 / sum(r r) over a window and its channels, must itself be above the threshold.
+    """
+    difference = np.abs(cv2.blur(current, _SHARP) - cv2.blur(reference, _SHARP)).max(axis=2)
+    threshold = _threshold(difference, floor)
+    squares, products, energy = (
+        cv2.blur((one * other).mean(axis=2), _LIGHT)
+        for one, other in ((reference, reference), (reference, current), (current, current))
+    )
+    unexplained = energy - products**2 / np.maximum(squares, 1e-6)
+    return np.asarray((difference > threshold) & (unexplained > threshold**2))
+
+
+def _threshold(difference: Float32, floor: float) -> float:
+    """Difference that counts, at least `floor`: well above the noise of the differences [H,W]."""
+    # most of a picture is still, so its median difference measures the noise (0.6745 sigma of a folded normal); where
+    # most of it changes, in a flash, the median is no noise, hence the limit
+    noise = float(np.median(difference)) / 0.6745
+    return min(max(floor, _NOISE_FACTOR * noise), _LARGEST_FLOOR * floor)
 
 
 def mixture_threshold(scores: Float64, posterior: float) -> float:

@@ -6,6 +6,7 @@ cannot drift apart. Between the rounds the latents are real numbers whose forwar
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from core.anchors import FEATURE_LATENTS, LATENTS, AnchorLevel, Scene, empty_lev
 from core.arrays import Bool, Int32, Int64
 from core.render.backends import Backend
 from core.residual import LevelResidual, Residual
+from core.train.budget import Pace, StepPace
 from core.train.config import PredictConfig
 from core.train.convert import level_starts
 from core.train.decode import Splats
@@ -26,10 +28,13 @@ from core.train.keyframe import Views
 from core.train.losses import photometric_loss
 from core.train.newcomers import added_levels, newcomers, strongest
 from core.train.optimiser import RowAdam
+from core.train.partition import Parts
 from core.train.rounding import round_through
 from core.train.schedule import ViewOrder
 from core.train.stage import Stage, make_stage
+from core.train.state import State
 
+_PREPARATION = 0.3  # of a frame's training time, after which no further camera's picture is planned
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -62,25 +67,19 @@ class ResidualTrainer:
     """Fits the residuals of `rows` of `field` to one instant.
 
     Args:
-        scene: the state before; field: the same, dequantised.
-        rows: [n] rows of the dynamic anchors.
-        static: [m] rows of the other anchors alive.
+        state: the state before.
+        parts: which anchors to train; those that do not move get new features only.
         views: pictures of the instant.
-        shown: [C,H,W,3] what `field` shows the cameras; NaN where that is not known.
+        exposure: of the cameras, or None.
+        useful: cameras to train on, the most important first.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        field: Field,
-        rows: Tensor,
-        static: Tensor,
-        views: Views,
-        exposure: Exposure | None,
-        shown: Tensor,
-    ) -> None:
+    def __init__(self, state: State, parts: Parts, views: Views, exposure: Exposure | None, useful: list[int]) -> None:
+        scene, field = state.scene, state.field
+        trained, moving = (torch.from_numpy(part).to(field.feature.device) for part in (parts.trained, parts.dynamic))
+        rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
         self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
-        self._known = len(rows)
+        self._known, self._still, self._useful = len(rows), torch.nonzero(~moving[rows])[:, 0], useful
         self._header = scene.header
         device = field.feature.device
         self._background = torch.zeros(3, device=device)
@@ -95,30 +94,46 @@ class ResidualTrainer:
             }
         )
         self._static = _static_splats(field, static, self._centres)
-        self._shown = shown
+        self._shown = state.shown
         self._stages: dict[int, Stage] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
 
-    @property
-    def anchors(self) -> int:
-        """Anchors of the state before, alive or not."""
-        return len(self._all)
+    def run(
+        self,
+        config: PredictConfig,
+        backend: Backend,
+        generator: torch.Generator,
+        pace_of: Callable[[int], Pace] = StepPace,
+    ) -> Quanta:
+        """Train as configured and round.
 
-    def run(self, config: PredictConfig, backend: Backend, generator: torch.Generator) -> Quanta:
-        """Train as configured and round."""
-        with torch.no_grad():
-            for number in self._views.usable:
-                self._stages[number] = self._stage(number, self._dynamic_splats(number), backend)
-        views = [number for number in self._views.usable if not self._stages[number].is_empty]
+        Args:
+            pace_of: makes the pace of a number of steps.
+        """
+        pace = pace_of(max(config.epochs * len(self._useful), config.minimum_steps))
+        views = self._prepare(pace, backend)
         if not views:
             return no_quanta(self._known)
-        total = max(config.epochs * len(views), config.minimum_steps)
-        order, losses = ViewOrder(views, generator), list[Tensor]()
-        for step in range(total):
-            losses.append(self._step(order.next(), config, backend, config.final_rate ** (step / total)))
-            if config.growth_share and step + 1 == round(config.growth_at * total):
+        order, losses, grown = ViewOrder(views, generator), list[Tensor](), False
+        while (progress := pace.progress(len(losses))) < 1:
+            losses.append(self._step(order.next(), config, config.final_rate**progress))
+            if config.growth_share and not grown and progress >= config.growth_at:
+                grown = True
                 self._grow(config)
-        return self._quanta(total, float(torch.stack(losses[-len(views) :]).mean()))
+        loss = float(torch.stack(losses[-len(views) :]).mean()) if losses else 0.0
+        return self._quanta(len(losses), loss)
+
+    def _prepare(self, pace: Pace, backend: Backend) -> list[int]:
+        """Plan the cameras' pictures, as far as time allows; those that show an anchor to train."""
+        views = list[int]()
+        with torch.no_grad():
+            for number in self._useful:
+                if views and pace.progress(0) > _PREPARATION:
+                    break
+                stage = self._stages[number] = self._stage(number, self._dynamic_splats(number), backend)
+                if not stage.is_empty:
+                    views.append(number)
+        return views
 
     def show(self, field: Field, rows: Tensor) -> Tensor:
         """[C,H,W,3] what the usable cameras see once `field` has taken over at `rows`; NaN for the others."""
@@ -128,7 +143,7 @@ class ResidualTrainer:
                 pictures[number] = stage.render(field.decode(self._centres[number], rows))[0].image
         return pictures
 
-    def _step(self, number: int, config: PredictConfig, backend: Backend, decay: float) -> Tensor:
+    def _step(self, number: int, config: PredictConfig, decay: float) -> Tensor:
         """One view, one update; returns the detached loss."""
         raster, stage = self._stages[number].render(self._dynamic_splats(number))
         self._stages[number] = stage
@@ -141,12 +156,21 @@ class ResidualTrainer:
         loss.backward()  # type: ignore[no-untyped-call]
         if config.growth_share:
             self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
+        self._hold_still()
         self._optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
         return loss.detach()
 
+    def _hold_still(self) -> None:
+        """No gradient for what anchors that do not move may not change; without one, Adam leaves a zero where it is."""
+        latent, position = (self._optimiser.parameters[name].grad for name in ("latent", "position"))
+        if latent is not None:
+            latent[self._still, FEATURE_LATENTS:] = 0
+        if position is not None:
+            position[self._still] = 0
+
     def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
-        camera, base = self._views.cameras[number], self._shown[number]
-        known = None if base[0, 0, 0].isnan() else base
+        camera = self._views.cameras[number]
+        known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
         return make_stage(camera, dynamic, self._static[number], self._background, backend, known)
 
     def _dynamic_field(self) -> Field:
@@ -206,6 +230,20 @@ def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[
             splats = field.decode(centre, static)
         decoded.append(splats.rows(torch.nonzero(splats.opacities > 0)[:, 0]))
     return decoded
+
+
+def strongest_changes(quanta: Quanta, most: int) -> Quanta:
+    """At most `most` of the changes, those of most quanta; the other anchors stay as they are."""
+    energy = np.abs(quanta.latent).sum(axis=1, dtype=np.int64) + np.abs(quanta.position).sum(axis=1, dtype=np.int64)
+    if np.count_nonzero(energy) <= most:
+        return quanta
+    kept = np.zeros(len(energy), np.bool_)
+    kept[np.argsort(-energy, kind="stable")[:most]] = True
+    return replace(
+        quanta,
+        latent=np.where(kept[:, None], quanta.latent, 0).astype(np.int32),
+        position=np.where(kept[:, None], quanta.position, 0).astype(np.int32),
+    )
 
 
 def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Residual:

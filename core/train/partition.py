@@ -1,20 +1,52 @@
-"""Scores of motion for the anchors of a scene, one render and one backward pass a camera (paper section III-B)."""
+"""Scores of motion for the anchors of a scene, and what follows from them (paper section III-B)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
-from core.arrays import Bool, Float64
+from core.arrays import Bool, Float64, Int64
 from core.render.backends import Backend
 from core.render.differentiable import rasterise
+from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
 from core.train.config import PredictConfig
+from core.train.coverage import coverage
 from core.train.field import Field
 from core.train.keyframe import Views
-from core.train.motion import changed_pixels, dynamic_anchors
+from core.train.motion import changed_pixels, dynamic_anchors, moved_pixels
 
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """What a frame's training does with N anchors.
+
+    Attributes:
+        dynamic: [N] bool, they may move: positions, offsets and features are trained.
+        trained: [N] bool, those and the ones that may only change their look: shadows, reflections, what was uncovered.
+    """
+
+    dynamic: Bool
+    trained: Bool
+
+    def among(self, alive: Bool) -> Parts:
+        """Only those of `alive` [N]."""
+        return Parts(self.dynamic & alive, self.trained & alive)
+
+    def relaid(self, origin: Int64) -> Parts:
+        """For rows in another order: `origin` [M] says where each was, -1 for new ones, which count as dynamic."""
+        rows, new = np.maximum(origin, 0), origin < 0
+        return Parts(new | self.dynamic[rows], new | self.trained[rows])
+
+
+def no_parts(anchors: int) -> Parts:
+    """Nothing is trained."""
+    return Parts(np.zeros(anchors, np.bool_), np.zeros(anchors, np.bool_))
 
 
 def change_masks(references: Tensor, views: Views, floor: float) -> Tensor:
@@ -26,103 +58,131 @@ def change_masks(references: Tensor, views: Views, floor: float) -> Tensor:
     return masks
 
 
-def renewed_references(references: Tensor, shown: Tensor, views: Views, masks: Tensor, floor: float) -> Tensor:
-    """[C,H,W,3] what the next frame's pictures are compared with.
-
-    Where a change was accepted, the picture just trained on; but where the model still shows something else by more
-    than `floor`, what it shows: so the difference counts as a change again, and is trained until it has gone. Without
-    this, what a moving thing uncovers would stay wrong for ever: it is learnt badly at first and then stands still.
-    """
-    renewed = torch.where(masks[..., None], views.targets, references)  # a copy: the references stay as they are
-    for number in views.usable:
-        if masks[number].any():
-            wrong = changed_pixels(shown[number].cpu().numpy(), views.targets[number].cpu().numpy(), floor)
-            unsettled = masks[number] & torch.from_numpy(wrong).to(masks.device)
-            renewed[number] = torch.where(unsettled[..., None], shown[number], renewed[number])
-    return renewed
-
-
-def rendered(field: Field, alive: Tensor, views: Views, backend: Backend) -> Tensor:
-    """[C,H,W,3] what `field` shows the usable cameras now; black for the others."""
-    pictures = torch.zeros_like(views.targets)
-    rows = torch.nonzero(alive)[:, 0]
-    background = torch.zeros(3, device=rows.device)
-    with torch.no_grad():
-        for number in views.usable:
-            camera = views.cameras[number]
-            splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
-            raster = rasterise(*splats.astuple(), camera=camera, background=background, backend=backend)
-            pictures[number] = raster.image.clamp(0, 1)
-    return pictures
-
-
 def partition(
     field: Field,
     alive: Tensor,
     references: Tensor,
     views: Views,
     masks: Tensor,
-    previous: Bool,
+    previous: Parts,
     config: PredictConfig,
     backend: Backend,
-) -> Bool:
-    """[N] anchors to train for this frame.
+) -> Parts:
+    """Which anchors to train for this frame, and how.
 
     Args:
         field: the state before; for the `canonical` cue, that of the keyframe.
         alive: [N] bool.
         references: [C,H,W,3] pictures that the state was trained to show.
         masks: [C,H,W] bool from `change_masks`.
-        previous: [N] dynamic in the frame before.
+        previous: of the frame before.
     """
     if config.everything:
-        return np.asarray(alive.cpu().numpy())
-    scores = motion_scores(field, alive, references, views, masks, config, backend)
-    return dynamic_anchors(scores, previous, config.posterior, config.posterior * _HYSTERESIS)
+        everything = np.asarray(alive.cpu().numpy())
+        return Parts(everything, everything)
+    posterior, repaint = config.posterior, config.repaint_posterior
+    if config.cue != "difference":
+        scores = error_scores(field, alive, views, backend)
+        dynamic = dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS)
+        return Parts(dynamic, dynamic)
+    changed = change_scores(field, alive, references, views, masks, backend)
+    moved = torch.zeros_like(masks)
+    for number in views.usable:
+        if masks[number].any():
+            pictures = references[number].cpu().numpy(), views.targets[number].cpu().numpy()
+            moved[number] = torch.from_numpy(moved_pixels(*pictures, config.noise_floor)).to(masks.device)
+    moved &= masks
+    scores = change_scores(field, alive, references, views, moved, backend)
+    scores = scores * shown_shares(field, alive, views, moved, backend)
+    dynamic = dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS)
+    repainted = dynamic_anchors(changed, previous.trained, repaint, repaint * _HYSTERESIS)
+    return Parts(dynamic, dynamic | repainted)
 
 
-def motion_scores(
-    field: Field,
-    alive: Tensor,
-    references: Tensor,
-    views: Views,
-    masks: Tensor,
-    config: PredictConfig,
-    backend: Backend,
+def error_scores(field: Field, alive: Tensor, views: Views, backend: Backend) -> Float64:
+    """[N] mean norm of the view-space gradient of MSE(I_t), over an anchor's visible Gaussians and the views that see
+    it: the cue of the paper, on the keyframe's state (`canonical`) or the latest (`previous`)."""
+    average = _Average(field)
+    for number in views.usable:
+        average.add(number, alive, views, None, None, backend)
+    return average.mean()
+
+
+def change_scores(
+    field: Field, alive: Tensor, references: Tensor, views: Views, masks: Tensor, backend: Backend
 ) -> Float64:
-    """[N] mean norm of the view-space gradient over an anchor's visible Gaussians and over the views that see it.
+    """As `error_scores`, of MSE(I_t) - MSE(I_ref) over the pixels of `masks` [C,H,W].
 
-    `difference` takes the gradient of MSE(I_t) - MSE(I_ref), which cancels the static error and is linear in the
-    render (QUEEN); `previous` and `canonical` take that of MSE(I_t), the latter on the keyframe's state (the paper).
+    The difference cancels the static error and is linear in the render (QUEEN).
     """
-    total, views_seen = np.zeros(len(field)), np.zeros(len(field))
-    masked = config.cue == "difference"
+    average = _Average(field)
+    for number in views.usable:
+        if masks[number].any():
+            average.add(number, alive, views, references[number], masks[number], backend)
+    return average.mean()
+
+
+def shown_shares(field: Field, alive: Tensor, views: Views, masks: Tensor, backend: Backend) -> Float64:
+    """[N] share of what an anchor shows that lies on `masks` [C,H,W], over the views in which any pixel does."""
+    rows = torch.nonzero(alive)[:, 0]
+    inside, total = torch.zeros(len(rows), device=rows.device), torch.zeros(len(rows), device=rows.device)
     for number in views.usable:
         mask = masks[number]
-        if masked and not mask.any():
+        if not mask.any():
             continue
-        camera = views.cameras[number]
+        maps = torch.stack([torch.ones_like(mask), mask], dim=2).float()
+        sums = coverage(field, rows, views.cameras[number], maps, backend, tiles_of(mask, room=1))
+        total += sums[:, 0]
+        inside += sums[:, 1]
+    shares = np.zeros(len(field))
+    shares[rows.cpu().numpy()] = (inside / total.clamp_min(1e-6)).double().cpu().numpy()
+    return shares
+
+
+def tiles_of(mask: Tensor, room: int = 0) -> Tensor:
+    """[tiles_y,tiles_x] bool: tiles that hold a pixel of `mask` [H,W], and `room` more on every side."""
+    height, width = mask.shape
+    rows, columns = tile_grid(width, height)
+    padding = (0, columns * TILE_WIDTH - width, 0, rows * TILE_HEIGHT - height)
+    padded = functional.pad(mask.float(), padding)[None, None]
+    tiles = functional.max_pool2d(padded, (TILE_HEIGHT, TILE_WIDTH))
+    if room:
+        tiles = functional.max_pool2d(tiles, 2 * room + 1, stride=1, padding=room)
+    return tiles[0, 0] > 0
+
+
+class _Average:
+    """View-space gradient norms of the anchors, averaged over Gaussians and views."""
+
+    def __init__(self, field: Field) -> None:
+        self._field = field
+        self._total, self._views_seen = np.zeros(len(field)), np.zeros(len(field))
+
+    def add(
+        self, number: int, alive: Tensor, views: Views, base: Tensor | None, mask: Tensor | None, backend: Backend
+    ) -> None:
+        """One view. `base` [H,W,3] stands in for the render in the error's derivative; `mask` [H,W] limits it."""
+        field, camera = self._field, views.cameras[number]
         rows = torch.nonzero(alive)[:, 0]
         with torch.no_grad():
             splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
-        means = splats.means.requires_grad_()
         raster = rasterise(
-            means,
-            splats.quaternions,
-            splats.scales,
-            splats.opacities,
-            splats.colours,
-            camera,
-            torch.zeros(3, device=rows.device),
+            splats.means.requires_grad_(),
+            *splats.astuple()[1:],
+            camera=camera,
+            background=torch.zeros(3, device=rows.device),
+            tile_mask=None if mask is None else tiles_of(mask),
             backend=backend,
         )
-        base = references[number] if masked else raster.image.detach()
-        gradient = 2 * (base - views.targets[number]) / base.numel()
-        raster.image.backward(gradient * mask[..., None] if masked else gradient)  # type: ignore[no-untyped-call]
-        visible = raster.probe.visible
-        anchors = rows[visible // field.slots].cpu().numpy()
+        shown = raster.image.detach() if base is None else base
+        gradient = 2 * (shown - views.targets[number]) / shown.numel()
+        raster.image.backward(gradient if mask is None else gradient * mask[..., None])  # type: ignore[no-untyped-call]
+        anchors = rows[raster.probe.visible // field.slots].cpu().numpy()
         norms = raster.probe.gradients.norm(dim=1).double().cpu().numpy()
         count = np.bincount(anchors, minlength=len(field))
-        total += np.bincount(anchors, norms, minlength=len(field)) / np.maximum(count, 1)
-        views_seen += count > 0
-    return total / np.maximum(views_seen, 1)
+        self._total += np.bincount(anchors, norms, minlength=len(field)) / np.maximum(count, 1)
+        self._views_seen += count > 0
+
+    def mean(self) -> Float64:
+        """[N] mean over the views that see an anchor."""
+        return np.asarray(self._total / np.maximum(self._views_seen, 1))

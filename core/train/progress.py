@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from core.anchors import Scene
+from core.arrays import Bool
 from core.residual import Residual
 
 
@@ -40,10 +41,11 @@ class FrameReport:
     Attributes:
         seconds: wall time by stage.
         steps: training steps taken.
-        anchors: anchors alive; dynamic: anchors that were trained.
+        anchors: anchors alive; dynamic: those that might move.
         loss: mean loss of the last epoch.
         repaired: parameters that became non-finite and were reset.
         spans: each stage's name, begin and end in seconds of `time.perf_counter`.
+        repainted: anchors that were trained too, but might only change their look.
     """
 
     seconds: dict[str, float]
@@ -53,6 +55,7 @@ class FrameReport:
     loss: float
     repaired: int = 0
     spans: tuple[tuple[str, float, float], ...] = ()
+    repainted: int = 0
 
     @property
     def total_seconds(self) -> float:
@@ -62,11 +65,19 @@ class FrameReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedFrame:
-    """One frame, ready to encode: the state after it, and what changed (None: the state is a keyframe)."""
+    """One frame, ready to encode.
+
+    Attributes:
+        scene: the state after it.
+        residual: what changed; None where the state is a keyframe.
+        report: figures.
+        dynamic: [N] bool, which anchors of the state before were taken to move, over all levels; None for a keyframe.
+    """
 
     scene: Scene
     residual: Residual | None
     report: FrameReport
+    dynamic: Bool | None = None
 
 
 @dataclass(slots=True)

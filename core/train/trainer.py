@@ -2,51 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from core.anchors import Scene
-from core.arrays import Bool
 from core.camera import Camera
 from core.errors import ModelError
-from core.expand import anchor_positions, dequantise
 from core.frames import FrameSet, PointCloud
 from core.render import select
-from core.residual import Residual, apply
-from core.train.config import TrainConfig
-from core.train.convert import field_of, level_starts, scene_of
-from core.train.exposure import neutral
+from core.residual import apply
+from core.train.budget import FrameBudget, Pace, StepPace
+from core.train.config import PredictConfig, TrainConfig
+from core.train.convert import scene_of
+from core.train.exposure import fitted, neutral
 from core.train.field import Field
 from core.train.keyframe import KeyframeTrainer, Views
-from core.train.online import ResidualTrainer, no_quanta, residual_of
-from core.train.partition import change_masks, partition, rendered, renewed_references
+from core.train.online import ResidualTrainer, no_quanta, residual_of, strongest_changes
+from core.train.partition import Parts, change_masks, partition
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
+from core.train.rate_control import RateControl
 from core.train.seeding import seed_field
+from core.train.showing import rendered
+from core.train.state import State, fresh_state
 
 _REPORT_EVERY = 25
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    """What the next frame starts from.
-
-    Attributes:
-        scene: the decoder's integer state; field: the same, dequantised.
-        canonical: the keyframe's field, for the paper's motion cue.
-        references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
-        shown: [C,H,W,3] what the state shows, NaN where that is not known; None likewise.
-        dynamic: [N] trained in the latest frame.
-    """
-
-    scene: Scene
-    field: Field
-    canonical: Field
-    references: Tensor | None
-    shown: Tensor | None
-    dynamic: Bool
+_AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
 
 
 class Trainer:
@@ -58,6 +41,11 @@ class Trainer:
         fps: frames a second, told to viewers.
         device: ``auto``, ``cpu`` or ``cuda``.
         rig: cameras offered to viewers as places to stand; the training cameras by default.
+        frame_budget_ms: wall time for each later frame, None for as long as it takes. `sent` tells what encoding took.
+        target_kbps: kilobits a second that predicted packets may take, None for any; needs `sent` after every frame.
+
+    Raises:
+        ValueError: a budget or a rate that is not positive.
     """
 
     def __init__(
@@ -67,13 +55,18 @@ class Trainer:
         fps: float,
         device: str = "auto",
         rig: tuple[Camera, ...] | None = None,
+        frame_budget_ms: float | None = None,
+        target_kbps: float | None = None,
     ) -> None:
         self._cameras, self._config, self._fps = cameras, config, fps
         self._backend = select(device)
         self._rig = rig or cameras
         self._device = "cuda" if self._backend == "cuda" else "cpu"
         self._exposure = neutral(len(cameras), self._device)
-        self._state: _State | None = None
+        self._refit_exposure = False
+        self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms)
+        self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
+        self._state: State | None = None
 
     @property
     def scene(self) -> Scene:
@@ -134,9 +127,11 @@ class Trainer:
         Args:
             keep_references: the scene shows what this trainer's state showed.
         """
-        references = self._state.references if keep_references and self._state is not None else None
-        field = field_of(scene).to(self._device)
-        self._state = _State(scene, field, field, references, None, np.zeros(_rows(scene), np.bool_))
+        if keep_references and self._state is not None:
+            self._state = fresh_state(scene, self._device, self._state.references, self._state.shown)
+        else:
+            self._refit_exposure = self._state is None  # after a crash: exposures do not travel with the scene
+            self._state = fresh_state(scene, self._device, None)
 
     def predict(self, frames: FrameSet) -> TrainedFrame:
         """Train a later frame; its residual leads from the state before.
@@ -145,51 +140,90 @@ class Trainer:
             ModelError: no keyframe came before, or no camera is present.
         """
         state, watch, views = self._require(), Stopwatch(), self._views(frames)
-        config = self._config.predict
-        alive = _alive(state.scene).to(self._device)
-        with watch.stage("partition"):
-            references, shown, unknown = self._known_pictures(state, alive, views)
+        if self._budget is not None:
+            self._budget.start()
+        config = self._planned()
+        with watch.stage("compare"):
+            state, unknown = self._with_pictures(state, views)
+            references, shown = state.references, state.shown
+            assert references is not None
+            assert shown is not None
             masks = change_masks(references, views, config.noise_floor)
-            due = frames.index % config.partition_interval == 0 or not state.dynamic.any()
-            dynamic = state.dynamic & alive.cpu().numpy()
-            if due:
-                source = state.canonical if config.cue == "canonical" else state.field
-                dynamic = partition(source, alive, references, views, masks, dynamic, config, self._backend)
-        rows = torch.from_numpy(np.flatnonzero(dynamic)).to(self._device)
+        with watch.stage("partition"):
+            parts = self._parts(state, frames, views, masks, config)
+        rows = torch.from_numpy(np.flatnonzero(parts.trained)).to(self._device)
         quanta, trainer = no_quanta(0), None
         if len(rows):
             with watch.stage("train"):
-                static = torch.nonzero(alive & ~torch.from_numpy(dynamic).to(self._device))[:, 0]
                 exposure = self._exposure if self._config.model.exposure else None
-                trainer = ResidualTrainer(state.scene, state.field, rows, static, views, exposure, shown)
+                trainer = ResidualTrainer(state, parts, views, exposure, _by_news(views, references, masks, config))
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
-                quanta = trainer.run(config, self._backend, generator)
+                quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
+            if self._rate is not None:
+                quanta = strongest_changes(quanta, self._rate.plan().most_anchors)
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
-            state = _next(state, scene, residual, references, dynamic)
+            after = state.after(residual, scene, parts)
         with watch.stage("settle"):
             if trainer is not None:
-                alive = _alive(scene).to(self._device)
-                if len(alive) == trainer.anchors:
-                    shown = trainer.show(state.field, rows[alive[rows]])
+                alive = after.alive
+                if len(alive) == len(state.field):
+                    shown = trainer.show(after.field, rows[alive[rows]])
                 else:  # anchors were added, and rows are numbered anew
-                    shown = rendered(state.field, alive, views, self._backend)
-            if masks.any():
-                references = renewed_references(references, shown, views, masks, config.unsettled_floor)
+                    shown = rendered(after.field, alive, views, self._backend)
+            references = torch.where(masks[..., None], views.targets, references)
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
-            self._state = replace(state, references=references, shown=shown)
+            self._state = replace(after, references=references, shown=shown)
+        if self._budget is not None:
+            for stage, seconds in watch.seconds.items():
+                self._budget.spent(stage, seconds)
+        moving = int(parts.dynamic.sum())
         report = FrameReport(
             watch.seconds,
             quanta.steps,
             scene.anchor_count,
-            len(rows),
+            moving,
             quanta.loss,
             quanta.repaired,
             tuple(watch.spans),
+            repainted=len(rows) - moving,
         )
-        return TrainedFrame(scene, residual, report)
+        return TrainedFrame(scene, residual, report, parts.dynamic)
+
+    def sent(self, frame: TrainedFrame, size_bytes: int, seconds: float = 0.0) -> None:
+        """Learn what `frame` took as a packet; the frame budget and the rate control go by it.
+
+        Args:
+            size_bytes: of the packet.
+            seconds: that encoding it took.
+        """
+        if self._budget is not None:
+            self._budget.spent("encode", seconds)
+        if self._rate is not None:
+            if frame.residual is None:
+                self._rate.sent_keyframe(size_bytes)
+            else:
+                self._rate.sent(size_bytes, frame.residual.changed)
+
+    def _planned(self) -> PredictConfig:
+        """The configuration of this frame: what rate control leaves of it."""
+        config = self._config.predict
+        return config if self._rate is None else self._rate.plan().applied(config)
+
+    def _pace(self, steps: int) -> Pace:
+        return StepPace(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
+
+    def _parts(self, state: State, frames: FrameSet, views: Views, masks: Tensor, config: PredictConfig) -> Parts:
+        """What to train: partitioned anew where that is due and there is time, as in the frame before otherwise."""
+        alive, known = state.alive, state.parts.among(state.alive.cpu().numpy())
+        late = self._budget is not None and not self._budget.allows("partition", *_AFTER_TRAINING)
+        if late or (frames.index % config.partition_interval and known.trained.any()):
+            return known
+        field = state.canonical if config.cue == "canonical" else state.field
+        assert state.references is not None
+        return partition(field, alive, state.references, views, masks, known, config, self._backend)
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()
@@ -202,13 +236,12 @@ class Trainer:
         return scene_of(field, self._config.predict, self._rig, self._fps, version)
 
     def _adopt(self, scene: Scene, views: Views) -> None:
-        field = field_of(scene).to(self._device)
         references = torch.full_like(views.targets, torch.nan)
         references[views.usable] = views.targets[views.usable]
-        self._state = _State(scene, field, field, references, None, np.zeros(_rows(scene), np.bool_))
+        self._state = fresh_state(scene, self._device, references)
 
-    def _known_pictures(self, state: _State, alive: Tensor, views: Views) -> tuple[Tensor, Tensor, list[int]]:
-        """References, and what the state shows, for every usable camera; and the numbers of those without references.
+    def _with_pictures(self, state: State, views: Views) -> tuple[State, list[int]]:
+        """The state with references and shown pictures for every usable camera; and who had no references.
 
         A camera has none after a resume, and when it joins late; what the state shows it now must do.
         """
@@ -218,62 +251,28 @@ class Trainer:
         unknown = [number for number in views.usable if bool(references[number, 0, 0, 0].isnan())]
         missing = [number for number in views.usable if bool(shown[number, 0, 0, 0].isnan())]
         if missing:
-            pictures = rendered(state.field, alive, replace(views, usable=missing), self._backend)
+            pictures = rendered(state.field, state.alive, replace(views, usable=missing), self._backend)
             shown = shown.clone()
             shown[missing] = pictures[missing]
         if unknown:
             references = references.clone()
-            references[unknown] = shown[unknown]
-        return references, shown, unknown
+            if self._config.model.exposure and self._refit_exposure:
+                self._exposure = fitted(shown, views.targets, views.usable)
+                self._refit_exposure = False
+            for number in unknown:
+                references[number] = self._exposure.apply(shown[number], number).clamp(0, 1)
+        return replace(state, references=references, shown=shown), unknown
 
-    def _require(self) -> _State:
+    def _require(self) -> State:
         if self._state is None:
             raise ModelError("there is no state to go on from: train a keyframe or resume a scene first")
         return self._state
 
 
-def _alive(scene: Scene) -> Tensor:
-    return torch.from_numpy(np.concatenate([level.alive for level in scene.levels]))
-
-
-def _rows(scene: Scene) -> int:
-    return int(level_starts(scene)[-1])
-
-
-def _next(state: _State, scene: Scene, residual: Residual, references: Tensor, dynamic: Bool) -> _State:
-    """The state after `residual` led to `scene`; changed rows are dequantised again, as the decoder does it."""
-    if any(len(part.added) for part in residual.levels):
-        return _relaid(state, scene, residual, references, dynamic)
-    field, starts = state.field, level_starts(scene)
-    device = field.feature.device
-    feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
-    for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
-        if len(part.rows) == 0:
-            continue
-        rows = torch.from_numpy(part.rows + starts[number]).to(device)
-        new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
-        feature[rows] = torch.from_numpy(new_feature).to(device)
-        offset[rows] = torch.from_numpy(new_offset).to(device)
-        position[rows] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
-    field = replace(field, feature=feature, offset=offset, position=position)
-    return replace(state, scene=scene, field=field, references=references, dynamic=dynamic)
-
-
-def _relaid(state: _State, scene: Scene, residual: Residual, references: Tensor, dynamic: Bool) -> _State:
-    """As `_next`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
-    device = str(state.field.feature.device)
-    before, parts = level_starts(state.scene), []
-    for number, part in enumerate(residual.levels):
-        parts += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
-    origin = np.concatenate(parts)
-    field, is_new = field_of(scene).to(device), origin < 0
-    new = torch.from_numpy(np.flatnonzero(is_new)).to(device)
-    canonical = state.canonical.with_rows(torch.from_numpy(np.maximum(origin, 0)).to(device)).with_values(new, field)
-    return replace(
-        state,
-        scene=scene,
-        field=field,
-        canonical=canonical,
-        references=references,
-        dynamic=np.where(is_new, True, dynamic[np.maximum(origin, 0)]),
-    )
+def _by_news(views: Views, references: Tensor, masks: Tensor, config: PredictConfig) -> list[int]:
+    """Cameras to train on, those that see most change first; one that sees none has nothing to teach."""
+    if config.everything or config.cue != "difference":
+        return views.usable
+    news = ((views.targets - references).nan_to_num().square().mean(dim=3) * masks).sum(dim=(1, 2))
+    order = torch.argsort(news, descending=True, stable=True).tolist()
+    return [number for number in order if number in views.usable and masks[number].any()]

@@ -1,0 +1,90 @@
+"""A deadline for every frame: whatever does not fit before it is left out, so that quality gives way and latency never.
+
+The trainer asks before each stage whether it still fits, and during training how far the frame is. Costs are learnt
+from the frames before; a cost that rises is believed at once, one that falls only slowly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+_FORGET = 0.2  # share by which a falling cost follows the latest frame
+_MARGIN = 0.05  # of the budget, for what no stage accounts for
+
+
+class Pace(Protocol):
+    """How far a frame's training is, which also says how far its learning rates have decayed."""
+
+    def progress(self, step: int) -> float:
+        """In [0, 1] before step number `step` (from 0); 1 or more ends the training."""
+
+
+class StepPace:
+    """A fixed number of steps."""
+
+    def __init__(self, steps: int) -> None:
+        self._steps = steps
+
+    def progress(self, step: int) -> float:
+        """As `Pace.progress`."""
+        return step / self._steps if self._steps else 1.0
+
+
+class FrameBudget:
+    """Wall time for one frame, from its pictures to its packet.
+
+    Args:
+        milliseconds: for each frame.
+        clock: seconds, from any origin.
+
+    Raises:
+        ValueError: no time at all.
+    """
+
+    def __init__(self, milliseconds: float, clock: Callable[[], float] = time.perf_counter) -> None:
+        if not milliseconds > 0:
+            raise ValueError(f"a frame budget must be positive, not {milliseconds} ms")
+        self._seconds, self._clock = milliseconds / 1000, clock
+        self._costs: dict[str, float] = {}
+        self._end = clock() + self._seconds
+
+    def start(self) -> None:
+        """The frame's pictures are here."""
+        self._end = self._clock() + self._seconds
+
+    def spent(self, stage: str, seconds: float) -> None:
+        """Learn that `stage` of the latest frame took so long."""
+        known = self._costs.get(stage, 0.0)
+        self._costs[stage] = seconds if seconds > known else known + _FORGET * (seconds - known)
+
+    def left(self, *later: str) -> float:
+        """Seconds until the deadline, less what the stages `later` will take; negative when it is too late."""
+        reserved = sum(self._costs.get(stage, 0.0) for stage in later)
+        return self._end - self._clock() - reserved - _MARGIN * self._seconds
+
+    def allows(self, stage: str, *later: str) -> bool:
+        """Whether `stage` can be afforded with the stages `later` still to come; one never tried can."""
+        return self._costs.get(stage, 0.0) <= self.left(*later)
+
+    def pace(self, steps: int, *later: str) -> Pace:
+        """A pace that ends after `steps`, or where the next step might run into what `later` needs."""
+        return _TimedPace(self, steps, later, self._clock)
+
+
+class _TimedPace:
+    def __init__(self, budget: FrameBudget, steps: int, later: tuple[str, ...], clock: Callable[[], float]) -> None:
+        self._budget, self._steps, self._later, self._clock = budget, StepPace(steps), later, clock
+        self._begin = self._before = clock()
+        self._allowed = budget.left(*later)
+        self._longest = 0.0
+
+    def progress(self, step: int) -> float:
+        now = self._clock()
+        if step:
+            self._longest = max(self._longest, now - self._before)
+        self._before = now
+        if self._budget.left(*self._later) < self._longest or self._allowed <= 0:
+            return 1.0
+        return max(self._steps.progress(step), (now - self._begin) / self._allowed)

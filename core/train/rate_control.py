@@ -1,0 +1,91 @@
+"""Rate control: predicted packets that fit a channel of constant rate, as a video encoder does it.
+
+A leaky bucket models the channel's buffer: each packet pours in, the rate drains it. Two means hold it: the weight of
+the rate term follows how full the bucket is and how large packets have been, and the number of anchors that a frame
+may change is limited to what still fits, so that no burst overflows it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from core.train.config import PredictConfig
+
+_WEAKEST, _STRONGEST = -2.0, 6.0  # strain: the rate weight is multiplied by two to its power
+_REACTION = 0.5  # of the strain to a packet of twice the wanted size
+_WANTED_FILL = 0.3  # of the bucket: room for a burst above, something to drain below
+_OVERHEAD = 40  # bytes of a packet that changes nothing
+_FORGET = 0.3  # weight of the latest packet in the bytes an anchor takes
+_FIRST_GUESS = 8.0  # bytes an anchor, before any packet was seen
+
+
+@dataclass(frozen=True, slots=True)
+class RatePlan:
+    """What the next frame may spend.
+
+    Attributes:
+        weight_factor: of the configured rate weight.
+        most_anchors: that may change.
+    """
+
+    weight_factor: float
+    most_anchors: int
+
+    def applied(self, config: PredictConfig) -> PredictConfig:
+        """`config` under this plan: where packets are too large, bits weigh more and only surer anchors are trained."""
+        surer = 1 / max(self.weight_factor, 1.0)
+        return replace(
+            config,
+            rate_weight=config.rate_weight * self.weight_factor,
+            posterior=1 - (1 - config.posterior) * surer,
+            repaint_posterior=1 - (1 - config.repaint_posterior) * surer,
+        )
+
+
+class RateControl:
+    """Holds a stream to a rate.
+
+    Args:
+        kbps: kilobits (1000 bits) a second.
+        fps: frames a second.
+        buffer_seconds: how long the full bucket takes to drain: the delay that a viewer on this channel sees at worst.
+
+    Raises:
+        ValueError: a number that is not positive.
+    """
+
+    def __init__(self, kbps: float, fps: float, buffer_seconds: float = 1.0) -> None:
+        if not (kbps > 0 and fps > 0 and buffer_seconds > 0):
+            raise ValueError("rate, frame rate and buffer must be positive")
+        self._drain = kbps * 1000 / 8 / fps  # bytes a frame
+        self._capacity = max(kbps * 1000 / 8 * buffer_seconds, self._drain)
+        self._held = _WANTED_FILL * self._capacity
+        self._strain = 0.0
+        self._bytes_per_anchor = _FIRST_GUESS
+
+    @property
+    def fill(self) -> float:
+        """How full the bucket is, 0 to 1; above 1 it has overflowed."""
+        return self._held / self._capacity
+
+    def plan(self) -> RatePlan:
+        """For the next frame."""
+        room = self._capacity - max(self._held - self._drain, 0.0) - _OVERHEAD
+        return RatePlan(2.0**self._strain, max(int(room / self._bytes_per_anchor), 0))
+
+    def sent(self, size_bytes: int, anchors: int) -> None:
+        """Learn that the latest predicted packet has `size_bytes` and changed so many `anchors`."""
+        self._held = max(self._held - self._drain, 0.0) + size_bytes
+        if anchors:
+            share = max(size_bytes - _OVERHEAD, 1) / anchors
+            # believed at once when it rises: the limit on anchors must hold now
+            new = max(share, self._bytes_per_anchor + _FORGET * (share - self._bytes_per_anchor))
+            self._bytes_per_anchor = new
+        wanted = self._drain * (1 + _WANTED_FILL - self.fill)
+        error = math.log2(max(size_bytes, 1) / max(wanted, self._drain / 8))
+        self._strain = min(max(self._strain + _REACTION * error, _WEAKEST), _STRONGEST)
+
+    def sent_keyframe(self, size_bytes: int) -> None:
+        """Learn of a keyframe: it may fill the bucket, and what is beyond is written off, for nothing could save it."""
+        self._held = min(self._held + size_bytes, self._capacity)

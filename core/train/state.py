@@ -1,0 +1,79 @@
+"""What the next frame starts from: the decoder's integers, and what the trainer keeps beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.anchors import Scene
+from core.expand import anchor_positions, dequantise
+from core.residual import Residual
+from core.train.convert import field_of, level_starts
+from core.train.field import Field
+from core.train.partition import Parts, no_parts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Of a stream after a frame.
+
+    Attributes:
+        scene: the decoder's integer state; field: the same, dequantised.
+        canonical: the keyframe's field, for the paper's motion cue.
+        references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
+        shown: [C,H,W,3] what the state shows, NaN where that is not known; None likewise.
+        parts: what the latest frame trained.
+    """
+
+    scene: Scene
+    field: Field
+    canonical: Field
+    references: Tensor | None
+    shown: Tensor | None
+    parts: Parts
+
+    @property
+    def alive(self) -> Tensor:
+        """[N] bool, on the field's device."""
+        alive = np.concatenate([level.alive for level in self.scene.levels])
+        return torch.from_numpy(alive).to(self.field.feature.device)
+
+    def after(self, residual: Residual, scene: Scene, parts: Parts) -> State:
+        """The state that `residual` led to; changed rows are dequantised again, as the decoder does it."""
+        if any(len(part.added) for part in residual.levels):
+            return self._relaid(residual, scene, parts)
+        field, starts = self.field, level_starts(scene)
+        device = field.feature.device
+        feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
+        for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
+            if len(part.rows) == 0:
+                continue
+            rows = torch.from_numpy(part.rows + starts[number]).to(device)
+            new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
+            feature[rows] = torch.from_numpy(new_feature).to(device)
+            offset[rows] = torch.from_numpy(new_offset).to(device)
+            position[rows] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
+        field = replace(field, feature=feature, offset=offset, position=position)
+        return replace(self, scene=scene, field=field, parts=parts)
+
+    def _relaid(self, residual: Residual, scene: Scene, parts: Parts) -> State:
+        """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
+        device = str(self.field.feature.device)
+        before, origins = level_starts(self.scene), []
+        for number, part in enumerate(residual.levels):
+            origins += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
+        origin = np.concatenate(origins)
+        field = field_of(scene).to(device)
+        new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
+        known = torch.from_numpy(np.maximum(origin, 0)).to(device)
+        canonical = self.canonical.with_rows(known).with_values(new, field)
+        return replace(self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin))
+
+
+def fresh_state(scene: Scene, device: str, references: Tensor | None, shown: Tensor | None = None) -> State:
+    """The state of a keyframe."""
+    field = field_of(scene).to(device)
+    return State(scene, field, field, references, shown, no_parts(len(field)))
