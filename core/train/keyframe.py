@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from core.camera import Camera
 from core.render.backends import Backend
@@ -16,6 +17,8 @@ from core.train.decode import Network, Splats, decode
 from core.train.exposure import Exposure, neutral
 from core.train.field import Field, visible_levels
 from core.train.growth import GrowthStatistics, earned_extra_level, grow
+from core.train.heads import separate_heads
+from core.train.levels import needed_levels, renumbered
 from core.train.losses import photometric_loss
 from core.train.newcomers import strongest
 from core.train.optimiser import RowAdam
@@ -25,6 +28,7 @@ from core.train.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocke
 _ROW_PARAMETERS = ("feature", "offset", "scaling")
 _NETWORK_PARAMETERS = ("hidden_weight", "hidden_bias", "output_weight", "output_bias")
 _OFFSET_SPREAD = 0.3
+_JUDGES = 4  # views, evenly spread, that say whether a level carries anything
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +38,13 @@ class Views:
     cameras: tuple[Camera, ...]
     targets: Tensor
     usable: list[int]
+
+    def halved(self) -> Views:
+        """The same pictures at half the width and height: each pixel is the mean of those it covers."""
+        height, width = (max(size // 2, 1) for size in self.targets.shape[1:3])
+        planes = functional.adaptive_avg_pool2d(self.targets.permute(0, 3, 1, 2), (height, width))
+        cameras = tuple(camera.scaled(width, height) for camera in self.cameras)
+        return Views(cameras, planes.permute(0, 2, 3, 1).contiguous(), self.usable)
 
 
 class KeyframeTrainer:
@@ -49,7 +60,8 @@ class KeyframeTrainer:
     def __init__(self, field: Field, views: Views, config: TrainConfig, backend: Backend) -> None:
         self._config = config.keyframe
         self._model = config.model
-        self._views = views
+        self._whole = views
+        self._views = views.halved() if self._config.half_size_until > 0 else views
         self._backend = backend
         device = field.feature.device
         self._generator = torch.Generator(device).manual_seed(config.seed)
@@ -60,6 +72,9 @@ class KeyframeTrainer:
         self._exposure = neutral(len(views.cameras), device)
         leaves = {name: getattr(field, name).clone().requires_grad_() for name in _ROW_PARAMETERS}
         network = {name: getattr(field.network, name).clone().requires_grad_() for name in _NETWORK_PARAMETERS}
+        if config.model.heads == "separate":
+            joined = separate_heads(field.slots).to(device)
+            network["output_weight"].register_hook(lambda gradient: gradient * joined)
         exposure = {"gain": self._exposure.gain, "exposure_offset": self._exposure.offset}
         if config.model.exposure:
             for value in exposure.values():
@@ -99,43 +114,43 @@ class KeyframeTrainer:
         """One view, one update; returns its loss, detached."""
         config, progress = self._config, self._done / self._config.steps
         self._highest = unlocked_level(self._fixed.octree.levels, config, progress)
+        if progress >= config.half_size_until:
+            self._views = self._whole
         number = self._order.next()
-        rows = self._drawn_rows(number)
+        cap = self._random_cap()
+        rows = self._drawn_rows(number, self._highest if cap is None else cap)
         splats = self._decode(number, rows, rounded=progress >= config.rounding_from)
         level = (self._fixed.level if rows is None else self._fixed.level[rows]).repeat_interleave(self._fixed.slots)
         opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
-        raster = rasterise(
-            splats.means,
-            splats.quaternions,
-            splats.scales,
-            opacities,
-            splats.colours,
-            self._views.cameras[number],
-            self._background,
-            backend=self._backend,
-        )
+        raster = self._draw(replace(splats, opacities=opacities), number)
         loss = self._loss(raster, splats, number)
-        loss.backward()  # type: ignore[no-untyped-call]
+        (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
         rates = keyframe_rates(config, progress)
         rates |= dict.fromkeys(_NETWORK_PARAMETERS, rates["network"])
         rates |= dict.fromkeys(("gain", "exposure_offset"), rates["exposure"])
         self._optimiser.step(rates)
         if self._model.exposure:
             self._exposure.centre()
-        self._count(raster, splats, rows)
+        if cap is None:  # a coarse picture pulls hard wherever detail is missing, which says nothing about growing
+            self._count(raster, splats, rows)
         self._done += 1
         if progress >= config.average_from:
             self._add_to_average()
         if self._done % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             self._adjust()
+        if progress < config.growth_until <= self._done / config.steps:
+            self._drop_idle_levels()
         return loss.detach()
 
-    def _drawn_rows(self, number: int) -> Tensor | None:
-        """Anchors of this step: all, those of a random coarse cap, or those that the camera's distances call for."""
-        field, highest = self._fixed, self._highest
-        capped = torch.rand((), generator=self._chances).item() < self._config.level_cap_share
-        if capped and highest > 0:
-            highest = int(torch.randint(0, highest, (), generator=self._chances))
+    def _random_cap(self) -> int | None:
+        """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""
+        if torch.rand((), generator=self._chances).item() >= self._config.level_cap_share or self._highest == 0:
+            return None
+        return int(torch.randint(0, self._highest, (), generator=self._chances))
+
+    def _drawn_rows(self, number: int, highest: int) -> Tensor | None:
+        """Anchors of a step: all, those up to level `highest`, or those that the camera's distances call for."""
+        field = self._fixed
         if self._model.selection == "distance":
             return torch.nonzero(visible_levels(field, self._centres[number], highest))[:, 0]
         return None if highest == field.octree.levels - 1 else torch.nonzero(field.level <= highest)[:, 0]
@@ -151,6 +166,9 @@ class KeyframeTrainer:
         view = self._fixed.view(self._centres[number])
         return decode(feature, offset, scaling, position, _network_of(parameters), view)
 
+    def _draw(self, splats: Splats, number: int) -> Raster:
+        return rasterise(*splats.astuple(), self._views.cameras[number], self._background, backend=self._backend)
+
     def _loss(self, raster: Raster, splats: Splats, number: int) -> Tensor:
         """Equation 5 of the paper, with Scaffold-GS's regulariser of the volume (method notes 8.A row 39)."""
         image = self._exposure.apply(raster.image, number) if self._model.exposure else raster.image
@@ -159,6 +177,38 @@ class KeyframeTrainer:
             drawn = splats.opacities.detach() > 0
             loss = loss + self._config.scale_weight * splats.scales.prod(dim=1)[drawn].sum() / drawn.sum().clamp_min(1)
         return loss
+
+    def _drop_idle_levels(self) -> None:
+        """Give up the levels that carry nothing, while there are steps left to settle; the paper keeps all."""
+        if self._model.selection == "distance" or self._model.levels is not None:
+            return
+        octree, level = self._fixed.octree, self._fixed.level
+        judges = self._views.usable[:: max(1, len(self._views.usable) // _JUDGES)]
+
+        @torch.no_grad()
+        def loss(first: int, last: int) -> float:
+            rows = torch.nonzero((level >= first) & (level <= last))[:, 0]
+            losses = []
+            for number in judges:
+                splats = self._decode(number, rows, rounded=False)
+                losses.append(float(self._loss(self._draw(splats, number), splats, number)))
+            return sum(losses) / len(losses)
+
+        first, last = needed_levels(octree.levels, loss)
+        if (first, last) == (0, octree.levels - 1):
+            return
+        fewer, rows, renamed = renumbered(octree, level, first, last)
+        nothing = {name: self._optimiser.parameters[name].detach()[:0] for name in _ROW_PARAMETERS}
+        self._optimiser.replace_rows(rows, nothing)
+        self._fixed = replace(
+            self._fixed,
+            octree=fewer,
+            level=renamed,
+            voxel=self._fixed.voxel[rows],
+            extra_level=self._fixed.extra_level[rows],
+            position=self._fixed.position[rows],
+        )
+        self._statistics = GrowthStatistics(len(rows), self._fixed.slots, level.device)
 
     def _count(self, raster: Raster, splats: Splats, rows: Tensor | None) -> None:
         slots = self._fixed.slots

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from core.octree import MAX_LEVELS, Octree, level_for_distance, morton_key
 from core.train.config import ModelConfig
 from core.train.decode import Network
 from core.train.field import Field
+from core.train.heads import separate_heads
 
 _FAR_QUANTILE, _NEAR_QUANTILE = 0.99, 0.01
 _SEED_SHARE = 0.7  # of the most anchors there may be; growing places the rest where they are needed
@@ -124,9 +126,12 @@ def _first_network(config: ModelConfig, generator: torch.Generator) -> Network:
 
     output_bias = uniform(outputs, fan_in=HIDDEN)
     output_bias[: config.gaussians_per_anchor] = _OPACITY_BIAS
-    return Network(
+    network = Network(
         hidden_weight=uniform(inputs, HIDDEN, fan_in=inputs),
         hidden_bias=uniform(HIDDEN, fan_in=inputs),
         output_weight=uniform(HIDDEN, outputs, fan_in=HIDDEN),
         output_bias=output_bias,
     )
+    if config.heads == "shared":
+        return network
+    return replace(network, output_weight=network.output_weight * separate_heads(config.gaussians_per_anchor))
