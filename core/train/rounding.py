@@ -7,12 +7,24 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from core.quantise import DEFAULT_OFFSET
+
 FEATURE_STEP, OFFSET_STEP, SCALING_STEP = 0.1, 0.05, 0.05
 
 
 def round_through(values: Tensor) -> Tensor:
     """Nearest integers, with the gradient of the identity (straight-through; QUEEN, the paper's equation 9)."""
     return values + (values.round() - values).detach()
+
+
+def dead_zone(values: Tensor) -> Tensor:
+    """Integers of `values`, as `core.quantise.dead_zone` makes them."""
+    return (values.abs() + DEFAULT_OFFSET).floor() * values.sign()
+
+
+def dead_zone_through(values: Tensor) -> Tensor:
+    """`dead_zone` with the gradient of the identity: what training sees of residuals is what is sent."""
+    return values + (dead_zone(values) - values).detach()
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,51 @@
+"""What a frame's residual will cost, as a term of the loss: the codec's own tables, so that training pays what is sent.
+
+A value is coded under a bin of its expected magnitude. Here, as in the codec, that expectation comes from the other
+values of the anchor and from the average anchor; it is a constant to the gradient. Between integers the cost is
+interpolated linearly (codec notes, section 5).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from core.entropy_model import BINS, UNIT_BIN, magnitude_bits
+from core.quantise import DEFAULT_OFFSET
+
+SET_BITS = 4.0  # about what it costs that an anchor changes at all: its place in the dynamic set
+_TYPICAL = 0.5  # weight of the average anchor beside the anchor's own other values
+_HIGHEST = 64
+
+
+def residual_bits(latent: Tensor, position: Tensor) -> Tensor:
+    """[] bits of the residuals of n anchors.
+
+    Args:
+        latent: [n,24], position: [n,3] real numbers in quanta, before they are rounded.
+    """
+    largest = torch.cat([latent, position], dim=1).abs().amax(dim=1)
+    return _coded_bits(latent) + _coded_bits(position) + SET_BITS * largest.clamp(max=1).sum()
+
+
+def _coded_bits(values: Tensor) -> Tensor:
+    """[] bits of values [n,C] coded row by row."""
+    size = values.abs().clamp(max=_HIGHEST - 0.01)
+    lower = size.detach().floor().long()
+    table = _table(values.device)
+    bins = _bins(size.detach())
+    cost, next_cost = table[bins, lower], table[bins, lower + 1]
+    return (cost + (size - lower) * (next_cost - cost)).sum()
+
+
+def _bins(size: Tensor) -> Tensor:
+    """[n,C] bin of each value, from what the rest of its row rounds to and from the mean over all."""
+    rounded = (size + DEFAULT_OFFSET).floor()
+    channels = size.shape[1]
+    rest = rounded.sum(dim=1, keepdim=True) - rounded
+    expected = (_TYPICAL * channels * rounded.mean() + rest) / (_TYPICAL * channels + channels - 1)
+    return (UNIT_BIN + 4 * expected.clamp_min(1e-3).log2()).round().clamp(0, BINS - 1).long()
+
+
+def _table(device: torch.device) -> Tensor:
+    return torch.from_numpy(magnitude_bits(_HIGHEST)).to(device)
