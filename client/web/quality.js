@@ -9,7 +9,7 @@ export const QUALITIES = [
   { name: "high", label: "High", note: "all levels" },
   { name: "low", label: "Low", note: "saves data" },
 ];
-const SLOW_FPS = 20, FAST_FPS = 45;
+const SLOW_FPS = 15, FAST_FPS = 35;
 const PATIENCE = 2, COURAGE = 16; // measurements in a row before a step down or up
 const COOL_DOWN = 120; // heartbeats before a step that proved too slow is tried again
 const LINGER = 20; // heartbeats before a level that no view calls for is given up
@@ -33,6 +33,7 @@ export class Quality {
     this.step = 0;
     this.slow = 0;
     this.fast = 0;
+    this.settling = false; // the next measurement still holds frames from before a step
     this.resting = 0; // heartbeats until a finer step may be tried
     this.called = Infinity; // levels that the view calls for
     this.idle = 0; // heartbeats for which it called for fewer than are asked for
@@ -75,6 +76,10 @@ export class Quality {
     if (this.idle > LINGER) this.#apply();
     const fps = this.viewer.pace();
     if (fps === null || this.name !== "auto") return;
+    if (this.settling) {
+      this.settling = false;
+      return;
+    }
     this.slow = fps < SLOW_FPS ? this.slow + (fps < SLOW_FPS / 2 ? PATIENCE : 1) : 0;
     this.fast = fps > FAST_FPS ? this.fast + 1 : 0;
     const down = this.slow >= PATIENCE ? (fps < SLOW_FPS / 3 ? 2 : 1) : 0;
@@ -84,6 +89,7 @@ export class Quality {
     if (down) this.resting = COOL_DOWN;
     this.step = step;
     this.slow = this.fast = 0;
+    this.settling = true;
     this.#apply();
   }
 

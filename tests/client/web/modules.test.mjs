@@ -227,12 +227,14 @@ test("auto gives up resolution first, then far details, and asks only for levels
   quality.limit(4);
   for (let i = 0; i < 30; i++) quality.tick();
   assert.deepEqual([viewer.resolution, viewer.reach], [1, Infinity]);
-  viewer.fps = 15;
+  viewer.fps = 12;
   quality.tick();
   assert.equal(viewer.resolution, 1, "one slow measurement may be chance");
   quality.tick();
   assert.deepEqual([viewer.resolution, viewer.reach], [0.75, Infinity]);
   viewer.fps = 3;
+  quality.tick();
+  assert.equal(viewer.resolution, 0.75, "the first measurement after a step holds frames from before it");
   quality.tick();
   assert.deepEqual([viewer.resolution, viewer.reach], [0.5, 2], "far too slow: two steps at once");
   viewer.fps = null;
