@@ -143,7 +143,7 @@ def train_stream(
     stage is raised here after the frames before it; a frame's packets are all made before the frame is given out.
 
     Args:
-        resume: go on from this state with a fresh keyframe instead of training one.
+        resume: go on from this keyframe, which has been published, instead of training one.
         start: first frame to read.
         previews: also yield early keyframes while the first frame trains, for viewers who wait.
         on_progress: called on the training thread.
@@ -206,16 +206,15 @@ class _Training:
 
     def run(self, resume: Scene | None, start: int) -> None:
         """All frames from `start`, after the state to resume if there is one."""
-        shift = 0 if resume is None else resume.version + 1 - start
+        shift = 0
+        if resume is not None:
+            self._trainer.resume(resume)
+            shift = resume.version + 1 - start
         with closing(self._opened.frames(start)) as frames:
             for filmed, read in frames:
                 captured, frame = self._captured(read), replace(filmed, index=filmed.index + shift)
                 if self._trainer.has_state:
                     trained = self._later(frame)
-                elif resume is not None:
-                    scene = rekey(resume, frame.index)
-                    self._trainer.resume(scene)
-                    trained = _Trained(scene, frame.time_ns, {"resumed": True})
                 else:
                     trained = self._first(frame)
                     shift = trained.scene.version - filmed.index
@@ -287,7 +286,7 @@ def _encoded(state: _Trained) -> EncodedFrame:
 
     packets, span = timing("encode", lambda: tuple(encode()))
     report, seconds = state.report, span.end - span.begin
-    if "seconds" in report:
+    if not state.preview:
         report = {**report, "seconds": {**report["seconds"], "encode": seconds}}
         report["total_seconds"] += seconds
     if state.captured is not None:

@@ -26,6 +26,7 @@ from server.job import TrainJob
 from server.spec import StreamSpec
 
 if TYPE_CHECKING:
+    from core.anchors import Scene
     from server.pipeline import OpenJob
 
 _LOG = logging.getLogger(__name__)
@@ -100,17 +101,15 @@ def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection, push_socket: 
 
 def train(job: TrainJob, resume: Resume, sender: Sender, push_socket: Path | None = None) -> None:
     """Train the source's frames as they come and send their packets; of live cameras, also tell how they do."""
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from server.pipeline import open_job, train_stream
-
     if job.frames is not None and resume.frames >= job.frames:
         return
+    scene = _show_again(resume, sender) if resume.packets else None
+    from server.pipeline import open_job, train_stream
 
     def tell(progress: Any) -> None:
         body = {"fraction": float(progress.fraction), "loss": float(progress.loss), "text": str(progress.stage)}
         sender.send(Tag.PROGRESS, body)
 
-    scene = _decode(resume.packets) if resume.packets else None
     opened = open_job(job, push_socket)
     frames = train_stream(opened, resume=scene, start=resume.frames, previews=True, on_progress=tell)
     with closing(opened), closing(frames), _told(opened, sender):
@@ -202,13 +201,21 @@ def _frame_seconds(entries: list[tuple[int, Any]]) -> float:
     return float(min(1.0, max(0.01, (last.time_ns - first.time_ns) / 1e9 / frames))) if frames else 1.0
 
 
-def _decode(packets: tuple[bytes, ...]) -> Any:
+def _show_again(resume: Resume, sender: Sender) -> Scene:
+    """Publish the state to go on from as a keyframe, before anything slow is loaded or a camera is asked."""
     from codec.decoder import SceneDecoder
+    from codec.encoder import encode_keyframe
+    from codec.packet import peek
+    from core.rekey import rekey
 
     decoder = SceneDecoder()
-    for packet in packets:
+    for packet in resume.packets:
         decoder.push(packet)
-    return decoder.scene
+    assert decoder.scene is not None
+    scene = rekey(decoder.scene, decoder.scene.version + 1)
+    sender.send(Tag.PACKET, encode_keyframe(scene, time_ns=peek(resume.packets[-1]).time_ns))
+    sender.send(Tag.REPORT, {"version": scene.version, "done": resume.frames, "resumed": True})
+    return scene
 
 
 def _plain(value: Any) -> Any:

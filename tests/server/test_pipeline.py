@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import threading
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -24,6 +25,7 @@ from core.train import config as train_config
 from server.job import TrainJob
 from server.pipeline import EncodedFrame, open_job, train_clip, train_stream
 from server.trace import Span
+from server.worker import Resume, Sender, Tag, train
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
 JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")
@@ -144,12 +146,21 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
     for frame in first:
         decoder.push(frame.packets[0])
     assert decoder.scene is not None
-    rest = list(train_stream(open_job(JOB), resume=decoder.scene, start=2))
-    kinds = [peek(frame.packets[0]).kind for frame in rest]
-    assert kinds == [PacketKind.KEY, PacketKind.PREDICTED]
-    assert rest[0].version > 1
-    for frame in rest:
-        decoder.push(frame.packets[0])
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    with ours, theirs:
+        train(JOB, Resume(tuple(frame.packets[0] for frame in first), 2), Sender(theirs))
+        messages = []
+        while ours.poll():
+            data = ours.recv_bytes()
+            messages.append((Tag(data[0]), data[1:]))
+    packets = [body for tag, body in messages if tag is Tag.PACKET]
+    assert [peek(packet).kind for packet in packets] == [PacketKind.KEY, PacketKind.PREDICTED, PacketKind.PREDICTED]
+    assert [peek(packet).to_version for packet in packets] == [2, 3, 4]
+    for packet in packets:
+        decoder.push(packet)
+    reports = [json.loads(body) for tag, body in messages if tag is Tag.REPORT]
+    assert [report.get("done") for report in reports] == [2, None, None]
+    assert messages[:2] == [(Tag.PACKET, packets[0]), (Tag.REPORT, json.dumps(reports[0]).encode())]
 
 
 def test_keyframes_come_at_the_interval() -> None:
