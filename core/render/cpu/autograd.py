@@ -65,7 +65,9 @@ class _Rasterise(torch.autograd.Function):
         by_light = None if light_gradient is None else _array(light_gradient)
         gradients = backward(call.workspace, frame, cloud, by_image, by_light, call.gradient_rows)
         half = np.array([call.camera.width / 2, call.camera.height / 2], np.float32)
-        call.probe.record(torch.from_numpy(gradients.screen * half))
+        screen = np.zeros((len(call.probe.visible), 2), np.float32)
+        screen[np.searchsorted(call.probe.visible.numpy(), gradients.rows)] = gradients.screen * half
+        call.probe.record(torch.from_numpy(screen))
         call.frame = None
         call.release()
         parts = (gradients.means, gradients.quaternions, gradients.scales, gradients.opacities, gradients.colours)
@@ -114,7 +116,7 @@ def rasterise_over(
 def _raster(parameters: tuple[Tensor, ...], call: _Call) -> Raster:
     image, light = _Rasterise.apply(*parameters, call)  # type: ignore[no-untyped-call]
     assert call.frame is not None
-    rows, most = call.frame.rows, call.gradient_rows
+    rows, most = call.frame.visible, call.gradient_rows
     visible = rows if most is None else rows[: np.searchsorted(rows, most)]
     call.probe = Probe(torch.from_numpy(visible.astype(np.int64)))
     return Raster(image, light, call.probe)

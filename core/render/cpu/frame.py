@@ -13,7 +13,7 @@ from core.render.cpu.kernels.backward import differentiate_tiles
 from core.render.cpu.kernels.forward import blend_tiles
 from core.render.cpu.kernels.inline.constants import SUMS
 from core.render.cpu.kernels.project_backward import differentiate_projection
-from core.render.cpu.listing import MAX_PAIRS, list_gaussians, pack_camera, projected, share_tiles
+from core.render.cpu.listing import MAX_PAIRS, list_gaussians, pack_camera, projected, reaching, share_tiles
 from core.render.cpu.workspace import Workspace
 from core.render.tiles import tile_grid
 
@@ -25,7 +25,8 @@ class Frame:
     Attributes:
         image: [H,W,3] float32, own memory. transmittance: [H,W] float32, own memory.
         camera: [16] float32, see `pack_camera`.
-        rows: [M] int32 ascending rows of the visible Gaussians, own memory.
+        visible: [V] int32 ascending rows of the Gaussians in view, own memory.
+        rows: [M] int32 those that reach a tile to be drawn, own memory.
         slots: by depth rank, index into `rows`; beyond its end for Gaussians that never want gradients.
         records: [N,16] by row; sorted_records: [...,16] by depth rank.
         tiles, bounds: tiles rendered, and each worker's share of them. offsets, lists: the tile lists.
@@ -34,6 +35,7 @@ class Frame:
     image: Float32
     transmittance: Float32
     camera: Float32
+    visible: Int32
     rows: Int32
     slots: Int32
     records: Float32
@@ -49,7 +51,7 @@ class Gradients:
     """dL by each parameter, shapes as in GaussianCloud, zero where a Gaussian is not visible or wants none.
 
     Attributes:
-        rows: [G] int32 visible rows among those that want gradients.
+        rows: [G] int32 rows that were drawn among those that want gradients.
         screen: [G,2] dL by their projected means, in pixels.
     """
 
@@ -84,7 +86,8 @@ def forward(
         ModelError: the Gaussians are so large that their tile lists would not fit.
     """
     seen = projected(workspace, cloud, camera)
-    rows = np.flatnonzero(seen.depths > 0).astype(np.int32)
+    visible = np.flatnonzero(seen.depths > 0).astype(np.int32)
+    rows = visible if tile_mask is None else reaching(seen, tile_mask)
     tiles_y, tiles_x = tile_grid(camera.width, camera.height)
     mask = np.ones(tiles_y * tiles_x, np.uint8) if tile_mask is None else tile_mask.astype(np.uint8).ravel()
     listing = list_gaussians(workspace, seen, rows, camera, mask, most_pairs=most_pairs)
@@ -95,6 +98,7 @@ def forward(
             image=image,
             transmittance=transmittance,
             camera=pack_camera(camera),
+            visible=visible,
             rows=rows,
             slots=listing.slots,
             records=listing.records,

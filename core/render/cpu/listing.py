@@ -92,7 +92,7 @@ def list_gaussians(
     room: int = 0,
     most_pairs: int = MAX_PAIRS,
 ) -> Listing:
-    """Lists of the Gaussians `rows` (ascending, visible) for the tiles of `mask` [T].
+    """Lists of the Gaussians `rows` (ascending, in view) for the tiles of `mask` [T].
 
     Args:
         room: free rows before the first of `sorted_records`.
