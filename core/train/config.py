@@ -39,7 +39,7 @@ class ModelConfig:
     max_anchors: int = 40_000
     selection: LevelSelection = "all"
     heads: Heads = "shared"
-    exposure: bool = False
+    exposure: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class PredictConfig:
         latent_rate, position_rate: Adam rates in quanta.
         final_rate: both decay to this share over the frame.
         feature_step, offset_step: size of a latent quantum in feature and offset units.
-        rate_weight: weight of the bits of latents and positions in the loss.
+        rate_weight: weight in the loss of the bits of the residual, divided by the numbers of a picture.
         cue: whose gradient shows motion (paper: canonical).
         posterior: threshold of the mixture's dynamic component (paper: 0.8).
         repaint_posterior: the same for anchors that changed but may not have moved: of them only features are trained.
@@ -105,7 +105,7 @@ class PredictConfig:
     feature_step: float = 0.2
     offset_step: float = 0.2
     position_steps_per_cell: int = 32
-    rate_weight: float = 0.03
+    rate_weight: float = 0.01
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
     posterior: float = 0.8
@@ -147,7 +147,7 @@ def preset(name: str) -> TrainConfig:
             default,
             model=replace(default.model, max_anchors=80_000),
             keyframe=replace(default.keyframe, steps=2000, growth_interval=100),
-            predict=replace(default.predict, epochs=30, rate_weight=0.01),
+            predict=replace(default.predict, epochs=30, rate_weight=0.004),
         ),
         "paper": TrainConfig(
             model=replace(
@@ -157,6 +157,7 @@ def preset(name: str) -> TrainConfig:
                 view_dependent=True,
                 finer_levels=0,
                 selection="distance",
+                exposure=False,
             ),
             keyframe=replace(
                 default.keyframe,

@@ -29,7 +29,8 @@ from core.train.losses import photometric_loss
 from core.train.newcomers import added_levels, newcomers, strongest
 from core.train.optimiser import RowAdam
 from core.train.partition import Parts
-from core.train.rounding import round_through
+from core.train.rate import residual_bits
+from core.train.rounding import dead_zone, dead_zone_through
 from core.train.schedule import ViewOrder
 from core.train.stage import Stage, make_stage
 from core.train.state import State
@@ -150,8 +151,7 @@ class ResidualTrainer:
         image = raster.image if self._exposure is None else self._exposure.apply(raster.image, number)
         loss = photometric_loss(image, self._views.targets[number], config.dssim_weight, stage.region)
         if config.rate_weight:
-            parameters = self._optimiser.parameters.values()
-            bits = torch.stack([torch.log2(1 + value.abs()).sum() for value in parameters]).sum()
+            bits = residual_bits(self._optimiser.parameters["latent"], self._optimiser.parameters["position"])
             loss = loss + config.rate_weight * bits / image.numel()
         loss.backward()  # type: ignore[no-untyped-call]
         if config.growth_share:
@@ -176,7 +176,7 @@ class ResidualTrainer:
     def _dynamic_field(self) -> Field:
         """The dynamic anchors with their residuals, rounded as they will be sent."""
         base, parameters = self._base, self._optimiser.parameters
-        latent, position = round_through(parameters["latent"]), round_through(parameters["position"])
+        latent, position = dead_zone_through(parameters["latent"]), dead_zone_through(parameters["position"])
         offset = latent[:, FEATURE_LATENTS:] @ self._offset_decoder
         return replace(
             base,
@@ -269,7 +269,7 @@ def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Resi
 
 
 def _finite_quanta(values: Tensor) -> Int32:
-    """Nearest integers; what is not finite stays at its last good state, zero."""
+    """Integers as training saw them; what is not finite stays at its last good state, zero."""
     limit = 2.0**24
-    rounded = torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0).round().clamp(-limit, limit)
+    rounded = dead_zone(torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0)).clamp(-limit, limit)
     return rounded.to(torch.int32).cpu().numpy()
