@@ -6,6 +6,8 @@ zero padding, means over all pixels and channels.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
 
 import torch
@@ -18,45 +20,62 @@ WINDOW, SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
-def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Box | None = None) -> Tensor:
+def photometric_loss(
+    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+) -> Tensor:
     """Scalar loss of `image` [H,W,3] float32 against `target` [H,W,3], both in [0, 1]; differentiable by `image`.
 
     On the CPU forward and backward are one numba pass; elsewhere they are `photometric_reference`.
 
     Args:
         dssim_weight: w above.
-        region: evaluate only what the pixels of this box change. The gradient inside is that of the whole loss and zero
-            outside; the value differs from the whole loss by what does not depend on the box's pixels.
+        region: evaluate only what the pixels of these boxes change. The gradient inside is that of the whole loss and
+            zero outside; the value differs from the whole loss by what does not depend on the boxes' pixels. Boxes
+            must lie ten pixels apart.
 
     Raises:
-        ValueError: the shapes differ or are not [H,W,3], or the region is empty or leaves the picture.
+        ValueError: the shapes differ or are not [H,W,3], or a box is empty, leaves the picture or is near another.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"pictures must both be [H,W,3], not {tuple(image.shape)} and {tuple(target.shape)}")
     height, width = image.shape[:2]
-    box = region or Box(0, 0, width, height)
-    if not (0 <= box.left < box.right <= width and 0 <= box.top < box.bottom <= height):
-        raise ValueError(f"region {tuple(box)} does not lie inside a picture of {width}x{height}")
+    boxes = (Box(0, 0, width, height),) if region is None else tuple(region)
+    for box in boxes:
+        if not (0 <= box.left < box.right <= width and 0 <= box.top < box.bottom <= height):
+            raise ValueError(f"region {tuple(box)} does not lie inside a picture of {width}x{height}")
+    for one, other in combinations(boxes, 2):
+        if _gap(one, other) < WINDOW - 1:
+            raise ValueError(f"regions {tuple(one)} and {tuple(other)} are less than {WINDOW - 1} pixels apart")
     if image.device.type == "cpu" and image.dtype == torch.float32:
-        loss: Tensor = _Fused.apply(image, target, dssim_weight, box)  # type: ignore[no-untyped-call]
+        loss: Tensor = _Fused.apply(image, target, dssim_weight, boxes)  # type: ignore[no-untyped-call]
         return loss
     return photometric_reference(image, target, dssim_weight, region)
 
 
 def photometric_reference(
-    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Box | None = None
+    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
 ) -> Tensor:
     """`photometric_loss` as torch convolutions, on any device and for any float type."""
-    difference, dissimilarity = (image - target).abs(), 1 - ssim_map(image, target)
     if region is not None:
-        pixels = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
-        pixels[region.top : region.bottom, region.left : region.right] = True
-        outside = ~pixels[..., None]
-        mixed = torch.where(outside, image.detach(), image)
-        reach = slice(max(0, region.top - 5), region.bottom + 5), slice(max(0, region.left - 5), region.right + 5)
-        inside = slice(region.top, region.bottom), slice(region.left, region.right)
-        difference, dissimilarity = difference[inside], (1 - ssim_map(mixed, target))[reach]
+        inside, near = (_pixels(image, region, room) for room in (0, WINDOW // 2))
+        mixed = torch.where(inside, image, image.detach())
+        difference, dissimilarity = (image - target).abs() * inside, (1 - ssim_map(mixed, target)) * near
+    else:
+        difference, dissimilarity = (image - target).abs(), 1 - ssim_map(image, target)
     return ((1 - dssim_weight) * difference.sum() + dssim_weight * dissimilarity.sum()) / image.numel()
+
+
+def _pixels(image: Tensor, boxes: Sequence[Box], room: int) -> Tensor:
+    """[H,W,1] bool: pixels of the boxes and `room` around them."""
+    found = torch.zeros(*image.shape[:2], 1, dtype=torch.bool, device=image.device)
+    for box in boxes:
+        found[max(0, box.top - room) : box.bottom + room, max(0, box.left - room) : box.right + room] = True
+    return found
+
+
+def _gap(a: Box, b: Box) -> int:
+    """Pixels between two boxes, along the axis that parts them more."""
+    return max(a.left - b.right, b.left - a.right, a.top - b.bottom, b.top - a.bottom)
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
@@ -79,11 +98,11 @@ class _Fused(torch.autograd.Function):
     """The gradient is made together with the value, since it needs the same blurs."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float, box: Box) -> Tensor:
+    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float, boxes: tuple[Box, ...]) -> Tensor:
         from core.render.cpu.photometric import photometric_sums
 
         value, gradient = photometric_sums(
-            image.detach().contiguous().numpy(), target.detach().contiguous().numpy(), dssim_weight, box
+            image.detach().contiguous().numpy(), target.detach().contiguous().numpy(), dssim_weight, boxes
         )
         ctx.gradient = torch.from_numpy(gradient)
         return image.new_tensor(value)
@@ -91,4 +110,6 @@ class _Fused(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return ctx.gradient * upstream, None, None, None
+        if upstream != 1:  # no backward pass may change what another may ask for again
+            return ctx.gradient * upstream, None, None, None
+        return ctx.gradient, None, None, None

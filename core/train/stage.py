@@ -14,10 +14,11 @@ from core.render.backends import Backend
 from core.render.cpu.autograd import rasterise_over
 from core.render.cpu.backdrop import Backdrop, prepare
 from core.render.differentiable import rasterise
-from core.render.dirty import bounding_box, touched_tiles
+from core.render.dirty import touched_tiles
 from core.render.raster import Raster
 from core.render.tiles import Box
 from core.train.decode import Splats, join
+from core.train.region import loss_boxes
 
 _ROOM_PIXELS = 4.0  # how far a Gaussian's edge may travel before its camera is planned anew
 _WHOLE = 0.7  # share of dirty tiles from which the whole picture is planned
@@ -33,7 +34,7 @@ class Stage:
         background: [3] behind all of them.
         backend: of the rasteriser.
         backdrop: the static ones, ready to be drawn behind moving ones; on the CPU only.
-        region: pixels that the loss needs, None for all.
+        region: boxes of pixels that the loss needs, None for all.
         is_empty: whether no Gaussian that is trained can reach this picture.
     """
 
@@ -42,7 +43,7 @@ class Stage:
     background: Tensor
     backend: Backend
     backdrop: Backdrop | None = None
-    region: Box | None = None
+    region: tuple[Box, ...] | None = None
     is_empty: bool = False
 
     def render(self, dynamic: Splats) -> tuple[Raster, Stage]:
@@ -96,8 +97,8 @@ def make_stage(
 def _planned(stage: Stage, tile_mask: Bool, stale: Bool, base: Float32) -> Stage:
     tile_mask = np.ones_like(tile_mask) if tile_mask.mean() > _WHOLE else tile_mask
     backdrop = prepare(stage.static.cloud(), stage.camera, tile_mask, stale, base)
-    region = bounding_box(tile_mask, stage.camera)
-    return replace(stage, backdrop=backdrop, region=region, is_empty=region is None)
+    region = loss_boxes(tile_mask, stage.camera)
+    return replace(stage, backdrop=backdrop, region=region, is_empty=not region)
 
 
 def _room(camera: Camera, dynamic: Splats) -> Bool:

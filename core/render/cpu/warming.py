@@ -14,6 +14,7 @@ from core.gaussians import GaussianCloud
 from core.render.cpu.frame import backward, forward
 from core.render.cpu.photometric import photometric_sums
 from core.render.cpu.workspace import Workspace
+from core.render.tiles import Box
 
 _LOG = logging.getLogger(__name__)
 
@@ -37,7 +38,7 @@ def warm(tell: Callable[[str], None] | None = None) -> None:
     tell("compiling the rasteriser's backward kernels")
     backward(workspace, frame, cloud, np.ones_like(frame.image))
     tell("compiling the loss and what renders parts of a picture")
-    photometric_sums(frame.image, frame.image, 0.2, (0, 0, 8, 8))
+    photometric_sums(frame.image, frame.image, 0.2, (Box(0, 0, 8, 8),))
     all_tiles = np.ones((1, 1), np.bool_)
     touched_tiles(camera, cloud, 1.0)
     forward_over(workspace, cloud, prepare(cloud, camera, all_tiles, all_tiles, frame.image), background)

@@ -12,10 +12,11 @@ from core.gaussians import GaussianCloud
 from core.render import Raster, rasterise
 from core.render.cpu.autograd import rasterise_over
 from core.render.cpu.backdrop import Backdrop, prepare
-from core.render.dirty import bounding_box, reaching_rows, tiles_of, touched_tiles
+from core.render.dirty import touched_tiles
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
 from core.train.decode import Splats
 from core.train.losses import photometric_loss
+from core.train.region import loss_boxes
 from core.train.stage import make_stage
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
 
@@ -62,7 +63,7 @@ def one_thread() -> Iterator[None]:
     numba.set_num_threads(threads)
 
 
-def differentiated(raster: Raster, leaves: list[torch.Tensor], region: Box | None) -> list[torch.Tensor]:
+def differentiated(raster: Raster, leaves: list[torch.Tensor], region: tuple[Box, ...] | None) -> list[torch.Tensor]:
     """Gradients of the photometric loss against a random picture, by the leaves and the projected means."""
     target = torch.rand(150, 200, 3, generator=torch.Generator().manual_seed(1))
     (photometric_loss(raster.image, target, region=region) + raster.transmittance.mean()).backward()
@@ -75,7 +76,7 @@ def differentiated(raster: Raster, leaves: list[torch.Tensor], region: Box | Non
 def test_step_equals_the_full_step_bit_by_bit() -> None:
     dynamic, static = scene()
     backdrop = planned(dynamic, static, 6.0)
-    region = bounding_box(backdrop.tile_mask, CAMERA)
+    region = loss_boxes(backdrop.tile_mask, CAMERA)
     assert 0.05 < backdrop.tile_mask.mean() < 0.7
     assert len(backdrop.records) < 0.9 * len(static)
     now = moved(dynamic, (0.01, 0.0, -0.01))  # as after an optimiser's step
@@ -173,27 +174,26 @@ def test_gaussians_that_may_enter_from_outside_have_their_tiles() -> None:
     assert touched_tiles(camera, one, 8.0)[:, 0].any()
 
 
-def test_reaching_rows_are_those_that_the_mask_needs() -> None:
+def test_only_what_reaches_the_mask_is_listed() -> None:
     cloud = make_cloud(200, seed=8, size=0.1)
     mask = np.zeros_like(touched_tiles(CAMERA, cloud))
     mask[4, 2] = mask[5, 4] = True
-    visible, rows = reaching_rows(CAMERA, cloud, mask)
-    assert torch.equal(torch.from_numpy(visible), rasterise(*tensors(cloud), CAMERA, BACKGROUND).probe.visible)
-    assert 0 < len(rows) < len(cloud) / 2
-    pictures = [
-        rasterise(*tensors(part), CAMERA, torch.zeros(3), tile_mask=torch.from_numpy(mask)).image
-        for part in (cloud, rows_of(cloud, rows), rows_of(cloud, rows[1:]))
-    ]
-    assert torch.equal(pictures[0], pictures[1])  # the others are not needed
-    assert not torch.equal(pictures[0], pictures[2])  # and the first is
-
-
-def test_tiles_of_pixels() -> None:
-    pixels = np.zeros((150, 200), np.bool_)
-    pixels[149, 199] = pixels[16, 31] = True
-    tiles = tiles_of(pixels)
-    assert tiles.shape == touched_tiles(CAMERA, make_cloud(0)).shape
-    assert np.argwhere(tiles).tolist() == [[1, 1], [9, 12]]
+    near = len(prepare(cloud, CAMERA, mask, mask, np.zeros((150, 200, 3), np.float32)).records)
+    assert 0 < near < len(cloud) / 2
+    leaves = [[t.clone().requires_grad_() for t in tensors(cloud)] for _ in range(2)]
+    part = rasterise(*leaves[0], CAMERA, BACKGROUND, tile_mask=torch.from_numpy(mask))
+    whole = rasterise(*leaves[1], CAMERA, BACKGROUND)
+    pixels = torch.from_numpy(mask).repeat_interleave(TILE_HEIGHT, 0).repeat_interleave(TILE_WIDTH, 1)[:150, :200, None]
+    assert torch.equal(part.image * pixels, whole.image * pixels)
+    assert torch.equal(part.probe.visible, whole.probe.visible)  # in view, whatever is drawn
+    for raster in (part, whole):
+        raster.image.backward(torch.rand(150, 200, 3, generator=torch.Generator().manual_seed(2)) * pixels)
+    for found, wanted in zip(leaves[0], leaves[1], strict=True):
+        assert found.grad is not None
+        assert wanted.grad is not None
+        assert torch.allclose(found.grad, wanted.grad, rtol=1e-5, atol=1e-7)
+    assert torch.allclose(part.probe.gradients, whole.probe.gradients, rtol=1e-5, atol=1e-7)
+    assert 0 < int((part.probe.gradients.abs().sum(dim=1) > 0).sum()) <= near
 
 
 def test_nothing_dynamic_means_nothing_dirty() -> None:
@@ -201,7 +201,7 @@ def test_nothing_dynamic_means_nothing_dirty() -> None:
     base = torch.rand(150, 200, 3)
     stage = make_stage(CAMERA, Splats(*tensors(make_cloud(0))), Splats(*tensors(static)), BACKGROUND, "cpu", base)
     assert stage.is_empty
-    assert stage.region is None
+    assert stage.region == ()
     raster, _ = stage.render(Splats(*tensors(make_cloud(0))))
     assert torch.equal(raster.image, base)
 
@@ -210,6 +210,6 @@ def test_the_whole_picture_is_planned_where_most_of_it_moves() -> None:
     cloud = make_cloud(300, size=0.4)
     dynamic, static = rows_of(cloud, np.arange(150)), rows_of(cloud, np.arange(150, 300))
     stage = make_stage(CAMERA, Splats(*tensors(dynamic)), Splats(*tensors(static)), BACKGROUND, "cpu")
-    assert stage.region == Box(0, 0, 200, 150)
+    assert stage.region == (Box(0, 0, 200, 150),)
     raster, _ = stage.render(Splats(*tensors(dynamic)))
     assert torch.equal(raster.image, full(tensors(dynamic), static).image)

@@ -3,11 +3,16 @@
 import math
 
 import numba
+import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from core.render.tiles import Box
 from core.train.losses import photometric_loss, photometric_reference, ssim_map
+from core.train.region import loss_boxes
+from tests.core.render.scenes import make_camera
 
 
 def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -18,10 +23,10 @@ def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, torc
 
 
 def value_and_gradient(
-    image: torch.Tensor, target: torch.Tensor, box: Box | None, weight: float
+    image: torch.Tensor, target: torch.Tensor, region: tuple[Box, ...] | None, weight: float
 ) -> tuple[float, torch.Tensor]:
     leaf = image.clone().requires_grad_()
-    loss = photometric_loss(leaf, target, weight, box)
+    loss = photometric_loss(leaf, target, weight, region)
     loss.backward()
     assert leaf.grad is not None
     return float(loss.detach()), leaf.grad
@@ -32,19 +37,20 @@ CASES = [
     (1, 1, None, 0.2),
     (3, 2, None, 0.5),
     (33, 257, None, 1.0),
-    (90, 70, Box(20, 30, 41, 62), 0.2),
-    (90, 70, Box(0, 30, 41, 90), 0.2),
-    (90, 70, Box(62, 0, 70, 5), 0.2),
-    (90, 70, Box(7, 11, 8, 12), 0.2),
+    (90, 70, (Box(20, 30, 41, 62),), 0.2),
+    (90, 70, (Box(0, 30, 41, 90),), 0.2),
+    (90, 70, (Box(62, 0, 70, 5),), 0.2),
+    (90, 70, (Box(7, 11, 8, 12),), 0.2),
+    (90, 70, (Box(0, 0, 20, 16), Box(30, 0, 40, 30), Box(0, 60, 70, 90)), 0.2),
 ]
 
 
-@pytest.mark.parametrize(("height", "width", "box", "weight"), CASES)
-def test_fused_equals_convolutions(height: int, width: int, box: Box | None, weight: float) -> None:
+@pytest.mark.parametrize(("height", "width", "region", "weight"), CASES)
+def test_fused_equals_convolutions(height: int, width: int, region: tuple[Box, ...] | None, weight: float) -> None:
     image, target = pictures(height, width)
-    value, gradient = value_and_gradient(image, target, box, weight)
+    value, gradient = value_and_gradient(image, target, region, weight)
     leaf = image.double().requires_grad_()
-    wanted = photometric_reference(leaf, target.double(), weight, box)
+    wanted = photometric_reference(leaf, target.double(), weight, region)
     wanted.backward()
     assert leaf.grad is not None
     assert value == pytest.approx(float(wanted.detach()), abs=1e-6)
@@ -57,22 +63,24 @@ def test_convolution_form_agrees_with_finite_differences() -> None:
 
 
 def test_part_has_the_gradient_of_the_whole() -> None:
-    (image, target), box = pictures(90, 70), Box(20, 30, 41, 62)
-    _, part = value_and_gradient(image, target, box, 0.2)
+    (image, target), boxes = pictures(90, 70), (Box(20, 30, 41, 62), Box(51, 30, 70, 40))
+    _, part = value_and_gradient(image, target, boxes, 0.2)
     _, whole = value_and_gradient(image, target, None, 0.2)
     inside = torch.zeros(90, 70, dtype=torch.bool)
-    inside[box.top : box.bottom, box.left : box.right] = True
+    for box in boxes:
+        inside[box.top : box.bottom, box.left : box.right] = True
     assert torch.allclose(part[inside], whole[inside], rtol=0, atol=1e-9)
     assert not part[~inside].any()
 
 
 def test_part_changes_as_the_whole_does() -> None:
-    (image, target), box = pictures(90, 70), Box(20, 30, 41, 62)
+    (image, target), boxes = pictures(90, 70), (Box(20, 30, 41, 62), Box(51, 30, 70, 40))
     changed = image.clone()
-    changed[box.top : box.bottom, box.left : box.right] *= 0.7
+    for box in boxes:
+        changed[box.top : box.bottom, box.left : box.right] *= 0.7
     difference = [
         float(photometric_loss(changed, target, region=b) - photometric_loss(image, target, region=b))
-        for b in (None, box)
+        for b in (None, boxes)
     ]
     assert difference[0] == pytest.approx(difference[1], abs=1e-6)
     assert abs(difference[0]) > 1e-3
@@ -116,6 +124,32 @@ def test_a_broken_picture_is_not_silent() -> None:
 @pytest.mark.parametrize("box", [Box(0, 0, 0, 5), Box(-1, 0, 5, 5), Box(0, 0, 31, 5)])
 def test_impossible_regions_are_refused(box: Box) -> None:
     with pytest.raises(ValueError, match="does not lie inside"):
-        photometric_loss(*pictures(30, 30), region=box)
+        photometric_loss(*pictures(30, 30), region=(box,))
     with pytest.raises(ValueError, match=r"\[H,W,3\]"):
         photometric_loss(torch.zeros(3, 4), torch.zeros(3, 4))
+
+
+def test_boxes_that_share_windows_are_refused() -> None:
+    with pytest.raises(ValueError, match="less than 10 pixels apart"):
+        photometric_loss(*pictures(30, 30), region=(Box(0, 0, 10, 30), Box(19, 0, 30, 30)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.lists(st.booleans(), min_size=9, max_size=9), min_size=7, max_size=7))
+def test_boxes_hold_the_tiles_and_keep_apart(rows: list[list[bool]]) -> None:
+    mask, camera = np.array(rows), make_camera(9 * 16 - 5, 7 * 16 - 3)
+    boxes = loss_boxes(mask, camera)
+    inside = np.zeros((camera.height, camera.width), np.bool_)
+    for box in boxes:
+        inside[box.top : box.bottom, box.left : box.right] = True
+    assert inside[mask.repeat(16, axis=0).repeat(16, axis=1)[: camera.height, : camera.width]].all()
+    assert (not boxes) == (not mask.any())
+    photometric_loss(*pictures(camera.height, camera.width), region=boxes)  # would refuse what is too near
+
+
+def test_things_far_apart_get_boxes_of_their_own() -> None:
+    mask = np.zeros((30, 40), np.bool_)
+    mask[1:4, 1:4] = mask[24:28, 33:38] = True
+    assert loss_boxes(mask, make_camera(640, 480)) == (Box(16, 16, 64, 64), Box(528, 384, 608, 448))
+    mask[1:4, 5] = True  # one column lies between: together they are less work
+    assert loss_boxes(mask, make_camera(640, 480)) == (Box(16, 16, 96, 64), Box(528, 384, 608, 448))
