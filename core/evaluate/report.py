@@ -63,7 +63,7 @@ def _split(split: dict[str, Any]) -> list[str]:
     ]
     if any(row["summary"]["motion_recall"] for row in rows):
         lines += [
-            "Anchors changed by residuals against true motion:",
+            "Dynamic anchors against true motion:",
             "",
             table(_MOTION, [_motion(row) for row in rows]),
         ]

@@ -42,7 +42,9 @@ def run_figures(run: Run) -> dict[str, Any]:
     pictures = [frame.picture for frame in run.frames]
     sizes = [frame.size.total_bytes for frame in later]
     motions = [frame.motion for frame in later if frame.motion is not None]
-    found, moving, both = (sum(getattr(motion, name) for motion in motions) for name in ("changed", "moving", "both"))
+    dynamic, right, moving, found = (
+        sum(getattr(motion, name) for motion in motions) for name in ("dynamic", "right", "moving", "found")
+    )
     return {
         "seed": run.seed,
         "psnr": mean(picture.psnr for picture in pictures),
@@ -66,8 +68,8 @@ def run_figures(run: Run) -> dict[str, Any]:
         "peak_bytes": run.peak_bytes,
         "anchors": run.anchors,
         "dynamic_share": mean(frame.report.dynamic / max(frame.report.anchors, 1) for frame in later),
-        "motion_precision": (both / found if found else 1.0) if motions else None,
-        "motion_recall": (both / moving if moving else 1.0) if motions else None,
+        "motion_precision": (right / dynamic if dynamic else 1.0) if motions else None,
+        "motion_recall": (found / moving if moving else 1.0) if motions else None,
         "caps": [
             {
                 "levels": cap.levels,

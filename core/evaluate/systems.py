@@ -161,7 +161,8 @@ def run_system(
         else:
             shannon = shannon_residual_bytes(before, trained.residual)
             if spec is not None:
-                motion = dynamic_precision_recall(spec, before, trained.residual, index)
+                dynamic = np.zeros(_rows(before), np.bool_) if trained.dynamic is None else trained.dynamic
+                motion = dynamic_precision_recall(spec, before, dynamic, index, footage.training.cameras)
         scores.append(FrameScore(index, picture, size, shannon, trained.report, seconds, motion))
     if scene is None or truth is None:
         raise ModelError("no frame could be measured: the held-out cameras delivered nothing")
@@ -198,6 +199,10 @@ def _trained_frames(
             before, begin = trainer.scene, time.process_time()
             trained = trainer.predict(training)
             yield trained, before, testing, peak, time.process_time() - begin
+
+
+def _rows(scene: Scene) -> int:
+    return sum(len(level) for level in scene.levels)
 
 
 def _trainer(footage: Footage, config: TrainConfig, device: str) -> Trainer:

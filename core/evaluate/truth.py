@@ -1,4 +1,11 @@
-"""The dynamic set against true motion, where a clip comes with its truth."""
+"""The dynamic set against true motion, where a clip comes with its truth.
+
+An anchor has no surface of its own, so it is asked what it *shows*: its blending weights, summed over the pixels of the
+training pictures. It truly moves when at least half of that lies on surfaces that move by a quarter of a pixel or more
+in this step; a dynamic anchor is right when at least a tenth of it lies on surfaces that move at all. Between the two,
+either answer will do. Surfaces count, not appearances: shadows, highlights, reflections, and what a moving thing covers
+or uncovers are false alarms; anchors that no camera sees count for nothing.
+"""
 
 from __future__ import annotations
 
@@ -7,74 +14,88 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from core.anchors import Scene
 from core.arrays import Bool, Float64
+from core.camera import Camera
 from core.data.files import read_json
-from core.data.synthetic import SyntheticSpec, is_dynamic
+from core.data.synthetic import SyntheticSpec, surface_motion
 from core.errors import InputError
-from core.expand import anchor_positions, expand_slots
-from core.residual import Residual
+from core.train.convert import field_of
+from core.train.coverage import coverage
 
-_REACH = 0.03  # metres from a surface at least
-_TRANSPARENT = 1 / 255  # opacity up to which nothing is drawn
+VISIBLE = 0.25  # pixels in one step: the finest motion that video codecs describe
+_ANY = 0.01  # pixels
+_MOSTLY, _PARTLY = 0.5, 0.1  # of what an anchor shows
+_SEEN = 0.3  # pixels, over all training pictures
 _SPEC = Path("ground_truth") / "spec.json"
 
 
 @dataclass(frozen=True, slots=True)
 class MotionScore:
-    """How well the anchors that a residual changes agree with those that truly move.
+    """How well the dynamic anchors agree with those that truly move.
 
     Attributes:
-        changed: anchors that the residual changes or removes.
-        moving: anchors that stand for a surface that moves, as far as they are drawn or change.
-        both: anchors that are both.
+        dynamic: anchors that were taken to move.
+        right: of them, those that show something that moves.
+        moving: anchors that mostly show what visibly moves.
+        found: of them, those that were taken to move.
     """
 
-    changed: int
+    dynamic: int
+    right: int
     moving: int
-    both: int
+    found: int
 
     @property
     def precision(self) -> float:
-        """Share of the changed anchors that truly move; 1 where none changed."""
-        return self.both / self.changed if self.changed else 1.0
+        """Share of the dynamic anchors that truly move; 1 where there are none."""
+        return self.right / self.dynamic if self.dynamic else 1.0
 
     @property
     def recall(self) -> float:
-        """Share of the moving anchors that changed; 1 where none moves."""
-        return self.both / self.moving if self.moving else 1.0
+        """Share of the moving anchors that were found; 1 where none moves."""
+        return self.found / self.moving if self.moving else 1.0
 
 
-def dynamic_precision_recall(spec: SyntheticSpec, before: Scene, residual: Residual, index: int) -> MotionScore:
-    """Compare a residual's rows with the true motion of the step to frame `index`.
+def dynamic_precision_recall(
+    spec: SyntheticSpec, before: Scene, dynamic: Bool, index: int, cameras: tuple[Camera, ...]
+) -> MotionScore:
+    """Compare a dynamic set with the true motion of the step to frame `index`.
 
     Args:
         spec: the synthetic clip.
-        before: the state that the residual changes; its anchors' positions are asked about.
-        index: frame of the clip after the residual.
+        before: the state that the step starts from.
+        dynamic: [N] bool over the anchors of all its levels.
+        index: frame of the clip.
+        cameras: the training cameras.
+
+    Raises:
+        ValueError: `dynamic` has another length, or `index` lies outside the clip.
     """
-    changed = moving = both = 0
-    viewpoint = np.mean([camera.centre for camera in before.header.cameras], axis=0)
-    for number, (level, part) in enumerate(zip(before.levels, residual.levels, strict=True)):
-        touched = np.zeros(len(level), np.bool_)
-        touched[part.rows] = True
-        touched[part.removed] = True
-        places = anchor_positions(before.header, number, level)
-        reach = max(_REACH, before.header.octree.cell(number) / 2)  # an anchor stands for its cell
-        truth = is_dynamic(spec, places, index, tolerance=reach) & (_drawn(before, number, viewpoint) | touched)
-        changed += int(touched.sum())
-        moving += int(truth.sum())
-        both += int((touched & truth).sum())
-    return MotionScore(changed, moving, both)
+    seen, moves, visibly = shown_motion(spec, before, index, cameras)
+    if len(dynamic) != len(seen):
+        raise ValueError(f"{len(dynamic)} flags do not fit {len(seen)} anchors")
+    right = dynamic & (moves >= _PARTLY * np.maximum(seen, 1e-6))
+    moving = (seen >= _SEEN) & (visibly >= _MOSTLY * seen)
+    return MotionScore(int(dynamic.sum()), int(right.sum()), int(moving.sum()), int((moving & dynamic).sum()))
 
 
-def _drawn(scene: Scene, number: int, viewpoint: Float64) -> Bool:
-    """[N] whether any Gaussian of an anchor of level `number` is drawn for a camera at `viewpoint` [3]."""
-    level = scene.levels[number]
-    cloud = expand_slots(scene.header, scene.weights, number, level, np.arange(len(level)), viewpoint)
-    opacity = cloud.opacities.reshape(len(level), -1).max(axis=1, initial=0)
-    return np.asarray(level.alive & (opacity > _TRANSPARENT))
+def shown_motion(
+    spec: SyntheticSpec, before: Scene, index: int, cameras: tuple[Camera, ...]
+) -> tuple[Float64, Float64, Float64]:
+    """What each anchor shows to `cameras`, in pixels: [N] in all, of surfaces that move, that visibly move."""
+    field = field_of(before)
+    rows = torch.from_numpy(np.flatnonzero(np.concatenate([level.alive for level in before.levels])))
+    sums = torch.zeros(len(rows), 3)
+    for camera in cameras:
+        motion = torch.from_numpy(surface_motion(spec, index, camera))
+        maps = torch.stack([torch.ones_like(motion), motion > _ANY, motion >= VISIBLE], dim=2).float()
+        sums += coverage(field, rows, camera, maps, "cpu")
+    shown = np.zeros((len(field), 3))
+    shown[rows.numpy()] = sums.double().numpy()
+    return shown[:, 0], shown[:, 1], shown[:, 2]
 
 
 def read_spec(data: Path) -> SyntheticSpec | None:

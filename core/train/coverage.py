@@ -42,4 +42,4 @@ def coverage(
     upstream[..., :count] = maps
     raster.image.backward(upstream)  # type: ignore[no-untyped-call]
     assert colours.grad is not None
-    return colours.grad.reshape(len(rows), -1, _CHANNELS).sum(dim=1)[:, :count]
+    return colours.grad.reshape(len(rows), field.slots, _CHANNELS).sum(dim=1)[:, :count]

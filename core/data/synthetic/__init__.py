@@ -5,7 +5,7 @@ and `textures`, put together a camera at a time (`render`), offered as a data se
 """
 
 from core.data.synthetic.clip import open_synthetic, write_clip
-from core.data.synthetic.render import GroundTruth, is_dynamic, render_frame, render_image
+from core.data.synthetic.render import GroundTruth, is_dynamic, render_frame, render_image, surface_motion
 from core.data.synthetic.spec import SyntheticSpec, cameras
 
 __all__ = [
@@ -16,5 +16,6 @@ __all__ = [
     "open_synthetic",
     "render_frame",
     "render_image",
+    "surface_motion",
     "write_clip",
 ]

@@ -160,6 +160,28 @@ def is_dynamic(spec: SyntheticSpec, points: Float32 | Float64, index: int, *, to
     return found
 
 
+def surface_motion(spec: SyntheticSpec, index: int, camera: Camera) -> Float32:
+    """[H,W] how far, in pixels of `camera`, the surface that it sees at frame `index` - 1 moves until frame `index`.
+
+    Seen at the pixels' centres; 0 where nothing moves, and in the step to frame 0. A mirror's surface does not move,
+    whatever it shows. Any camera will do, of the rig or not, without lens distortion.
+    """
+    _check(spec, index)
+    before, now = scene_at(spec, max(index - 1, 0)), scene_at(spec, index)
+    truth = _in_batches(
+        np.arange(camera.width * camera.height), lambda pixels: _truth(before, now, camera, pixels)
+    ).astype(np.float64)
+    row, column = np.divmod(np.arange(camera.width * camera.height), camera.width)
+    centres = np.stack([column + 0.5, row + 0.5], axis=1)
+    rays = np.concatenate([centres, np.ones((len(centres), 1))], axis=1) @ np.linalg.inv(camera.intrinsics).T
+    # `_truth` tells how far the surface came from the other instant; here that is the later one, so the sign turns
+    there = rays * truth[:, :1] - truth[:, 1:4] @ camera.world_to_camera[:3, :3].T
+    projected = there @ camera.intrinsics.T
+    moved = np.linalg.norm(projected[:, :2] / np.maximum(projected[:, 2:], 1e-6) - centres, axis=1)
+    moved[np.linalg.norm(truth[:, 1:4], axis=1) <= _MOVED] = 0.0
+    return np.asarray(moved.reshape(camera.height, camera.width), np.float32)
+
+
 def depth_bounds(spec: SyntheticSpec) -> tuple[float, float]:
     """Nearest and farthest depth that any camera sees at frame 0, with a margin, in metres."""
     depths = []

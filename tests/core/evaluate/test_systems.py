@@ -80,7 +80,7 @@ def test_frozen_costs_next_to_nothing_and_changes_nothing(footage: Footage, firs
     assert all(frame.size.total_bytes <= 64 and frame.report.total_seconds == 0 for frame in run.frames[1:])
     motion = run.frames[1].motion
     assert motion is not None
-    assert motion.changed == 0
+    assert motion.dynamic == 0
 
 
 def test_spread_over_seeds() -> None:

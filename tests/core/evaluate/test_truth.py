@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from core.anchors import Scene
-from core.arrays import Int64
-from core.data.synthetic import is_dynamic
+from core.camera import Camera
 from core.errors import InputError
 from core.evaluate.footage import Footage
-from core.evaluate.truth import dynamic_precision_recall, read_spec
-from core.expand import anchor_positions
-from core.residual import Residual, difference
+from core.evaluate.truth import dynamic_precision_recall, read_spec, shown_motion
 from core.train import TrainConfig, Trainer
 from tests.core.evaluate.conftest import SPEC, shortened
+
+
+QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pictures show
 
 
 @pytest.fixture(scope="module")
@@ -29,58 +29,52 @@ def scene(footage: Footage) -> Scene:
     )
 
 
-def changing(scene: Scene, rows: list[Int64]) -> Residual:
-    """A residual that moves `rows` of each level by one step."""
-    levels = []
-    for level, chosen in zip(scene.levels, rows, strict=True):
-        position = level.position.copy()
-        position[chosen] += 1
-        levels.append(replace(level, position=position))
-    return difference(scene, replace(scene, levels=tuple(levels), version=1))
+@pytest.fixture(scope="module")
+def cameras(footage: Footage) -> tuple[Camera, ...]:
+    return footage.training.cameras
 
 
-def moving_rows(scene: Scene) -> list[Int64]:
-    """Anchors of each level within half a cell, or 3 cm, of a surface that moves."""
-    rows = []
-    for number, level in enumerate(scene.levels):
-        reach = max(0.03, scene.header.octree.cell(number) / 2)
-        rows.append(np.flatnonzero(is_dynamic(SPEC, anchor_positions(scene.header, number, level), 1, tolerance=reach)))
-    return rows
+def test_the_truth_itself_scores_full_marks(scene: Scene, cameras: tuple[Camera, ...]) -> None:
+    seen, moves, visibly = shown_motion(QUICK, scene, 1, cameras)
+    assert (visibly <= moves + 1e-3).all()
+    assert (moves <= seen + 1e-3).all()
+    truth = (seen > 0.3) & (visibly >= 0.5 * seen)
+    assert 0 < truth.sum() < 0.5 * len(truth)
+    score = dynamic_precision_recall(QUICK, scene, truth, 1, cameras)
+    assert score.precision == 1
+    assert score.recall == 1
 
 
-def test_the_truth_itself_scores_full_marks(scene: Scene) -> None:
-    rows = moving_rows(scene)
-    assert sum(map(len, rows)) > 0
-    score = dynamic_precision_recall(SPEC, scene, changing(scene, rows), 1)
-    assert score.precision == score.recall == 1
-    assert score.moving == sum(map(len, rows))
-
-
-def test_half_found_and_everything_changed(scene: Scene) -> None:
-    rows = moving_rows(scene)
-    half = dynamic_precision_recall(SPEC, scene, changing(scene, [part[::2] for part in rows]), 1)
-    assert half.precision == 1
-    drawn = half.moving - half.changed  # of the other half, what is drawn
-    assert 0 < drawn <= sum(len(part[1::2]) for part in rows)
-    assert half.recall == half.changed / half.moving
-    all_rows = [np.arange(len(level)) for level in scene.levels]
-    everything = dynamic_precision_recall(SPEC, scene, changing(scene, all_rows), 1)
+def test_half_found_and_everything_dynamic(scene: Scene, cameras: tuple[Camera, ...]) -> None:
+    everything = dynamic_precision_recall(QUICK, scene, np.ones(scene.anchor_count, np.bool_), 1, cameras)
     assert everything.recall == 1
-    assert everything.precision == sum(map(len, rows)) / scene.anchor_count
+    assert everything.dynamic == scene.anchor_count
+    assert 0 < everything.precision < 0.6
+    half = np.arange(scene.anchor_count) % 2 == 0
+    assert 0.1 < dynamic_precision_recall(QUICK, scene, half, 1, cameras).recall < 0.9
 
 
-def test_what_is_not_drawn_need_not_change(scene: Scene) -> None:
-    """Anchors that are dead, or transparent, are no misses."""
+def test_nothing_found_is_precise_and_recalls_nothing(scene: Scene, cameras: tuple[Camera, ...]) -> None:
+    score = dynamic_precision_recall(QUICK, scene, np.zeros(scene.anchor_count, np.bool_), 1, cameras)
+    assert (score.precision, score.recall) == (1, 0)
+
+
+def test_what_is_not_drawn_need_not_be_found(scene: Scene, cameras: tuple[Camera, ...]) -> None:
     buried = replace(scene, levels=tuple(replace(level, alive=~level.alive) for level in scene.levels))
-    nothing = [np.zeros(0, np.int64) for _ in scene.levels]
-    assert dynamic_precision_recall(SPEC, scene, changing(scene, nothing), 1).recall == 0
-    assert dynamic_precision_recall(SPEC, buried, changing(buried, nothing), 1).moving == 0
+    nothing = np.zeros(sum(len(level) for level in scene.levels), np.bool_)
+    assert dynamic_precision_recall(SPEC, buried, nothing, 1, cameras).moving == 0
 
 
-def test_nothing_moves_in_a_still_clip(scene: Scene) -> None:
-    nothing = [np.zeros(0, np.int64) for _ in scene.levels]
-    score = dynamic_precision_recall(replace(SPEC, still=True), scene, changing(scene, nothing), 1)
-    assert (score.changed, score.moving, score.precision, score.recall) == (0, 0, 1, 1)
+def test_nothing_moves_in_a_still_clip(scene: Scene, cameras: tuple[Camera, ...]) -> None:
+    some = np.arange(scene.anchor_count) < 10
+    score = dynamic_precision_recall(replace(SPEC, still=True), scene, some, 1, cameras)
+    assert (score.dynamic, score.right, score.moving, score.found) == (10, 0, 0, 0)
+    assert (score.precision, score.recall) == (0, 1)
+
+
+def test_flags_that_do_not_fit_are_refused(scene: Scene, cameras: tuple[Camera, ...]) -> None:
+    with pytest.raises(ValueError, match="do not fit"):
+        dynamic_precision_recall(SPEC, scene, np.zeros(3, np.bool_), 1, cameras)
 
 
 def test_the_description_of_a_clip_is_read_back(clip: Path, tmp_path: Path) -> None:

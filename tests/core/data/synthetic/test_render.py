@@ -9,7 +9,15 @@ import pytest
 
 from core.arrays import Bool, Float64
 from core.camera import Camera
-from core.data.synthetic import GroundTruth, SyntheticSpec, cameras, is_dynamic, render_frame, render_image
+from core.data.synthetic import (
+    GroundTruth,
+    SyntheticSpec,
+    cameras,
+    is_dynamic,
+    render_frame,
+    render_image,
+    surface_motion,
+)
 from core.data.synthetic import render as inside
 from core.errors import InputError
 from core.initialise.views import pixel_centres, project, unproject
@@ -157,3 +165,17 @@ def test_frames_and_cameras_outside_the_clip_are_refused() -> None:
     for index, camera in ((60, 0), (-1, 0), (0, 5)):
         with pytest.raises(ValueError, match="outside"):
             render_frame(SPEC, index, camera)
+
+
+def test_motion_in_pixels_leads_to_the_same_surface() -> None:
+    """Where a surface was seen, and how far it went, agree with the motion that the next frame's truth tells."""
+    camera = cameras(SPEC)[0]
+    now = render_frame(SPEC, 31, 0)
+    ahead = surface_motion(SPEC, 31, camera)
+    both = now.moving & (ahead > 0)  # most of a mover stays in the picture from one frame to the next
+    assert both.sum() > 0.8 * now.moving.sum()
+    behind = np.linalg.norm(now.motion, axis=2) * camera.intrinsics[0, 0] / now.depth  # in pixels, were it all sideways
+    assert np.median(ahead[both]) == pytest.approx(np.median(behind[both]), rel=0.5)
+    assert (ahead[~now.moving] > 0).mean() < 0.02
+    assert not surface_motion(replace(SPEC, still=True), 31, camera).any()
+    assert not surface_motion(SPEC, 0, camera).any()
