@@ -31,7 +31,7 @@ def one_at_a_time() -> tuple[Point, ...]:
     points = [Point(name, "preset", preset(name)) for name in PRESETS]
     turned = [
         *(_later("epochs", n, replace(base.predict, epochs=n, minimum_steps=4 * n)) for n in (4, 8, 30)),
-        *(_later("rate weight", w, replace(base.predict, rate_weight=w)) for w in (0.0, 0.01, 0.1)),
+        *(_later("rate weight", w, replace(base.predict, rate_weight=w)) for w in (0.0, 0.003, 0.03)),
         *(_later("step", f, _coarser(base.predict, f)) for f in (0.5, 2.0)),
         *(_later("partition every", n, replace(base.predict, partition_interval=n)) for n in (2, 4)),
         *(_model("levels", n, replace(base.model, levels=n, finer_levels=0)) for n in (1, 3, 5)),

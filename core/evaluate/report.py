@@ -46,8 +46,6 @@ def study_report(study: dict[str, Any]) -> str:
     ]
     for split in study["splits"]:
         lines += _split(split)
-    for name, reason in study["left_out"].items():
-        lines += [f"Left out: {name}, because {reason}.", ""]
     return "\n".join([*lines, *_quoted()])
 
 

@@ -18,7 +18,7 @@ from core.evaluate.plots import study_plots
 from core.evaluate.quoted import quoted_json
 from core.evaluate.report import study_report
 from core.evaluate.resume import earlier_report
-from core.evaluate.rows import LEFT_OUT, Row, study_rows
+from core.evaluate.rows import Row, study_rows
 from core.evaluate.scores import Perception, load_perception
 from core.evaluate.sizes import SizeOf
 from core.evaluate.summary import run_figures, spread
@@ -113,7 +113,6 @@ def _empty_study(data: Path, options: StudyOptions) -> dict[str, Any]:
         "seeds": list(range(options.seeds)),
         "preset": options.preset,
         "splits": [],
-        "left_out": {name: why for name, why in LEFT_OUT.items() if {"all", name} & set(options.ablate)},
         "quoted": quoted_json(),
     }
 
