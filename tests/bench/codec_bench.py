@@ -2,45 +2,42 @@
 
 Prints sizes by part, distances to entropy bounds and to general compressors, and speeds. All sizes are of real bytes,
 except the split of CHANGE chunks into set, positions and latents, which is the code length of the items (exact to a
-byte a level).
+byte a level). What a rate costs in quality needs training: `later_frames_bench --set rate_weight=...`.
 """
 
 from __future__ import annotations
 
-import lzma
 import sys
-import time
-import zlib
-from dataclasses import dataclass
+import tempfile
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from codec import change_model, column_model, rans
+from codec import change_model, column_model
 from codec.change import touched
-from codec.compiled import compiled
-from codec.container import SlodReader
+from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.entropy import encode_scales, scale_of
-from codec.packet import PacketKind, peek
-from core.anchors import LATENTS, AnchorLevel, Scene
-from core.arrays import Float64, Int64
-from core.entropy_model import BINS, SCALES
+from codec.packet import PacketInfo, PacketKind, peek
+from core.anchors import AnchorLevel, Scene
+from core.arrays import Float64
+from core.entropy_model import SCALES
 from core.residual import LevelResidual, Residual, difference
+from tests.bench.codec_bounds import columns_bits, item_bits, latents_report
+from tests.bench.codec_timing import javascript_speed, python_speed
 from tests.codec.scenes import make_scene, steps
-
-SYMBOLS_PER_ROW = LATENTS + 3
-LZMA = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0}]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """States of one keyframe's life, and the residuals between them."""
+    """States of one keyframe's life, the residuals between them, and their packets."""
 
     states: list[Scene]
     residuals: list[Residual]
+    packets: list[bytes]
 
 
 def load(path: Path) -> Clip:
@@ -55,12 +52,22 @@ def load(path: Path) -> Clip:
                 states.append(decoder.scene)
             elif decoder.scene is not None:
                 states[-1] = decoder.scene  # a further part of the same frame
-    return Clip(states, [difference(a, b) for a, b in pairwise(states)])
+    return _clip(states)
 
 
 def invent(frames: int = 12) -> Clip:
     """A made-up clip of 40 000 anchors."""
-    return Clip(*steps(make_scene((1800, 6000, 13000, 18000, 21000)), frames))
+    return _clip(steps(make_scene((1800, 6000, 13000, 18000, 21000)), frames)[0])
+
+
+def _clip(states: list[Scene]) -> Clip:
+    residuals = [difference(a, b) for a, b in pairwise(states)]
+    packets = [_predicted(a, r) for a, r in zip(states, residuals, strict=False)]
+    return Clip(states, residuals, packets)
+
+
+def _predicted(before: Scene, residual: Residual, profile: int = 1) -> bytes:
+    return encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=0, profile=profile)
 
 
 def keyframe_report(scene: Scene) -> None:
@@ -70,150 +77,86 @@ def keyframe_report(scene: Scene) -> None:
     print(f"keyframe: {scene.anchor_count} anchors {[len(level) for level in scene.levels]}, {len(packet)} B,", end=" ")
     print(f"{8 * len(packet) / count:.1f} bit/anchor; profile 0: {len(encode_keyframe(scene, time_ns=0, profile=0))} B")
     print("  " + ", ".join(f"{name} {8 * size / count:.1f} bit/anchor" for name, size in info.chunk_bytes.items()))
-    print(f"  levels {info.level_bytes}; levels 0-2: {100 * sum(info.level_bytes[:3]) / len(packet):.0f} %")
+    groups = {name: _column_entropy(scene, name) / count for name in ("feature", "offset", "scaling", "extra_level")}
+    print("  order-0 entropy: " + ", ".join(f"{name} {bits:.1f} bit/anchor" for name, bits in groups.items()))
+    shares = [100 * size / len(packet) for size in info.level_bytes]
+    print(f"  levels {info.level_bytes}; levels 0-2: {sum(shares[:3]):.0f} %, level 0: {shares[0]:.0f} %")
 
 
-def _item_bits(items: Int64) -> float:
-    return float(-np.log2((items & 0xFFFF) / 4096).sum())
+def _column_entropy(scene: Scene, name: str) -> float:
+    bits = 0.0
+    for level in scene.levels:
+        for column in getattr(level, name).reshape(len(level), -1).T if len(level) else ():
+            _, counts = np.unique(column, return_counts=True)
+            bits -= float((counts * np.log2(counts / len(level))).sum())
+    return bits
 
 
 def _split(level: LevelResidual, before: AnchorLevel) -> Float64:
     """Bits of the dynamic set, the positions and the latents of one level."""
-    rows, voxel = len(before), before.voxel.astype(np.int64)
-    items, changed = np.empty(200 + 20 * (rows + 30 * len(level.rows)), np.uint32), np.zeros(rows, np.uint8)
+    items, changed = np.empty(200 + 20 * (len(before) + 30 * len(level.rows)), np.uint32), np.zeros(len(before), "u1")
     changed[level.rows] = 1
     position, latent = level.position.astype(np.int64), level.latent.astype(np.int64)
-    errors = change_model.position_errors(voxel[level.rows], position, np.uint64(1))
+    errors = change_model.position_errors(before.voxel[level.rows].astype(np.int64), position, np.uint64(1))
     errors = min(errors, position, key=lambda values: float(np.log2(1.0 + np.abs(values)).sum()))
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
     ends = [0, change_model.rows_items(changed, touched(before), items, 0)]
     ends.append(change_model.positions_items(errors, scale, items, ends[-1]))
     ends.append(column_model.columns_items(latent, encode_scales(latent)[1], items, ends[-1]))
-    return np.array([_item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
+    return np.array([item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
 
 
 def predicted_report(clip: Clip) -> None:
     """Size of predicted packets, and where it goes."""
-    packets = [
-        encode_residual(a, r, kind=PacketKind.PREDICTED, time_ns=0)
-        for a, r in zip(clip.states, clip.residuals, strict=False)
-    ]
-    plain = [
-        encode_residual(a, r, kind=PacketKind.PREDICTED, time_ns=0, profile=0)
-        for a, r in zip(clip.states, clip.residuals, strict=False)
-    ]
-    sizes = np.array([len(p) for p in packets])
-    dynamic = sum(len(level.rows) for r in clip.residuals for level in r.levels)
+    sizes = np.array([len(packet) for packet in clip.packets])
+    counts = np.array([sum(len(level.rows) for level in r.levels) for r in clip.residuals])
     anchors = np.mean([scene.anchor_count for scene in clip.states])
-    zeros = np.mean(np.concatenate([_latents(r) for r in clip.residuals]) == 0)
+    zeros = np.mean(np.concatenate([level.latent for r in clip.residuals for level in r.levels]) == 0)
     parts = np.zeros(3)
     for state, residual in zip(clip.states, clip.residuals, strict=False):
         for before, level in zip(state.levels, residual.levels, strict=True):
             if len(level.rows):
                 parts += _split(level, before)
-    total = 8.0 * sizes.sum()
+    total, dynamic = 8.0 * sizes.sum(), max(int(counts.sum()), 1)
+    plain = [len(_predicted(a, r, 0)) for a, r in zip(clip.states, clip.residuals, strict=False)]
     print(f"predicted: {len(sizes)} packets, mean {sizes.mean():.0f} B, largest {sizes.max()} B,", end=" ")
-    print(f"{dynamic / len(sizes):.0f} dynamic of {anchors:.0f} anchors, {100 * zeros:.0f} % zero latents")
-    print(f"  {total / max(dynamic, 1):.1f} bit per dynamic anchor:", end=" ")
+    print(f"{counts.mean():.0f} dynamic of {anchors:.0f} anchors, {100 * zeros:.0f} % zero latents")
     names = ("set", "position", "latents")
-    print(", ".join(f"{n} {p / max(dynamic, 1):.1f}" for n, p in zip(names, parts, strict=True)), end=", ")
-    print(
-        f"all else {(total - parts.sum()) / max(dynamic, 1):.1f}; profile 0: {np.mean([len(p) for p in plain]):.0f} B"
-    )
-    by_kind: dict[str, float] = {}
-    for packet in packets:
-        for name, size in peek(packet).chunk_bytes.items():
-            by_kind[name] = by_kind.get(name, 0) + size / len(packets)
-    print("  bytes a packet: " + ", ".join(f"{name} {size:.0f}" for name, size in by_kind.items()))
+    print(f"  {total / dynamic:.1f} bit per dynamic anchor:", end=" ")
+    print(", ".join(f"{n} {p / dynamic:.1f}" for n, p in zip(names, parts, strict=True)), end=", ")
+    print(f"all else {(total - parts.sum()) / dynamic:.1f}; profile 0: {np.mean(plain):.0f} B")
+    _growth_report(sizes.astype(np.float64), counts / anchors)
+    infos = [peek(packet) for packet in clip.packets]
+    outside = np.array([info.size_bytes - sum(info.level_bytes) for info in infos], np.float64)
+    print(f"  header and directory {outside.mean():.0f} B: {100 * outside.mean() / 20_000:.2f} % of a 20 KB packet")
+    print("  bytes a packet: " + ", ".join(f"{name} {size:.0f}" for name, size in _by_kind(infos).items()))
+    state = clip.states[0]
+    still = _predicted(state, difference(state, replace(state, version=state.version + 1)))
+    print(f"  a still frame: {len(still)} B")
 
 
-def _latents(residual: Residual) -> Int64:
-    return np.concatenate([level.latent for level in residual.levels]).astype(np.int64)
+def _growth_report(sizes: Float64, shares: Float64) -> None:
+    """How packets grow with the share of anchors that change."""
+    if len(sizes) < 3 or np.ptp(shares) == 0:
+        return
+    slope, base = np.polyfit(100 * shares, sizes, 1)
+    print(f"  dynamic share {100 * shares.min():.1f} to {100 * shares.max():.1f} %:", end=" ")
+    print(f"about {base:.0f} B and {slope:.0f} B for each per cent of anchors")
 
 
-@compiled
-def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
-    """The bin under which each latent is coded, -1 for uncoded channels."""
-    bins, weight, expected, total = column_model.channel_weights(scale)
-    mean = total
-    for i in range(len(values)):
-        energy, seen, gain = 0, 0, 0
-        for c in range(len(scale)):
-            if column_model.renews(c) and total:
-                gain = column_model.row_gain(mean, total, energy, seen)
-            bins_out[i, c] = max(bins[c] + gain, 0) if scale[c] else -1
-            energy += weight[c] * min(abs(values[i, c]), 65535)
-            seen += expected[c]
-        mean += (energy - mean) >> 3
-
-
-def _entropy(counts: Float64) -> float:
-    """Bits of all symbols at their empirical frequencies, a row a distribution."""
-    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    return float(-(counts * np.log2(np.where(counts > 0, share, 1))).sum())
-
-
-def latents_report(clip: Clip) -> None:
-    """Latents alone: our bits, entropy bounds, general compressors."""
-    ours = general = count = 0.0
-    deflated = packed = 0
-    histogram = np.zeros((LATENTS, 129))
-    by_bin = np.zeros((2, BINS + 1, 129))
-    for frame, residual in enumerate(clip.residuals):
-        for level in residual.levels:
-            latent = np.clip(level.latent.astype(np.int64), -64, 64)
-            if len(latent) == 0:
-                continue
-            side, scale = encode_scales(latent)
-            items = np.empty(200 + 400 * len(latent), np.uint32)
-            ours += _item_bits(items[: column_model.columns_items(latent, scale, items, 0)].astype(np.int64)) + 8 * len(
-                side
-            )
-            bins = np.empty_like(latent)
-            _context_bins(latent, scale, bins)
-            np.add.at(by_bin[frame % 2], (np.minimum(bins, BINS - 1), latent + 64), 1)
-            for channel in range(LATENTS):
-                histogram[channel] += np.bincount(latent[:, channel] + 64, minlength=129)
-            count += latent.size
-            bytes_ = latent.astype(np.int8).T.tobytes()
-            deflated += len(zlib.compress(bytes_, 9))
-            packed += min(
-                len(lzma.compress(bytes_, lzma.FORMAT_RAW, filters=[{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0}])),
-                10**9,
-            )
-            general += len(_zstd(bytes_))
-    held_out = 0.0
-    for train, test in ((0, 1), (1, 0)):
-        smooth = by_bin[train] + 0.02 * by_bin[train].sum(axis=0) / max(count, 1) + 1e-3
-        held_out += float(-(by_bin[test] * np.log2(smooth / smooth.sum(axis=1, keepdims=True))).sum())
-    rows = (
-        ("ours, side fields included", ours),
-        ("order-0 a channel, no side information", _entropy(histogram)),
-        ("tables learned on other frames, same contexts", held_out + 0.0),
-        ("zstd -19, a level and frame", 8.0 * general),
-        ("lzma -9e", 8.0 * packed),
-        ("deflate -9", 8.0 * deflated),
-    )
-    print(f"latents: {count / len(clip.residuals):.0f} symbols a frame")
-    for name, bits in rows:
-        print(f"  {bits / max(count, 1):.4f} bit/symbol, {100 * (bits / ours - 1):+6.1f} %  {name}")
-
-
-def _zstd(data: bytes) -> bytes:
-    try:
-        import zstandard  # type: ignore[import-not-found, unused-ignore]
-    except ImportError:
-        return data
-    return bytes(zstandard.ZstdCompressor(level=19).compress(data))
+def _by_kind(infos: list[PacketInfo]) -> dict[str, float]:
+    sizes: dict[str, float] = {}
+    for info in infos:
+        for name, size in info.chunk_bytes.items():
+            sizes[name] = sizes.get(name, 0) + size / len(infos)
+    return sizes
 
 
 def reach_report(clip: Clip) -> None:
     """Skip and catch-up packets against the chain that they replace."""
-    sizes = [0]
-    for a, r in zip(clip.states, clip.residuals, strict=False):
-        sizes.append(sizes[-1] + len(encode_residual(a, r, kind=PacketKind.PREDICTED, time_ns=0)))
+    sizes = np.cumsum([0] + [len(packet) for packet in clip.packets])
     first = clip.states[0].version
-    for reach in (2, 4, 8, 16, 29):
+    for reach in (2, 4, 8, 16, len(clip.states) - 1):
         if reach < len(clip.states):
             a, b = clip.states[-1 - reach], clip.states[-1]
             kind = PacketKind.CATCH_UP if a.version == first else PacketKind.SKIP
@@ -223,62 +166,27 @@ def reach_report(clip: Clip) -> None:
 
 
 def joint_report(clip: Clip) -> None:
-    """What independent levels cost against one level that holds everything, latents and positions."""
+    """What independent levels cost against one level that holds everything, in latents."""
     apart = joint = 0.0
-    for state, residual in zip(clip.states, clip.residuals, strict=False):
-        every = [
-            (before.voxel, level)
-            for before, level in zip(state.levels, residual.levels, strict=True)
-            if len(level.rows)
-        ]
-        if not every:
-            continue
-        latents = [level.latent.astype(np.int64) for _, level in every]
-        apart += sum(_columns_bits(latent) + 16 for latent in latents)
-        joint += _columns_bits(np.concatenate(latents)) + 64
+    for residual in clip.residuals:
+        latents = [level.latent.astype(np.int64) for level in residual.levels if len(level.rows)]
+        if latents:
+            apart += sum(columns_bits(latent) + 16 for latent in latents)
+            joint += columns_bits(np.concatenate(latents)) + 64
     print(f"levels coded apart: latents {100 * (apart / max(joint, 1) - 1):+.1f} % against joint coding")
 
 
-def _columns_bits(values: Int64) -> float:
-    side, scale = encode_scales(values)
-    items = np.empty(200 + 20 * values.size, np.uint32)
-    return _item_bits(items[: column_model.columns_items(values, scale, items, 0)].astype(np.int64)) + 8 * len(side)
-
-
-def speed_report(clip: Clip) -> None:
-    """Milliseconds and symbols a second, medians over the clip; the first pass compiles."""
+def container_report(clip: Clip) -> None:
+    """What a file adds to its packets."""
     key = encode_keyframe(clip.states[0], time_ns=0)
-    for _ in range(2):
-        encoding, decoding, symbols = list[float](), list[float](), list[int]()
-        decoder = SceneDecoder()
-        decoder.push(key)
-        for a, r in zip(clip.states, clip.residuals, strict=False):
-            begin = time.perf_counter()
-            packet = encode_residual(a, r, kind=PacketKind.PREDICTED, time_ns=0)
-            middle = time.perf_counter()
-            decoder.push(packet)
-            encoding.append(middle - begin)
-            decoding.append(time.perf_counter() - middle)
-            symbols.append(SYMBOLS_PER_ROW * sum(len(level.rows) for level in r.levels))
-    count = float(np.median(symbols))
-    for name, times in (("encode_residual", encoding), ("SceneDecoder.push", decoding)):
-        seconds = float(np.median(times))
-        print(
-            f"{name}: {1e3 * seconds:.2f} ms a frame, {count / seconds / 1e6:.1f} Msymbol/s with everything around it"
-        )
-    values = np.concatenate([_latents(r) for r in clip.residuals])
-    _, scale = encode_scales(values)
-    items, words, found = np.empty(200 + 8 * values.size, np.uint32), np.empty(0, np.uint16), np.zeros_like(values)
-    for _ in range(2):
-        begin = time.perf_counter()
-        n = column_model.columns_items(values, scale, items, 0)
-        words = np.empty(n + 8, np.uint16)
-        first = rans.rans_encode(items, n, 4, words)
-        middle = time.perf_counter()
-        column_model.decode_columns(words[first:], 4, found, scale)
-        end = time.perf_counter()
-    print(f"entropy coder alone: encode {values.size / (middle - begin) / 1e6:.0f}, ", end="")
-    print(f"decode {values.size / (end - middle) / 1e6:.0f} Msymbol/s")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "clip.slod"
+        with SlodWriter(path) as writer:
+            for packet in (key, *clip.packets):
+                writer.append(packet)
+        more = path.stat().st_size - len(key) - sum(map(len, clip.packets))
+        print(f"file: {more / (1 + len(clip.packets)):.0f} B a packet beside the packet itself")
+        javascript_speed(path)
 
 
 def main() -> None:
@@ -286,10 +194,11 @@ def main() -> None:
     clip = load(Path(sys.argv[1])) if len(sys.argv) > 1 else invent()
     keyframe_report(clip.states[0])
     predicted_report(clip)
-    latents_report(clip)
+    latents_report(clip.residuals)
     joint_report(clip)
     reach_report(clip)
-    speed_report(clip)
+    python_speed(clip.states, clip.residuals)
+    container_report(clip)
 
 
 if __name__ == "__main__":

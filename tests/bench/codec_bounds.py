@@ -1,0 +1,127 @@
+"""How far the coder of latents is from bounds, and from general compressors; part of `codec_bench`."""
+
+from __future__ import annotations
+
+import lzma
+import zlib
+
+import numpy as np
+
+from codec import column_model, rans
+from codec.compiled import compiled
+from codec.entropy import encode_scales
+from core.anchors import LATENTS
+from core.arrays import Float64, Int64
+from core.entropy_model import BINS
+from core.residual import Residual
+
+_LZMA = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0}]
+_CLIP = 64  # magnitudes beyond are counted as this one
+
+
+def item_bits(items: Int64) -> float:
+    """Code length of a list of items."""
+    return float(-np.log2((items & 0xFFFF) / 4096).sum())
+
+
+def columns_bits(values: Int64) -> float:
+    """Bits of rows of integers, side fields included."""
+    side, scale = encode_scales(values)
+    items = np.empty(200 + 20 * values.size, np.uint32)
+    return item_bits(items[: column_model.columns_items(values, scale, items, 0)].astype(np.int64)) + 8 * len(side)
+
+
+def latents_report(residuals: list[Residual]) -> None:
+    """Latents alone: our bits, entropy bounds, general compressors."""
+    ours = count = 0.0
+    general = {"zstd -19, a level and frame": 0, "lzma -9e": 0, "deflate -9": 0}
+    histogram = np.zeros((LATENTS, 2 * _CLIP + 1))
+    by_bin = np.zeros((2, BINS + 1, 2 * _CLIP + 1))
+    by_context = np.zeros((2, _CONTEXTS, 2 * _CLIP + 1))
+    for frame, residual in enumerate(residuals):
+        for level in residual.levels:
+            latent = np.clip(level.latent.astype(np.int64), -_CLIP, _CLIP)
+            if len(latent) == 0:
+                continue
+            ours += columns_bits(latent)
+            bins = np.empty_like(latent)
+            _context_bins(latent, encode_scales(latent)[1], bins)
+            np.add.at(by_bin[frame % 2], (np.minimum(bins, BINS - 1), latent + _CLIP), 1)
+            np.add.at(
+                by_context[frame % 2], (_rich_contexts(latent, level.position.astype(np.int64)), latent + _CLIP), 1
+            )
+            np.add.at(histogram, (np.broadcast_to(np.arange(LATENTS), latent.shape), latent + _CLIP), 1)
+            count += latent.size
+            columns = latent.astype(np.int8).T.tobytes()
+            general["deflate -9"] += len(zlib.compress(columns, 9))
+            general["lzma -9e"] += len(lzma.compress(columns, lzma.FORMAT_RAW, filters=_LZMA))
+            general["zstd -19, a level and frame"] += len(_zstd(columns))
+    rows = {
+        "ours, side fields included": ours,
+        "best bound: richer contexts, tables learned on other frames": _held_out(by_context),
+        "our contexts, tables learned on other frames": _held_out(by_bin),
+        "order-0 a channel, no side information": _entropy(histogram),
+        **{name: 8.0 * size for name, size in general.items()},
+    }
+    print(f"latents: {count / len(residuals):.0f} symbols a frame")
+    for name, bits in rows.items():
+        print(f"  {bits / max(count, 1):.4f} bit/symbol, {100 * (bits / ours - 1):+6.1f} %  {name}")
+
+
+@compiled
+def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
+    """The bin under which each latent is coded, -1 for uncoded channels."""
+    bins, weight, expected, total = column_model.channel_weights(scale)
+    mean = total
+    for i in range(len(values)):
+        energy, seen, gain = 0, 0, 0
+        for c in range(len(scale)):
+            if column_model.renews(c) and total:
+                gain = column_model.row_gain(mean, total, energy, seen)
+            bins_out[i, c] = min(max(bins[c] + gain, 0), rans.TOP_BIN) if scale[c] else -1
+            energy += weight[c] * min(abs(values[i, c]), 65535)
+            seen += expected[c]
+        mean += (energy - mean) >> 3
+
+
+_CONTEXTS = 7 * 8 * 3 * 2
+
+
+def _rich_contexts(latent: Int64, position: Int64) -> Int64:
+    """[n,C] a context of the row so far, the rows before, the anchor's motion, and which half the channel is of."""
+    size = np.minimum(np.abs(latent), 6)
+    so_far = np.cumsum(size, axis=1) - size
+    sofar_class = np.minimum(4 * so_far // (np.arange(LATENTS) + 1), 6)
+    total = size.sum(axis=1)
+    before = np.zeros(len(latent))
+    mean = float(total.mean())
+    for row, value in enumerate(total):
+        before[row], mean = mean, mean + (float(value) - mean) / 8
+    before_class = np.minimum((2 * np.log2(1 + before)).astype(np.int64), 7)
+    motion = np.minimum(np.ceil(np.log2(1 + np.abs(position).sum(axis=1))).astype(np.int64), 2)
+    half = np.arange(LATENTS) // (LATENTS // 2)
+    return np.asarray(((sofar_class * 8 + before_class[:, None]) * 3 + motion[:, None]) * 2 + half, np.int64)
+
+
+def _held_out(counts: Float64) -> float:
+    """Bits of each half of the frames ([2,contexts,symbols]) under tables learned on the other half."""
+    bits = 0.0
+    for train, test in ((0, 1), (1, 0)):
+        prior = counts[train].sum(axis=0) + 1e-3
+        learned = counts[train] + 2 * prior / prior.sum()
+        bits -= float((counts[test] * np.log2(learned / learned.sum(axis=1, keepdims=True))).sum())
+    return bits
+
+
+def _entropy(counts: Float64) -> float:
+    """Bits of all symbols at their empirical frequencies, a row a distribution."""
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    return float(-(counts * np.log2(np.where(counts > 0, share, 1))).sum())
+
+
+def _zstd(data: bytes) -> bytes:
+    try:
+        import zstandard
+    except ImportError:
+        return data
+    return bytes(zstandard.ZstdCompressor(level=19).compress(data))
