@@ -7,6 +7,8 @@ interpolated linearly (codec notes, section 5).
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 
@@ -47,5 +49,6 @@ def _bins(size: Tensor) -> Tensor:
     return (UNIT_BIN + 4 * expected.clamp_min(1e-3).log2()).round().clamp(0, BINS - 1).long()
 
 
+@functools.lru_cache(maxsize=4)
 def _table(device: torch.device) -> Tensor:
     return torch.from_numpy(magnitude_bits(_HIGHEST)).to(device)
