@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from websockets.exceptions import ConnectionClosed, WebSocketException
@@ -102,6 +103,8 @@ class _Node:
             self._told = reason
             _LOG.warning("camera %s: no connection (%s); trying again", self.camera.name, reason)
         self.pushed.dropped += 1 if self._line is None else self._line.waiting
+        if self._line is not None:
+            self._line.close()
         self._line, self._retry_at = None, time.monotonic() + self._delay
         self._delay = min(2 * self._delay, _LONGEST_DELAY)
 
@@ -111,13 +114,16 @@ class _Line:
 
     def __init__(self, url: str, token: str | None) -> None:
         headers = {"Authorization": f"Bearer {token}"} if token else None
-        self._connection: ClientConnection = connect(
-            url,
-            subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)],
-            additional_headers=headers,
-            compression=None,
-            open_timeout=5,
-            close_timeout=1,
+        self._open = ExitStack()
+        self._connection: ClientConnection = self._open.enter_context(
+            connect(
+                url,
+                subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)],
+                additional_headers=headers,
+                compression=None,
+                open_timeout=5,
+                close_timeout=1,
+            )
         )
         self.waiting, self._answered = 0, False
         self._told = ""
@@ -127,11 +133,12 @@ class _Line:
         data = pack_push(message)
         if len(data) > MAX_MESSAGE_BYTES:
             raise InputError(f"camera {message.camera}", f"has pictures of more than {MAX_MESSAGE_BYTES >> 20} MiB")
+        self.waiting += 1
         self._take_answers(pushed, 0)
-        if self.waiting >= _ON_THEIR_WAY:
+        if self.waiting > _ON_THEIR_WAY:
+            self.waiting -= 1
             pushed.dropped += 1
         else:
-            self.waiting += 1
             self._connection.send(data)
         return self._answered
 
@@ -139,7 +146,11 @@ class _Line:
         """Wait for the last answers and hang up."""
         while self.waiting:
             self._take_answers(pushed, _ANSWER_SECONDS)
-        self._connection.close()
+        self.close()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._open.close()
 
     def _take_answers(self, pushed: Pushed, seconds: float) -> None:
         """Take the answers that are there, waiting so long for the first one."""
