@@ -61,10 +61,7 @@ export function menuItem(label, note, checked, act) {
   const item = document.createElement("button");
   item.append(label);
   if (note) item.append(Object.assign(document.createElement("small"), { textContent: note }));
-  if (checked !== null) {
-    item.setAttribute("role", "menuitemradio");
-    item.setAttribute("aria-checked", String(checked));
-  }
+  if (checked !== null) item.setAttribute("aria-pressed", String(checked));
   item.addEventListener("click", act);
   return item;
 }

@@ -1,0 +1,106 @@
+"""The page for everyone: axe-core's rules in each state and theme, the keyboard alone, reduced motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
+from tests.client.web.test_browser import WAIT, clip, page, shows
+
+__all__ = ["clip", "page"]
+
+pytestmark = pytest.mark.browser
+
+AXE = Path(__file__).parent / "node_modules" / "axe-core" / "axe.min.js"
+RULES = """async () => {
+  const { violations } = await axe.run();
+  return violations.flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.target} ${node.failureSummary}`));
+}"""
+
+NEXT_FRAME = "new Promise((resolve) => requestAnimationFrame(() => resolve(streamlod.state.camera)))"
+
+
+def complaints(page: Any) -> list[str]:
+    """What axe-core finds on the page as it is now."""
+    return list(page.evaluate(RULES))
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_follows_the_rules_of_accessibility(page: Any, clip: Clip, theme: str) -> None:
+    """WCAG rules that a machine can check, with every panel open once."""
+    if not AXE.exists():
+        pytest.skip("axe-core is not installed: npm install --prefix tests/client/web")
+    page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+    page.add_init_script(path=AXE)
+    page.set_viewport_size({"width": 900, "height": 600})
+    behaviour = Behaviour(newest=6, streams=("main", "stage left"))
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 6")
+        found = {"live": complaints(page)}
+        page.click("#b-stats")
+        found["statistics"] = complaints(page)
+        for name in ("cameras", "quality"):
+            page.click(f"#b-{name}")
+            found[name] = complaints(page)
+            page.keyboard.press("Escape")
+        for name, opener in (("help", "#b-help"), ("streams", "#stream-name")):
+            page.click(opener)
+            page.locator(f"dialog#{name}[open]").wait_for(**WAIT)
+            found[name] = complaints(page)
+            page.keyboard.press("Escape")
+    for state in (
+        Behaviour(state="starting", progress=(0.4, "step 400 of 1000")),
+        Behaviour(close=(4404, "no stream")),
+    ):
+        with serving(create_app(clip, state)) as url:
+            page.goto(f"{url}/?quality=high")
+            page.locator("#card-title", has_text="No such stream" if state.close else "Training").wait_for(**WAIT)
+            found[state.state + str(state.close)] = complaints(page)
+    assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+def test_keyboard_reaches_everything(page: Any, clip: Clip) -> None:
+    """Tab visits every control there is; menus open, move and close by keys and give the focus back."""
+    page.set_viewport_size({"width": 900, "height": 600})
+    with serving(create_app(clip, Behaviour(newest=6, streams=("main", "stage left")))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 6")
+        wanted = page.evaluate(
+            "[...document.querySelectorAll('button, input, canvas')].filter((e) => e.checkVisibility()).map((e) => e.id)"
+        )
+        seen = set()
+        for _ in range(len(wanted) + 2):
+            page.keyboard.press("Tab")
+            seen.add(page.evaluate("document.activeElement.id"))
+        assert set(wanted) <= seen
+        page.keyboard.press("c")
+        assert page.evaluate("document.activeElement.closest('#camera-menu') !== null")
+        first = page.evaluate("document.activeElement.textContent")
+        page.keyboard.press("ArrowDown")
+        assert page.evaluate("document.activeElement.textContent") != first
+        page.keyboard.press("Escape")
+        assert page.evaluate("document.activeElement.id") == "b-cameras"
+        page.focus("#t-play")
+        page.keyboard.press("Space")
+        shows(page, "s.phase === 'paused'")
+
+
+def test_reduced_motion_is_honoured(page: Any, clip: Clip) -> None:
+    """Views change at once, nothing pulses, letting go stops the orbit."""
+    with serving(create_app(clip, Behaviour(newest=6))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 6")
+        assert page.evaluate("document.getAnimations().length") == 0
+        page.keyboard.press("1")
+        at_once = page.evaluate(NEXT_FRAME)
+        page.mouse.move(160, 120)
+        page.mouse.down()
+        page.mouse.move(220, 120, steps=3)
+        page.mouse.up()
+        after = page.evaluate("streamlod.state.camera")
+        page.wait_for_timeout(300)
+        assert page.evaluate("streamlod.state.camera") == after != at_once
