@@ -20,6 +20,7 @@ RULES = """async () => {
   return violations.flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.target} ${node.failureSummary}`));
 }"""
 
+CONTROLS = "[...document.querySelectorAll('button, input, canvas')].filter((e) => e.checkVisibility()).map((e) => e.id)"
 NEXT_FRAME = "new Promise((resolve) => requestAnimationFrame(() => resolve(streamlod.state.camera)))"
 
 
@@ -69,9 +70,7 @@ def test_keyboard_reaches_everything(page: Any, clip: Clip) -> None:
     with serving(create_app(clip, Behaviour(newest=6, streams=("main", "stage left")))) as url:
         page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 6")
-        wanted = page.evaluate(
-            "[...document.querySelectorAll('button, input, canvas')].filter((e) => e.checkVisibility()).map((e) => e.id)"
-        )
+        wanted = page.evaluate(CONTROLS)
         seen = set()
         for _ in range(len(wanted) + 2):
             page.keyboard.press("Tab")

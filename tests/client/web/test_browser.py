@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import base64
+import contextlib
+import functools
 import io
+import shutil
+import threading
 from collections.abc import Iterator
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +22,7 @@ from core.anchors import Scene
 from core.camera import Camera
 from core.expand import expand
 from core.render import cpu
+from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import Behaviour, Clip, create_app, free_port, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_modules import assert_same_splats
@@ -154,6 +160,7 @@ def test_reconnects_after_the_server_restarts(page: Any, clip: Clip) -> None:
     assert page.locator("#card").is_hidden()
     with serving(create_app(clip, Behaviour(newest=9, fps=60)), port):
         shows(page, "s.version === 9 && s.phase === 'live'")
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[9].levels]
     page.complaints.forgive("WebSocket connection to")
 
 
@@ -173,6 +180,49 @@ def test_recording_plays_without_a_server(page: Any, clip: Clip, tmp_path: Path)
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[10].levels]
         page.evaluate("streamlod.loop(true); streamlod.play()")
         shows(page, "s.version < 10 && s.phase === 'behind'")
+
+
+def test_recording_from_a_server_that_knows_no_ranges(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """The page and a file in one folder of the simplest server there is; speed and loop are offered."""
+    shutil.copytree(WEB, tmp_path / "site")
+    with SlodWriter(tmp_path / "site" / "clip.slod") as writer:
+        writer.append(clip.key())
+        for version in range(1, 30):
+            writer.append(clip.residual(version - 1, version))
+    with simple_server(tmp_path / "site") as url:
+        page.goto(f"{url}/?src=clip.slod&quality=high")
+        shows(page, "s.version === 29 && s.phase === 'ended'")
+        page.evaluate("streamlod.seek(17)")
+        shows(page, "s.version === 17 && s.phase === 'paused'")
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[17].levels]
+        assert not page.locator("#t-live").is_visible()
+        page.set_viewport_size({"width": 800, "height": 400})
+        page.click("#t-speed")
+        assert page.locator("#t-speed").inner_text() == "2\u00d7"
+        page.click("#t-loop")
+        page.evaluate(
+            "window.shown = []; streamlod.on('picture', ({ version }) => shown.push(version)); streamlod.play()"
+        )
+        page.wait_for_function("shown.findIndex((v, i) => i && v < shown[i - 1]) > 0", **WAIT)
+
+
+@contextlib.contextmanager
+def simple_server(folder: Path) -> Iterator[str]:
+    """Files by http.server, which answers a request for a range with the whole file."""
+    handler = functools.partial(QuietHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    """Without lines on the terminal."""
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
 
 
 def test_orbit_keys_and_focus(page: Any, clip: Clip) -> None:
@@ -294,3 +344,8 @@ def test_real_server_live_seek_restart(page: Any, clip: Clip, tmp_path: Path) ->
         shows(page, "s.version > 26")
         page.keyboard.press("End")
         shows(page, "s.version === 39 && s.mode === 'live'")
+        page.goto(f"{server.url}/?quality=high&src=/v1/streams/main/bitstream")
+        shows(page, "s.version === 39 && s.phase === 'ended'")
+        page.evaluate("streamlod.seek(21)")
+        shows(page, "s.version === 21 && s.phase === 'paused'")
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[21].levels]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +20,16 @@ pytestmark = [pytest.mark.slow, pytest.mark.browser, pytest.mark.timeout(900)]
 ORBIT_SECONDS = int(os.environ.get("STREAMLOD_ORBIT_SECONDS", "30"))
 
 
+def resident_bytes() -> int:
+    """Memory of all processes that draw pages or decode for them: their workers' too. 0 where /proc is missing."""
+    total = 0
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if b"--type=renderer" in (folder / "cmdline").read_bytes():
+                total += int((folder / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return total
+
+
 def test_orbiting_while_frames_arrive(page: Any) -> None:
     """A 5k-splat stream in a loop under a turning camera."""
     page.add_init_script(COUNT_OBJECTS)
@@ -28,15 +40,17 @@ def test_orbiting_while_frames_arrive(page: Any) -> None:
         page.evaluate("streamlod.loop(true)")
         page.evaluate("window.pictures = 0; streamlod.on('picture', () => pictures++); 0")
         session = page.context.new_cdp_session(page)
-        heaps, objects = [], []
+        heaps, objects, processes = [], [], []
         page.keyboard.down("ArrowLeft")
         for _ in range(6):
             page.wait_for_timeout(ORBIT_SECONDS * 1000 / 6)
             session.send("HeapProfiler.collectGarbage")
             heaps.append(session.send("Runtime.getHeapUsage")["usedSize"])
             objects.append(page.evaluate("({ ...objects })"))
+            processes.append(resident_bytes())
         page.keyboard.up("ArrowLeft")
         assert page.evaluate("pictures") > ORBIT_SECONDS
     assert all(count == objects[0] for count in objects)
     assert heaps[-1] < heaps[1] + 1_000_000
+    assert processes[-1] < processes[1] + 40_000_000, processes
     page.complaints.forgive("WebSocket connection to")
