@@ -66,7 +66,11 @@ class FrameBudget:
 
     def allows(self, stage: str, *later: str) -> bool:
         """Whether `stage` can be afforded with the stages `later` still to come; one never tried can."""
-        return self._costs.get(stage, 0.0) <= self.left(*later)
+        known = self._costs.get(stage, 0.0)
+        if known <= self.left(*later):
+            return True
+        self._costs[stage] = (1 - _FORGET) * known  # so that it is tried again one day
+        return False
 
     def pace(self, steps: int, *later: str) -> Pace:
         """A pace that ends after `steps`, or where the next step might run into what `later` needs."""

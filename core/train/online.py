@@ -48,6 +48,7 @@ class Quanta:
         removed: [n] bool, those that have become transparent.
         added: new anchors by level, or None for none.
         steps, loss, repaired: figures of the training.
+        complete: whether all that was planned was trained, and nothing held back.
     """
 
     latent: Int32
@@ -57,6 +58,7 @@ class Quanta:
     steps: int = 0
     loss: float = 0.0
     repaired: int = 0
+    complete: bool = True
 
 
 def no_quanta(anchors: int) -> Quanta:
@@ -111,7 +113,8 @@ class ResidualTrainer:
         Args:
             pace_of: makes the pace of a number of steps.
         """
-        pace = pace_of(max(config.epochs * len(self._useful), config.minimum_steps))
+        total = max(config.epochs * len(self._useful), config.minimum_steps)
+        pace = pace_of(total)
         views = self._prepare(pace, backend)
         if not views:
             return no_quanta(self._known)
@@ -122,7 +125,8 @@ class ResidualTrainer:
                 grown = True
                 self._grow(config)
         loss = float(torch.stack(losses[-len(views) :]).mean()) if losses else 0.0
-        return self._quanta(len(losses), loss)
+        quanta = self._quanta(len(losses), loss)
+        return replace(quanta, complete=len(losses) == total and len(self._stages) == len(self._useful))
 
     def _prepare(self, pace: Pace, backend: Backend) -> list[int]:
         """Plan the cameras' pictures, as far as time allows; those that show an anchor to train."""
@@ -243,6 +247,7 @@ def strongest_changes(quanta: Quanta, most: int) -> Quanta:
         quanta,
         latent=np.where(kept[:, None], quanta.latent, 0).astype(np.int32),
         position=np.where(kept[:, None], quanta.position, 0).astype(np.int32),
+        complete=False,
     )
 
 

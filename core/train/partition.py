@@ -81,57 +81,63 @@ def partition(
         everything = np.asarray(alive.cpu().numpy())
         return Parts(everything, everything)
     posterior, repaint = config.posterior, config.repaint_posterior
+    rows = torch.nonzero(alive)[:, 0]
     if config.cue != "difference":
-        scores = error_scores(field, alive, views, backend)
+        scores = error_scores(field, rows, views, backend)
         dynamic = dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS)
         return Parts(dynamic, dynamic)
-    changed = change_scores(field, alive, references, views, masks, backend)
+    scores = change_scores(field, rows, rows[:0], references, views, masks, backend)
+    changed = dynamic_anchors(scores, previous.trained, repaint, repaint * _HYSTERESIS)
+    if not changed.any():
+        return no_parts(len(field))
     moved = torch.zeros_like(masks)
     for number in views.usable:
         if masks[number].any():
             pictures = references[number].cpu().numpy(), views.targets[number].cpu().numpy()
             moved[number] = torch.from_numpy(moved_pixels(*pictures, config.noise_floor)).to(masks.device)
     moved &= masks
-    scores = change_scores(field, alive, references, views, moved, backend)
-    scores = scores * shown_shares(field, alive, views, moved, backend)
-    dynamic = dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS)
-    repainted = dynamic_anchors(changed, previous.trained, repaint, repaint * _HYSTERESIS)
-    return Parts(dynamic, dynamic | repainted)
+    chosen = torch.from_numpy(changed).to(rows.device)
+    rows, others = torch.nonzero(chosen)[:, 0], torch.nonzero(alive & ~chosen)[:, 0]
+    scores = change_scores(field, rows, others, references, views, moved, backend)
+    scores = scores * shown_shares(field, rows, others, views, moved, backend)
+    return Parts(dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS), changed)
 
 
-def error_scores(field: Field, alive: Tensor, views: Views, backend: Backend) -> Float64:
+def error_scores(field: Field, rows: Tensor, views: Views, backend: Backend) -> Float64:
     """[N] mean norm of the view-space gradient of MSE(I_t), over an anchor's visible Gaussians and the views that see
-    it: the cue of the paper, on the keyframe's state (`canonical`) or the latest (`previous`)."""
-    average = _Average(field)
+    it, 0 but for `rows`: the cue of the paper, on the keyframe's state (`canonical`) or the latest (`previous`)."""
+    average = _Average(field, rows, rows[:0])
     for number in views.usable:
-        average.add(number, alive, views, None, None, backend)
+        average.add(number, views, None, None, backend)
     return average.mean()
 
 
 def change_scores(
-    field: Field, alive: Tensor, references: Tensor, views: Views, masks: Tensor, backend: Backend
+    field: Field, rows: Tensor, others: Tensor, references: Tensor, views: Views, masks: Tensor, backend: Backend
 ) -> Float64:
-    """As `error_scores`, of MSE(I_t) - MSE(I_ref) over the pixels of `masks` [C,H,W].
+    """As `error_scores`, of MSE(I_t) - MSE(I_ref) over the pixels of `masks` [C,H,W]; `others` are only drawn.
 
     The difference cancels the static error and is linear in the render (QUEEN).
     """
-    average = _Average(field)
+    average = _Average(field, rows, others)
     for number in views.usable:
         if masks[number].any():
-            average.add(number, alive, views, references[number], masks[number], backend)
+            average.add(number, views, references[number], masks[number], backend)
     return average.mean()
 
 
-def shown_shares(field: Field, alive: Tensor, views: Views, masks: Tensor, backend: Backend) -> Float64:
-    """[N] share of what an anchor shows that lies on `masks` [C,H,W], over the views in which any pixel does."""
-    rows = torch.nonzero(alive)[:, 0]
+def shown_shares(field: Field, rows: Tensor, others: Tensor, views: Views, masks: Tensor, backend: Backend) -> Float64:
+    """[N] share of what an anchor shows that lies on `masks` [C,H,W], over the views in which any pixel does.
+
+    0 but for `rows`; `others` are only drawn.
+    """
     inside, total = torch.zeros(len(rows), device=rows.device), torch.zeros(len(rows), device=rows.device)
     for number in views.usable:
         mask = masks[number]
         if not mask.any():
             continue
         maps = torch.stack([torch.ones_like(mask), mask], dim=2).float()
-        sums = coverage(field, rows, views.cameras[number], maps, backend, tiles_of(mask, room=1))
+        sums = coverage(field, rows, others, views.cameras[number], maps, backend, tiles_of(mask, room=1))
         total += sums[:, 0]
         inside += sums[:, 1]
     shares = np.zeros(len(field))
@@ -154,16 +160,13 @@ def tiles_of(mask: Tensor, room: int = 0) -> Tensor:
 class _Average:
     """View-space gradient norms of the anchors, averaged over Gaussians and views."""
 
-    def __init__(self, field: Field) -> None:
-        self._field = field
+    def __init__(self, field: Field, rows: Tensor, others: Tensor) -> None:
+        self._field, self._rows, self._wanted = field, torch.cat([rows, others]), len(rows)
         self._total, self._views_seen = np.zeros(len(field)), np.zeros(len(field))
 
-    def add(
-        self, number: int, alive: Tensor, views: Views, base: Tensor | None, mask: Tensor | None, backend: Backend
-    ) -> None:
+    def add(self, number: int, views: Views, base: Tensor | None, mask: Tensor | None, backend: Backend) -> None:
         """One view. `base` [H,W,3] stands in for the render in the error's derivative; `mask` [H,W] limits it."""
-        field, camera = self._field, views.cameras[number]
-        rows = torch.nonzero(alive)[:, 0]
+        field, rows, camera = self._field, self._rows, views.cameras[number]
         with torch.no_grad():
             splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
         raster = rasterise(
@@ -171,6 +174,7 @@ class _Average:
             *splats.astuple()[1:],
             camera=camera,
             background=torch.zeros(3, device=rows.device),
+            gradient_rows=self._wanted * field.slots,
             tile_mask=None if mask is None else tiles_of(mask),
             backend=backend,
         )

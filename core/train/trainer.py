@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +45,7 @@ class Trainer:
         rig: cameras offered to viewers as places to stand; the training cameras by default.
         frame_budget_ms: wall time for each later frame, None for as long as it takes. `sent` tells what encoding took.
         target_kbps: kilobits a second that predicted packets may take, None for any; needs `sent` after every frame.
+        clock: seconds that the budget goes by.
 
     Raises:
         ValueError: a budget or a rate that is not positive.
@@ -57,6 +60,7 @@ class Trainer:
         rig: tuple[Camera, ...] | None = None,
         frame_budget_ms: float | None = None,
         target_kbps: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._cameras, self._config, self._fps = cameras, config, fps
         self._backend = select(device)
@@ -64,7 +68,7 @@ class Trainer:
         self._device = "cuda" if self._backend == "cuda" else "cpu"
         self._exposure = neutral(len(cameras), self._device)
         self._refit_exposure = False
-        self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms)
+        self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
         self._state: State | None = None
 
@@ -150,7 +154,7 @@ class Trainer:
             assert shown is not None
             masks = change_masks(references, views, config.noise_floor)
         with watch.stage("partition"):
-            parts = self._parts(state, frames, views, masks, config)
+            parts, renewed = self._parts(state, frames, views, masks, config)
         rows = torch.from_numpy(np.flatnonzero(parts.trained)).to(self._device)
         quanta, trainer = no_quanta(0), None
         if len(rows):
@@ -172,7 +176,10 @@ class Trainer:
                     shown = trainer.show(after.field, rows[alive[rows]])
                 else:  # anchors were added, and rows are numbered anew
                     shown = rendered(after.field, alive, views, self._backend)
-            references = torch.where(masks[..., None], views.targets, references)
+            if renewed:
+                # what had no time or no bytes is compared with what is shown, so that it counts as changed again
+                reached = views.targets if quanta.complete else self._as_filmed(shown, references)
+                references = torch.where(masks[..., None], reached, references)
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
             self._state = replace(after, references=references, shown=shown)
@@ -215,15 +222,18 @@ class Trainer:
     def _pace(self, steps: int) -> Pace:
         return StepPace(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
 
-    def _parts(self, state: State, frames: FrameSet, views: Views, masks: Tensor, config: PredictConfig) -> Parts:
-        """What to train: partitioned anew where that is due and there is time, as in the frame before otherwise."""
-        alive, known = state.alive, state.parts.among(state.alive.cpu().numpy())
+    def _parts(
+        self, state: State, frames: FrameSet, views: Views, masks: Tensor, config: PredictConfig
+    ) -> tuple[Parts, bool]:
+        """What to train, and whether that was found anew: where it is due and there is time; as before otherwise."""
+        alive = state.alive
+        known = state.parts.among(alive.cpu().numpy())
         late = self._budget is not None and not self._budget.allows("partition", *_AFTER_TRAINING)
         if late or (frames.index % config.partition_interval and known.trained.any()):
-            return known
+            return known, False
         field = state.canonical if config.cue == "canonical" else state.field
         assert state.references is not None
-        return partition(field, alive, state.references, views, masks, known, config, self._backend)
+        return partition(field, alive, state.references, views, masks, known, config, self._backend), True
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()
@@ -241,7 +251,7 @@ class Trainer:
         self._state = fresh_state(scene, self._device, references)
 
     def _with_pictures(self, state: State, views: Views) -> tuple[State, list[int]]:
-        """The state with references and shown pictures for every usable camera; and who had no references.
+        """The state with references for every usable camera, and the numbers of those that had none.
 
         A camera has none after a resume, and when it joins late; what the state shows it now must do.
         """
@@ -249,19 +259,23 @@ class Trainer:
         references = nothing if state.references is None else state.references
         shown = nothing if state.shown is None else state.shown
         unknown = [number for number in views.usable if bool(references[number, 0, 0, 0].isnan())]
-        missing = [number for number in views.usable if bool(shown[number, 0, 0, 0].isnan())]
-        if missing:
-            pictures = rendered(state.field, state.alive, replace(views, usable=missing), self._backend)
-            shown = shown.clone()
-            shown[missing] = pictures[missing]
         if unknown:
-            references = references.clone()
+            pictures = rendered(state.field, state.alive, replace(views, usable=unknown), self._backend)
+            shown, references = shown.clone(), references.clone()
+            shown[unknown] = pictures[unknown]
             if self._config.model.exposure and self._refit_exposure:
-                self._exposure = fitted(shown, views.targets, views.usable)
+                self._exposure = fitted(shown, views.targets, unknown)
                 self._refit_exposure = False
-            for number in unknown:
-                references[number] = self._exposure.apply(shown[number], number).clamp(0, 1)
+            references = torch.where(references.isnan(), self._as_filmed(shown, references), references)
         return replace(state, references=references, shown=shown), unknown
+
+    def _as_filmed(self, shown: Tensor, otherwise: Tensor) -> Tensor:
+        """[C,H,W,3] pictures `shown` with the cameras' exposures; those of `otherwise` for cameras without one."""
+        pictures = otherwise.clone()
+        for number in range(len(shown)):
+            if not shown[number, 0, 0, 0].isnan():
+                pictures[number] = self._exposure.apply(shown[number], number).clamp(0, 1)
+        return pictures
 
     def _require(self) -> State:
         if self._state is None:
