@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from core.errors import InputError
+from server.keys import TokenKeys
+from server.links import LinkSigner
 from server.settings import Settings
 
 _MOST_ADDRESSES = 10_000
@@ -55,12 +57,17 @@ class Gate:
 
     Args:
         settings: name the files; `reload` reads them again.
+
+    Attributes:
+        links: signs addresses of downloads.
+        refused: wrong tokens so far.
     """
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._grants: dict[str, Grant] = {}
-        self._jwt_key: str | None = None
+        self._keys = TokenKeys(settings)
+        self.links = LinkSigner(settings.link_key)
         self._refusals: OrderedDict[str, deque[float]] = OrderedDict()
         self.refused = 0
         self.reload()
@@ -68,7 +75,7 @@ class Gate:
     @property
     def is_open(self) -> bool:
         """Whether nobody needs a token."""
-        return self._settings.tokens is None and self._settings.jwt_key is None
+        return not self._settings.has_tokens
 
     def reload(self) -> None:
         """Read the token and key files.
@@ -77,15 +84,15 @@ class Gate:
             InputError: a file cannot be used; the earlier tokens stay.
         """
         grants = {} if self._settings.tokens is None else read_tokens(self._settings.tokens)
-        key = None
-        if self._settings.jwt_key is not None:
-            try:
-                key = self._settings.jwt_key.read_text(encoding="utf-8").strip()
-            except (OSError, UnicodeDecodeError) as error:
-                raise InputError(self._settings.jwt_key, f"cannot be read ({error})") from error
-            if len(key) < 32:
-                raise InputError(self._settings.jwt_key, "a key needs at least 32 characters")
-        self._grants, self._jwt_key = grants, key
+        self._keys.reload()
+        self.links.reload()
+        self._grants = grants
+
+    async def admit(self, token: str | None) -> Grant | None:
+        """`grant_of`, after keys that the token needs have been fetched."""
+        if token and len(token) <= _LONGEST_TOKEN and token.count(".") == 2:
+            await self._keys.refresh(token)
+        return self.grant_of(token)
 
     def grant_of(self, token: str | None) -> Grant | None:
         """What `token` allows, or None if it is not known."""
@@ -97,8 +104,8 @@ class Gate:
         for known, grant in self._grants.items():  # all of them, so that time tells nothing
             if hmac.compare_digest(known, offered):
                 found = grant
-        if found is None and self._jwt_key is not None and token.count(".") == 2:
-            return _grant_of_jwt(token, self._jwt_key)
+        if found is None and token.count(".") == 2:
+            return _grant_of_claims(self._keys.claims(token))
         return found
 
     def note_refusal(self, address: str) -> None:
@@ -143,16 +150,12 @@ def _read_entry(path: Path, number: int, entry: Any) -> tuple[str, Grant]:
     return digest.lower(), Grant(rights, streams)
 
 
-def _grant_of_jwt(token: str, key: str) -> Grant | None:
-    """The grant in claim ``lod``: {"rights": [...], "streams": "*"}; expiry is required."""
-    import jwt
-
-    algorithm = "EdDSA" if key.startswith("-----BEGIN") else "HS256"
+def _grant_of_claims(claims: dict[str, Any] | None) -> Grant | None:
+    """The grant in claim ``lod``: {"rights": [...], "streams": "*"}."""
+    if claims is None:
+        return None
     try:
-        claims = jwt.decode(
-            token, key, algorithms=[algorithm], leeway=30, audience="streamlod", options={"require": ["exp", "aud"]}
-        )
         claim = claims["lod"]
         return Grant(frozenset(Right(right) for right in claim["rights"]), str(claim.get("streams", "*")))
-    except (jwt.PyJWTError, KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError):
         return None

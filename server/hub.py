@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -21,6 +21,7 @@ from core.residual import difference
 from server.packets import PacketWindow, StreamPacket, binary_frame
 
 _STATE_BYTES = 16_000_000  # decoded states kept, to begin skip packets from
+_FRAMES_SECONDS = 2.0  # after which a viewer that lags gets a residual rather than old packets one by one
 _RESIDUALS = 32  # encoded on demand and kept
 
 
@@ -50,6 +51,7 @@ class Hub:
         self._state_bytes = 0
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
         self._parts: tuple[int, list[bytes]] | None = None
+        self._framed: deque[StreamPacket] = deque()
         self.listeners: set[Callable[[], None]] = set()
 
     @property
@@ -80,6 +82,9 @@ class Hub:
         assert scene is not None
         packet = replace(packet, arrived=time.monotonic())
         self.window.append(packet)
+        self._framed.append(packet)
+        while packet.arrived - self._framed[0].arrived > _FRAMES_SECONDS:
+            self._framed.popleft().forget_frames()
         state = _State(packet, scene)
         if packet.is_key:
             self._key = state

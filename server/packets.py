@@ -62,6 +62,10 @@ class StreamPacket:
             self._framed[levels] = binary_frame(self.restricted(levels))
         return self._framed[levels]
 
+    def forget_frames(self) -> None:
+        """Let go of what viewers shared; it is made again if one asks."""
+        self._framed.clear()
+
     def without_frames(self) -> StreamPacket:
         """The same packet for keeping: what viewers share stays with the original."""
         return replace(self, _framed={})

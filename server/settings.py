@@ -88,6 +88,11 @@ class Settings(BaseModel):
     )
     tokens: Path | None = Field(default=None, description="token file; without one everybody may do everything")
     jwt_key: Path | None = Field(default=None, description="file with the HS256 secret or the Ed25519 public key (PEM)")
+    jwks: str | None = Field(default=None, description="JSON web key set: a file, or an https address that is fetched")
+    link_key: Path | None = Field(
+        default=None,
+        description="file with the secret that signs download links; without one they end with the process",
+    )
     insecure: bool = Field(default=False, description="allow a public address without tokens")
     origins: tuple[str, ...] = Field(
         default=(), description="origins of web pages that may connect besides the server's own"
@@ -101,6 +106,11 @@ class Settings(BaseModel):
     limits: Limits = Field(default_factory=Limits)
     retention: Retention = Field(default_factory=Retention)
     worker: WorkerSettings = Field(default_factory=WorkerSettings)
+
+    @property
+    def has_tokens(self) -> bool:
+        """Whether anything needs a token."""
+        return not (self.tokens is None and self.jwt_key is None and self.jwks is None)
 
     @property
     def is_public(self) -> bool:
@@ -118,7 +128,7 @@ class Settings(BaseModel):
         Raises:
             InputError: a public address without tokens, or half a certificate.
         """
-        if self.is_public and not (self.tokens or self.jwt_key or self.insecure):
+        if self.is_public and not (self.has_tokens or self.insecure):
             raise InputError(
                 f"--host {self.host}",
                 "other machines could control this server; give it --tokens FILE, or --insecure if that is meant",

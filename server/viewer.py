@@ -128,7 +128,7 @@ class ViewerSession:
         newest = self._hub.newest
         if self._up_to_date and newest is not None and self._live == newest.number - 1:
             frame = newest.framed(self._levels.levels)
-            if not self._over_flight() and self._transport.offer(frame):
+            if not self._is_flight_full() and self._transport.offer(frame):
                 self._last, self._live = newest, newest.number
                 self._account(frame)
                 return
@@ -336,7 +336,7 @@ class ViewerSession:
         return self._clock + packet.info.time_ns / 1e9
 
     def _too_much_in_flight(self, now: float) -> bool:
-        self._full = self._over_flight()
+        self._full = self._is_flight_full()
         if not self._full:
             return False
         if self._acked_at is not None and now - self._acked_at > self._limits.stuck_seconds:
@@ -344,7 +344,7 @@ class ViewerSession:
         self._held_seconds += _TICK_SECONDS
         return True
 
-    def _over_flight(self) -> bool:
+    def _is_flight_full(self) -> bool:
         """Whether more is unacknowledged than a viewer may leave so; one that never acknowledges is not asked."""
         if self._acked_at is None or self._sent - self._acked <= self._limits.flight_bytes:
             return False

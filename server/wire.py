@@ -85,9 +85,11 @@ class Connection:
                 async with asyncio.timeout(min(1.0, stuck_seconds)):
                     await self._protocol.writable.wait()
             except TimeoutError:
-                if self.unsent_bytes != left:
-                    left, since = self.unsent_bytes, loop.time()
-                elif loop.time() - since >= stuck_seconds:
+                now_left = self.unsent_bytes
+                if now_left < left:
+                    since = loop.time()
+                left = now_left  # a keep-alive ping may have added to it: no progress
+                if loop.time() - since >= stuck_seconds:
                     raise
 
     async def write(self, frame: bytes, stuck_seconds: float) -> None:

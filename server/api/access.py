@@ -72,11 +72,15 @@ async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: 
     address = address_of(connection)
     if gate.is_blocked(address):
         return Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
-    grant = gate.grant_of(token_of(connection))
+    grant = await gate.admit(token_of(connection))
     if grant is not None and grant.allows(right, stream):
         return None
     if grant is not None:
         return Problem(403, f"the token does not give the right to {right.value} here")
+    return await _refuse(gate, address, begin)
+
+
+async def _refuse(gate: Gate, address: str, begin: float) -> Problem:
     gate.note_refusal(address)
     await asyncio.sleep(max(0.0, _REFUSAL_SECONDS - (time.monotonic() - begin)))
     return Problem(401, "a token is needed, and this is none", {"WWW-Authenticate": "Bearer"})
@@ -94,6 +98,25 @@ def need(right: Right) -> Any:
 
     async def check(request: Request) -> None:
         problem = await refusal(registry_of(request).gate, request, right, request.path_params.get("stream_id"))
+        if problem is not None:
+            raise problem
+
+    return Depends(check)
+
+
+def need_download() -> Any:
+    """A dependency that lets a download pass with the right to read, or an address that was signed."""
+
+    async def check(request: Request) -> None:
+        gate, begin = registry_of(request).gate, time.monotonic()
+        if "signature" not in request.query_params:
+            problem = await refusal(gate, request, Right.READ, request.path_params.get("stream_id"))
+        elif gate.is_blocked(address_of(request)):
+            problem = Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
+        elif gate.links.allows(request.url.path, request.query_params):
+            problem = None
+        else:
+            problem = await _refuse(gate, address_of(request), begin)
         if problem is not None:
             raise problem
 

@@ -9,9 +9,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from server.api.access import Problem, StreamOf, need
+from server.api.access import Problem, StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
-from server.auth import Right
 from server.packets import Position, StreamPacket
 from server.splice import size_of, splice
 from server.stream import Stream
@@ -30,7 +29,7 @@ _ANSWERS: dict[int | str, dict[str, object]] = {
 Epoch = Annotated[int, Path(ge=0, le=_BOUND, description="encoder run", examples=[1])]
 Version = Annotated[int, Path(ge=0, le=_BOUND, description="frame number", examples=[0])]
 
-router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need(Right.READ)])
+router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
 
 
 @router.head("/packets/{epoch}/{version}", include_in_schema=False)

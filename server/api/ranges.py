@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
-from server.api.access import Problem
+from server.api.access import Problem, registry_of
 from server.splice import FilePart, Piece, size_of
 
 _CHUNK_BYTES = 1 << 20
@@ -50,11 +50,11 @@ def respond(request: Request, download: Download) -> Response:
         Problem: 416, the range lies outside.
     """
     size, etag = download.size, f'"{download.etag}"'
-    scope = "private" if "authorization" in request.headers else "public"
+    anybody = registry_of(request).gate.is_open or "signature" in request.query_params
     headers = {
         "ETag": etag,
         "Accept-Ranges": "bytes",
-        "Cache-Control": f"{scope}, {download.caching}",
+        "Cache-Control": f"{'public' if anybody else 'private'}, {download.caching}",
         "Content-Disposition": f'attachment; filename="{download.name}"',
     }
     offered = request.headers.get("if-none-match")

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from server.links import LONGEST_SECONDS
 from server.spec import StreamSpec, spec_from_json
 
 _STREAM_EXAMPLE: dict[str, Any] = {
@@ -120,6 +121,29 @@ class NewStream(BaseModel):
     def spec(self) -> StreamSpec:
         """What the stream is made from; InputError if it cannot be made."""
         return spec_from_json(self.model_dump(exclude={"start"}, exclude_none=True))
+
+
+class NewLink(BaseModel):
+    """A download to make an address for."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"path": "bitstream", "seconds": 3600}]})
+
+    path: str = Field(
+        default="",
+        pattern=r"^(bitstream|(gops|packets)/[0-9]{1,10}/[0-9]{1,10})?$",
+        description="download below the stream; all of them without",
+    )
+    seconds: int = Field(default=3600, ge=1, le=LONGEST_SECONDS, description="how long the address is good")
+
+
+class Link(BaseModel):
+    """An address that needs no token."""
+
+    url: str = Field(
+        description="with its signature", examples=["/v1/streams/main/bitstream?expires=...&signature=..."]
+    )
+    query: str = Field(description="the signature alone, for any path that it covers")
+    expires_at: datetime
 
 
 class ProblemBody(BaseModel):

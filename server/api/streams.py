@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +12,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from core.errors import InputError
 from server.api.access import Problem, StreamOf, need, refusal, registry_of
-from server.api.schemas import Manifest, NewStream, ProblemBody, StreamBody, StreamList
+from server.api.schemas import Link, Manifest, NewLink, NewStream, ProblemBody, StreamBody, StreamList
 from server.auth import Right
 from server.packets import Position
 from server.stream import Stream
@@ -85,6 +87,18 @@ async def stop_stream(stream: StreamOf) -> StreamBody:
     """Stop the worker; viewers stay and the past stays."""
     await stream.stop()
     return StreamBody.model_validate(stream.describe())
+
+
+@router.post(
+    "/{stream_id}/links", status_code=201, summary="Sign an address of a download", dependencies=[need(Right.READ)]
+)
+async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link:
+    """An address with which anybody may fetch a download, or all of the stream's, until it expires."""
+    scope = f"/v1/streams/{stream.spec.id}/{body.path}"
+    expires = int(time.time()) + body.seconds
+    query = registry_of(request).gate.links.sign(scope, expires)
+    url = f"{scope}{'' if body.path else 'bitstream'}?{query}"
+    return Link(url=url, query=query, expires_at=datetime.fromtimestamp(expires, UTC))
 
 
 @router.get("/{stream_id}/manifest", summary="Window and groups of pictures", dependencies=[need(Right.READ)])

@@ -15,7 +15,7 @@ from core.residual import difference
 from tests.codec.scenes import make_scene, move
 
 _STEP_NS = 100_000_000
-_KEY_EVERY = 50
+_KEY_EVERY = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Run:
 
 
 def make_packets(count: int, size_bytes: int) -> list[bytes]:
-    """`count` packets of about `size_bytes`, a (small) keyframe every 50."""
+    """`count` packets of about `size_bytes`, a (small) keyframe every 10."""
     filling = make_chunk(0, FIRST_EXTENSION, os.urandom(size_bytes))
     first = make_scene((5, 20, 40))
     scene, packets = first, []

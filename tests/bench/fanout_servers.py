@@ -118,8 +118,11 @@ async def _serve_hub(pipe: Connection, packets: list[bytes]) -> None:
         newest = stream.counters.sent_bytes + len(data) * stream.viewers
         await stream.on_message(Tag.PACKET, data)
 
-    feed = _Feed(publish, lambda: stream.counters.sent_bytes < newest, lambda: stream.counters.sent_bytes,
-                 lambda: stream.counters.stuck)  # fmt: skip
+    def busy() -> bool:
+        unsent = any(peer.transport.get_write_buffer_size() for peer in server.server_state.connections)  # type: ignore[union-attr]
+        return unsent or stream.counters.sent_bytes < newest
+
+    feed = _Feed(publish, busy, lambda: stream.counters.sent_bytes, lambda: stream.counters.stuck)
     await asyncio.sleep(0.2)
     gc.freeze()
     pipe.send(listener.getsockname()[1])

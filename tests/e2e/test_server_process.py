@@ -39,7 +39,7 @@ def serving(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], int]]:
     try:
         assert process.stderr is not None
         for line in process.stderr:
-            if found := re.search(r"http://127\.0\.0\.1:(\d+)", line):
+            if found := re.search(r"https?://127\.0\.0\.1:(\d+)", line):
                 yield process, int(found.group(1))
                 break
         else:

@@ -1,0 +1,214 @@
+"""Keys that JSON web tokens are checked with: a file, and a key set (RFC 7517) from a file or an address.
+
+The key decides the algorithm, never the token: a token's header only says which key it claims.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+import urllib.request
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import jwt
+
+from core.errors import InputError
+from server.settings import Settings
+
+_LOG = logging.getLogger(__name__)
+_AUDIENCE = "streamlod"
+_LEEWAY_SECONDS = 30
+_LONGEST_SET = 65536  # bytes
+_MOST_KEYS = 32
+_FETCH_SECONDS = 5.0
+_FRESH_SECONDS = 600.0  # a set is fetched again after that
+_PAUSE_SECONDS = 30.0  # between two attempts, however many tokens ask for unknown keys
+_SHORTEST_SECRET = 32
+_SMALLEST_RSA = 2048
+_ALGORITHMS: dict[tuple[Any, Any], str] = {
+    ("OKP", "Ed25519"): "EdDSA",
+    ("EC", "P-256"): "ES256",
+    ("RSA", None): "RS256",
+    ("oct", None): "HS256",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Key:
+    """One key, its id if it has one, and the only algorithm that it is used for."""
+
+    id: str | None
+    algorithm: str
+    value: Any
+
+
+class TokenKeys:
+    """All keys of the settings.
+
+    Args:
+        settings: name the files and the address; `reload` reads the files again.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._own: tuple[Key, ...] = ()  # of files
+        self._fetched: tuple[Key, ...] = ()
+        self._fetched_at = self._tried_at = -float("inf")
+        self._fetching = asyncio.Lock()
+
+    def reload(self) -> None:
+        """Read the files, and forget when the set was fetched.
+
+        Raises:
+            InputError: a file or the address cannot be used; the earlier keys stay.
+        """
+        own: list[Key] = []
+        if self._settings.jwt_key is not None:
+            own.append(_key_of_file(self._settings.jwt_key))
+        place = self._settings.jwks
+        if place is not None and is_address(place):
+            check_address(place)
+        elif place is not None:
+            own += parse_keys(place, _read(Path(place)))
+        self._own = tuple(own)
+        self._fetched_at = self._tried_at = -float("inf")
+
+    async def refresh(self, token: str) -> None:
+        """Fetch the set from its address where it is too old, or lacks the key that `token` claims."""
+        address = self._settings.jwks
+        if address is None or not is_address(address) or (claimed := _claimed_id(token)) is None:
+            return
+        async with self._fetching:
+            now = time.monotonic()
+            known = any(key.id == claimed for key in self._fetched)
+            if now - self._tried_at < _PAUSE_SECONDS or (known and now - self._fetched_at < _FRESH_SECONDS):
+                return
+            self._tried_at = now
+            try:
+                self._fetched = parse_keys(address, await asyncio.to_thread(_fetch, address))
+                self._fetched_at = now
+            except (InputError, OSError, ValueError) as error:
+                _LOG.warning("key set %s: not fetched, the earlier keys stay: %s", address, error)
+
+    def claims(self, token: str) -> dict[str, Any] | None:
+        """The claims of a token that a key here has signed and that is valid now, or None."""
+        claimed = _claimed_id(token)
+        for key in (*self._own, *self._fetched):
+            if key.id is not None and key.id != claimed:
+                continue
+            try:
+                claims: dict[str, Any] = jwt.decode(
+                    token, key.value, algorithms=[key.algorithm], leeway=_LEEWAY_SECONDS, audience=_AUDIENCE,
+                    options={"require": ["exp", "aud"]},
+                )  # fmt: skip
+            except (jwt.PyJWTError, ValueError, TypeError):
+                continue
+            return claims
+        return None
+
+
+def is_address(place: str) -> bool:
+    """Whether a setting names an address rather than a file."""
+    return place.startswith(("https://", "http://"))
+
+
+def check_address(address: str) -> None:
+    """Refuse a key set that others on the way could replace.
+
+    Raises:
+        InputError: neither https nor on this machine.
+    """
+    parts = urlsplit(address)
+    if parts.scheme != "https" and parts.hostname not in {"127.0.0.1", "localhost", "::1"}:
+        raise InputError("jwks", f"{address!r:.200} must be an https address, or a file")
+
+
+def parse_keys(subject: object, text: bytes) -> tuple[Key, ...]:
+    """The usable keys of a JSON web key set; those of other kinds or uses are left out.
+
+    Raises:
+        InputError: it is no key set, too large, or has no key that can be used.
+    """
+    try:
+        if len(text) > _LONGEST_SET:
+            raise ValueError(f"more than {_LONGEST_SET} bytes")
+        entries = json.loads(text)["keys"]
+        if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
+            raise ValueError(f"keys must be a list of at most {_MOST_KEYS}")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError(subject, f"is no JSON web key set ({error})") from error
+    keys = tuple(key for entry in entries if (key := _parse_key(entry)) is not None)
+    if not keys:
+        raise InputError(subject, "has no Ed25519, P-256, RSA or secret key that tokens can be checked with")
+    return keys
+
+
+def _parse_key(entry: Any) -> Key | None:
+    if not isinstance(entry, dict) or entry.get("use", "sig") != "sig":
+        return None
+    kind, curve, name = entry.get("kty"), entry.get("crv"), entry.get("kid")
+    if not all(isinstance(field, str | None) for field in (kind, curve, name)):
+        return None
+    algorithm = _ALGORITHMS.get((kind, curve))
+    if algorithm is None or entry.get("alg", algorithm) != algorithm:
+        return None
+    try:
+        value = jwt.PyJWK(entry, algorithm).key
+    except (jwt.PyJWTError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+    weak = (algorithm == "HS256" and len(value) < _SHORTEST_SECRET) or (
+        algorithm == "RS256" and value.key_size < _SMALLEST_RSA
+    )
+    return None if weak else Key(name, algorithm, value)
+
+
+def _key_of_file(path: Path) -> Key:
+    """A PEM public key, or else a secret."""
+    try:
+        text = _read(path).decode().strip()
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"cannot be read ({error})") from error
+    if len(text) < _SHORTEST_SECRET:
+        raise InputError(path, f"a key needs at least {_SHORTEST_SECRET} characters")
+    if not text.startswith("-----BEGIN"):
+        return Key(None, "HS256", text)
+    try:
+        return Key(None, "EdDSA", jwt.get_algorithm_by_name("EdDSA").prepare_key(text))
+    except (jwt.PyJWTError, ValueError, TypeError) as error:
+        raise InputError(path, f"is no Ed25519 key ({error})") from error
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(_LONGEST_SET + 1)
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error})") from error
+
+
+def _claimed_id(token: str) -> str | None:
+    """The key id of a token's header, "" if it names none; None if this is no JSON web token."""
+    try:
+        name = jwt.get_unverified_header(token).get("kid", "")
+    except (jwt.PyJWTError, ValueError, TypeError, RecursionError):
+        return None
+    return name if isinstance(name, str) else None
+
+
+class _Stay(urllib.request.HTTPRedirectHandler):
+    """Follows no redirection, which could lead to an unprotected place."""
+
+    def redirect_request(self, *_: Any) -> None:
+        return None
+
+
+def _fetch(address: str) -> bytes:
+    request = urllib.request.Request(address, headers={"Accept": "application/json"})
+    with urllib.request.build_opener(_Stay).open(request, timeout=_FETCH_SECONDS) as answer:
+        body: bytes = answer.read(_LONGEST_SET + 1)
+        return body

@@ -1,0 +1,65 @@
+"""Signed addresses of downloads: whoever has one may fetch that path, and nothing else, until it expires.
+
+The signature covers the path, or a folder above it, and the time; so a cache in front can check and share it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import re
+import secrets
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from urllib.parse import urlencode
+
+from core.errors import InputError
+
+LONGEST_SECONDS = 7 * 24 * 3600
+_SHORTEST_KEY = 32
+_DIGITS = re.compile(r"[0-9]{1,12}")
+
+
+class LinkSigner:
+    """Signs and checks.
+
+    Args:
+        path: file with a secret; without one links end with the process.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._key = secrets.token_bytes(32)
+
+    def reload(self) -> None:
+        """Read the secret again.
+
+        Raises:
+            InputError: the file cannot be used; the earlier secret stays.
+        """
+        if self._path is None:
+            return
+        try:
+            key = self._path.read_bytes().strip()
+        except OSError as error:
+            raise InputError(self._path, f"cannot be read ({error})") from error
+        if len(key) < _SHORTEST_KEY:
+            raise InputError(self._path, f"a key needs at least {_SHORTEST_KEY} characters")
+        self._key = key
+
+    def sign(self, scope: str, expires: int) -> str:
+        """The query that opens `scope`, a path or one ending in ``/`` for all below, until Unix time `expires`."""
+        fields = {"expires": str(expires), "signature": self._signature(scope, str(expires))}
+        return urlencode({**fields, "scope": scope} if scope.endswith("/") else fields)
+
+    def allows(self, path: str, query: Mapping[str, str]) -> bool:
+        """Whether `query` holds a signature that covers `path` now."""
+        expires, scope = query.get("expires", ""), query.get("scope", path)
+        covered = scope == path or (scope.endswith("/") and path.startswith(scope))
+        expected = self._signature(scope, expires)
+        genuine = hmac.compare_digest(expected.encode(), query.get("signature", "").encode())
+        return genuine and covered and _DIGITS.fullmatch(expires) is not None and time.time() < int(expires)
+
+    def _signature(self, scope: str, expires: str) -> str:
+        return hmac.new(self._key, f"{expires}\n{scope}".encode(), hashlib.sha256).hexdigest()
