@@ -27,6 +27,8 @@ export class Connection {
     this.adrift = false; // after a jump or a pause: packets that do not fit belong to where we were
     /** @type {number | null} version at which to pause */
     this.stopAt = null;
+    /** @type {number | null} version that a seek is on the way to */
+    this.aim = null;
     /** @type {WebSocket | null} */
     this.socket = null;
     this.retry = 0;
@@ -38,6 +40,7 @@ export class Connection {
     const { mode, position } = this.session.status;
     this.adrift = true;
     this.frozen = false;
+    this.aim = null;
     this.stopAt = mode === "paused" && position ? position.version : null;
     const socket = new WebSocket(this.url, this.protocols);
     socket.binaryType = "arraybuffer";
@@ -77,6 +80,7 @@ export class Connection {
     if (this.session.status.phase === "version") this.close();
     if (!told) return;
     if (told.clamped && this.stopAt !== null) this.stopAt = told.version;
+    if (told.clamped && this.aim !== null) this.aim = told.version;
     if (told.mode !== "live") this.handlers.hold(null);
     this.#stop();
   }
@@ -92,6 +96,7 @@ export class Connection {
   /** Pause where that was asked for. */
   #stop() {
     const { mode, position } = this.session.status;
+    if (position?.version === this.aim) this.aim = null;
     if (this.stopAt === null || !position) return;
     if (position.version !== this.stopAt && !(mode === "live" && position.version > this.stopAt)) return;
     this.stopAt = null;
@@ -132,7 +137,12 @@ export class Connection {
       if (message.type === "seek" || message.type === "play") {
         this.frozen = false;
         this.adrift = true;
-        this.stopAt = stop ? message.to.version : null;
+        this.aim = message.to?.version ?? null;
+        this.stopAt = stop ? this.aim : null;
+      }
+      if (message.type === "pause" && this.aim !== null) {
+        this.stopAt = this.aim; // where the seek leads
+        continue;
       }
       if (message.type === "pause") this.frozen = true;
       if (message.type === "seek") this.handlers.hold(message.to === "live" ? (this.session.status.window?.newest.version ?? null) : message.to.version);

@@ -238,7 +238,8 @@ async function start(viewer) {
   const pose = fromText(options.get("camera"));
   if (pose) viewer.steer(pose);
   element("stage").toggleAttribute("data-thin", viewer.thin);
-  if (viewer.software) toast("Drawn in software: turn on hardware acceleration for a smooth picture", 6000);
+  const slow = () => toast("Drawn in software: turn on hardware acceleration for a smooth picture", 6000);
+  if (viewer.software) viewer.addEventListener("picture", slow, { once: true });
 
   const token = options.get("token");
   const wishes = quality.wishes();

@@ -124,6 +124,6 @@ export class Quality {
   explain() {
     const share = Math.round(100 * this.viewer.resolution), shown = Math.min(this.asked ?? this.total, this.total);
     const levels = this.total ? `, ${shown} of ${this.total} levels` : "";
-    return `Drawn at ${share} % of the screen's resolution${levels}.`;
+    return `Drawn at ${share} % of the screen's resolution${share < 100 ? " while it moves" : ""}${levels}.`;
   }
 }

@@ -124,6 +124,10 @@ def test_seek_pause_step_and_the_way_back(page: Any, clip: Clip) -> None:
             shows(page, f"s.version === {target} && s.phase === 'paused'")
             digests = page.evaluate(INSPECT)["digests"]
             assert digests == [level.digest() for level in clip.states[target].levels]
+        page.evaluate("streamlod.play()")
+        shows(page, "s.version > 5")
+        page.evaluate("streamlod.seek(5); streamlod.pause()")
+        shows(page, "s.version === 5 && s.phase === 'paused'")
         page.keyboard.press(".")
         shows(page, "s.version === 6 && s.phase === 'paused'")
         page.keyboard.press(",")
