@@ -68,10 +68,10 @@ def test_rtsp_cameras_are_trained_through_their_faults_and_the_workers_death(fil
     with (
         serving("--live", rig, "--state-dir", tmp_path / "state") as (server, port),
         live(port) as connection,
-        sending(clips[0], rtsp(ports[0])),
-        sending(clips[1], rtsp(ports[1])) as (stalling,),
-        sending(clips[2], rtsp(ports[2])) as (dying,),
-        sending(clips[3], rtsp(ports[3]), before={0: ("-itsoffset", "0.05")}),
+        sending(clips[0], rtsp(ports[0]), again=True),
+        sending(clips[1], rtsp(ports[1]), again=True) as (stalling,),
+        sending(clips[2], rtsp(ports[2]), again=True) as (dying,),
+        sending(clips[3], rtsp(ports[3]), before={0: ("-itsoffset", "0.05")}, again=True),
     ):
         viewer = Viewer(connection).hello()
         filmed = wait(port, is_live, 300)
@@ -90,7 +90,7 @@ def test_rtsp_cameras_are_trained_through_their_faults_and_the_workers_death(fil
 
         dying.kill()
         assert "cam02" in wait(port, lambda stream: stream["state"] == "degraded")["detail"]
-        with sending(clips[2], rtsp(ports[2])):
+        with sending(clips[2], rtsp(ports[2]), again=True):
             found = wait(port, is_live)
             assert found["ingest"]["cameras"]["cam02"]["connections"] == 2
             assert (

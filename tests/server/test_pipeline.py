@@ -20,12 +20,12 @@ from core.anchors import Scene
 from core.data.synthetic import SyntheticSpec
 from core.errors import InputError, ModelError
 from core.frames import FrameSet
-from core.train import TrainedFrame, Trainer, preset
-from core.train import config as train_config
+from core.train import TrainedFrame, Trainer
 from server.job import TrainJob
 from server.pipeline import EncodedFrame, open_job, train_clip, train_stream
 from server.trace import Span
 from server.worker import Resume, Sender, Tag, train
+from tests.server.brief import brief_training
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
 JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")
@@ -33,18 +33,7 @@ JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")
 
 @pytest.fixture(autouse=True, scope="module")
 def short_runs() -> Iterator[None]:
-    """A first frame of 60 steps: these tests are about what flows, not about quality."""
-
-    def brief(name: str) -> train_config.TrainConfig:
-        config = preset(name)
-        return replace(
-            config,
-            keyframe=replace(config.keyframe, steps=60, growth_interval=20),
-            predict=replace(config.predict, epochs=2, minimum_steps=8),
-        )
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("server.pipeline.preset", brief)
+    with brief_training():
         yield
 
 

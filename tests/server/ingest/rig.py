@@ -8,6 +8,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -80,11 +81,20 @@ def write_definition(folder: Path, sources: list[str], policy: object = "require
 
 
 class Sender:
-    """One fake camera: an ffmpeg process that plays a clip in real time."""
+    """One fake camera: an ffmpeg process that plays a clip in real time.
 
-    def __init__(self, clip: Path, *output: str, before: tuple[str, ...] = ()) -> None:
-        command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-re", *before, "-i", str(clip), "-c", "copy", *output]
-        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    Args:
+        again: begin anew when the other end hangs up or is not there yet, as cameras do.
+    """
+
+    def __init__(self, clip: Path, *output: str, before: tuple[str, ...] = (), again: bool = False) -> None:
+        self._command = [
+            *("ffmpeg", "-nostdin", "-loglevel", "error", "-re", *before, "-i", str(clip), "-c", "copy", *output)
+        ]
+        self._dead = threading.Event()
+        self._process = self._spawn()
+        if again:
+            threading.Thread(target=self._respawn, daemon=True).start()
 
     def pause(self) -> None:
         """Stop it, as a camera hangs."""
@@ -96,16 +106,29 @@ class Sender:
 
     def kill(self) -> None:
         """End it, as a camera loses power."""
+        self._dead.set()
+        self._process.kill()
+        self._process.wait()
+
+    def _spawn(self) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(self._command, stderr=subprocess.DEVNULL)
+
+    def _respawn(self) -> None:
+        while not self._dead.wait(0.5):
+            if self._process.poll() is not None:
+                self._process = self._spawn()
         self._process.kill()
         self._process.wait()
 
 
 @contextmanager
 def sending(
-    clip: Path, *outputs: tuple[str, ...], before: Mapping[int, tuple[str, ...]] | None = None
+    clip: Path, *outputs: tuple[str, ...], before: Mapping[int, tuple[str, ...]] | None = None, again: bool = False
 ) -> Iterator[list[Sender]]:
     """Fake cameras, one an output, killed at the end."""
-    senders = [Sender(clip, *output, before=(before or {}).get(row, ())) for row, output in enumerate(outputs)]
+    senders = [
+        Sender(clip, *output, before=(before or {}).get(row, ()), again=again) for row, output in enumerate(outputs)
+    ]
     try:
         yield senders
     finally:

@@ -1,0 +1,28 @@
+"""Training cut short, for tests of what flows rather than of quality."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+
+from core.train import TrainConfig, preset
+
+
+@contextmanager
+def brief_training() -> Iterator[None]:
+    """A first frame of 60 steps, later ones of 8 or a few more."""
+
+    def brief(name: str) -> TrainConfig:
+        config = preset(name)
+        return replace(
+            config,
+            keyframe=replace(config.keyframe, steps=60, growth_interval=20),
+            predict=replace(config.predict, epochs=2, minimum_steps=8),
+        )
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("server.pipeline.preset", brief)
+        yield

@@ -1,0 +1,215 @@
+"""What a live stream does: its worker fed by pushed pictures, its state, its metrics, and who may push."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import json
+import multiprocessing
+import threading
+import time
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from prometheus_client import generate_latest
+from prometheus_client.core import CollectorRegistry
+from prometheus_client.registry import Collector
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from codec.packet import peek
+from core.data.synthetic import SyntheticSpec, open_synthetic
+from server.ingest.clock import ClockSource
+from server.ingest.metrics import ingest_families
+from server.ingest.push import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
+from server.ingest.relay import RelayedIntake
+from server.ingest.statistics import CameraStatistics, Statistics
+from server.ingest.synchroniser import CameraState, Counts
+from server.job import TrainJob
+from server.settings import Settings
+from server.spec import StreamSpec
+from server.stream import Stream
+from server.worker import Resume, Sender, Tag, train
+from tests.server.brief import brief_training
+from tests.server.conftest import Clip, running
+
+SPEC = SyntheticSpec(cameras=4, frames=6, width=96, height=54, seed=2)
+FPS = 30
+PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
+
+
+def definition() -> dict[str, Any]:
+    """The synthetic rig as one of capture nodes."""
+    cameras = [
+        {
+            "name": camera.name,
+            "source": "push:",
+            "width": camera.width,
+            "height": camera.height,
+            "intrinsics": camera.intrinsics.tolist(),
+            "world_to_camera": camera.world_to_camera.tolist(),
+        }
+        for camera in open_synthetic(SPEC).cameras
+    ]
+    return {"fps": FPS, "policy": {"quorum": 2}, "depth_bounds": [0.5, 12], "cameras": cameras}
+
+
+class Node:
+    """A capture node in a thread: films the synthetic room at thirty instants a second until told to stop."""
+
+    def __init__(self, socket: Path) -> None:
+        self._socket, self._stopping = socket, threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        pictures = [
+            [bytes(cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]) for image in frame.images]
+            for frame in open_synthetic(SPEC).frames()
+        ]
+        names = [camera.name for camera in open_synthetic(SPEC).cameras]
+        while not self._socket.exists() and not self._stopping.wait(0.02):
+            pass
+        intake, begin = RelayedIntake(self._socket), time.time_ns()
+        number = 0
+        while not self._stopping.wait(max(0.0, (begin + number * 1e9 / FPS - time.time_ns()) / 1e9)):
+            capture = begin + number * 1_000_000_000 // FPS
+            for name, picture in zip(names, pictures[number % len(pictures)], strict=True):
+                intake.accept(PushMessage(name, number, capture, Codec.PNG, picture))
+            number += 1
+        intake.close()
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._thread.join(10)
+
+
+def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: Path) -> None:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    messages: list[tuple[Tag, bytes, int]] = []
+
+    def listen() -> None:
+        while (data := ours.recv_bytes()) and data[0] != Tag.END:
+            messages.append((Tag(data[0]), data[1:], time.time_ns()))
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    node = Node(tmp_path / "s")
+    with brief_training():
+        sender = Sender(theirs)
+        train(TrainJob(live=definition(), preset="live", frames=4), Resume(), sender, tmp_path / "s")
+        node.stop()
+        sender.send(Tag.END)
+    listener.join(10)
+    packets = [(peek(body), at) for tag, body, at in messages if tag is Tag.PACKET]
+    told = [json.loads(body) for tag, body, _ in messages if tag is Tag.INGEST]
+    reports = [json.loads(body) for tag, body, _ in messages if tag is Tag.REPORT]
+    assert len(packets) == len(reports) == 4
+    steps = [(b[0].time_ns - a[0].time_ns) * FPS / 1e9 for a, b in pairwise(packets)]
+    assert all(step > 0.9 and abs(step - round(step)) < 1e-3 for step in steps)
+    assert steps[0] > 2  # the first frame took longer than many instants
+    last = told[-1]
+    assert last["dropped_stale"] > 0
+    assert {camera["clock_source"] for camera in last["cameras"].values()} == {"stated"}
+    for report, (packet, at) in zip(reports, packets, strict=True):
+        assert report["latency_seconds"] * 1e9 <= at - packet.time_ns
+    waited = reports[-1]["latency_seconds"] - reports[-1]["total_seconds"]  # before training
+    assert waited < reports[0]["total_seconds"] / 2  # a queue would hold what came while the first frame trained
+
+
+def figures(state: CameraState = CameraState.OK, fault: str = "", *, waiting: bool = False) -> dict[str, Any]:
+    """What a worker tells of two cameras, one of them in this state."""
+    one = CameraStatistics(CameraState.OK, ClockSource.NTP, 1_000_000, -3.5, Counts(7, 1, 2, 3, 4, -2_000_000), 1, "")
+    other = CameraStatistics(state, None, 0, 0.0, Counts(), 2, fault)
+    rig = Statistics(state is CameraState.LOST, waiting, 5, 6, 7, 8_000_000, 9, {"cam0": one, "cam1": other})
+    told: dict[str, Any] = json.loads(json.dumps(asdict(rig)))
+    return told
+
+
+def test_a_stream_is_degraded_while_a_camera_is_lost(clip: Clip) -> None:
+    async def run() -> None:
+        stream = Stream(StreamSpec(job=TrainJob(live=definition())), Settings())
+        await stream.resume_point()
+
+        async def tell(told: dict[str, Any]) -> tuple[str, str]:
+            await stream.on_message(Tag.INGEST, json.dumps(told).encode())
+            assert stream.describe()["ingest"] == told
+            return stream.state, stream.detail
+
+        lost = figures(CameraState.LOST, "Connection refused")
+        stream._enter("starting")
+        assert await tell(lost) == ("starting", "camera cam1 is lost (Connection refused)")
+        assert await tell(figures()) == ("starting", "")
+        await stream.on_message(Tag.PACKET, clip.packets[0])
+        assert stream.state == "live"
+        assert await tell(lost) == ("degraded", "camera cam1 is lost (Connection refused)")
+        await stream.on_message(Tag.PACKET, clip.packets[1])
+        assert stream.state == "degraded"
+        assert await tell(figures(CameraState.LATE)) == ("live", "")
+        await stream.resume_point()  # the worker died
+        stream._enter("degraded", "the worker ended by signal 9; it is being restarted")
+        assert await tell(figures()) == ("degraded", "the worker ended by signal 9; it is being restarted")
+
+    asyncio.run(run())
+
+
+def test_metrics_of_cameras_are_what_the_worker_told_and_documented() -> None:
+    class Ingest(Collector):
+        def collect(self) -> Any:
+            return ingest_families({"main": figures(CameraState.LOST), "file": None})
+
+    registry = CollectorRegistry()
+    registry.register(Ingest())
+    lines = [line for line in generate_latest(registry).decode().splitlines() if not line.startswith("#")]
+    values = dict(line.rsplit(" ", 1) for line in lines)
+    assert float(values['streamlod_ingest_dropped_stale_total{stream="main"}']) == 6
+    assert float(values['streamlod_ingest_latency_seconds{stream="main"}']) == 0.008
+    assert float(values['streamlod_camera_lost{camera="cam1",stream="main"}']) == 1
+    assert float(values['streamlod_camera_skew_seconds{camera="cam0",stream="main"}']) == -0.002
+    assert float(values['streamlod_camera_missing_total{camera="cam0",stream="main"}']) == 4
+    assert float(values['streamlod_camera_drift_ppm{camera="cam0",stream="main"}']) == -3.5
+    assert not [name for name in values if "file" in name]
+    for name in {key.split("{")[0] for key in values}:
+        assert f"`{name}`" in PAGE, name
+
+
+def test_live_streams_by_rest_and_who_may_push(clip: Clip, tmp_path: Path) -> None:
+    tokens = [
+        {"name": name, "sha256": hashlib.sha256(name.encode()).hexdigest(), "rights": rights}
+        for name, rights in (("node", ["publish"]), ("page", ["read"]), ("boss", ["control", "read"]))
+    ]
+    (tmp_path / "tokens.json").write_text(json.dumps(tokens))
+    picture = pack_push(PushMessage("cam00", 0, None, Codec.PNG, bytes(100_000)))
+
+    def refusal(stream: str, token: str, **options: Any) -> tuple[int, str]:
+        url = f"ws://127.0.0.1:{server.port}/v1/streams/{stream}/ingest"
+        headers = {"Authorization": f"Bearer {token}"}
+        with connect(url, subprotocols=[PUSH_SUBPROTOCOL], additional_headers=headers, proxy=None, **options) as node:  # type: ignore[list-item]
+            with contextlib.suppress(ConnectionClosed):
+                node.send(picture)
+            with pytest.raises(ConnectionClosed) as closed:
+                node.recv(5)
+            assert closed.value.rcvd is not None
+            return closed.value.rcvd.code, closed.value.rcvd.reason
+
+    with running(Settings(tokens=tmp_path / "tokens.json"), StreamSpec(play=clip.path)) as server:
+        headers = {"Authorization": "Bearer boss"}
+        with server.client(headers=headers) as client:
+            created = client.post("/v1/streams", json={"id": "cams", "live": definition()})
+            assert created.status_code == 201, created.text
+            assert (created.json()["state"], created.json()["ingest"]) == ("idle", None)
+            missing = client.post("/v1/streams", json={"id": "other", "live": str(tmp_path / "none.json")})
+            assert missing.status_code == 422
+            both = client.post("/v1/streams", json={"id": "other", "live": {}, "data": "."})
+            assert both.status_code == 422
+        assert refusal("cams", "node")[0] == 1013  # it has not been started
+        assert refusal("cams", "page")[0] == 4403
+        assert refusal("cams", "nobody")[0] == 4401
+        assert refusal("none", "node")[0] == 4404
+        assert refusal("main", "node") == (4403, "this stream takes no pictures: it is not made from live cameras")
+        assert refusal("cams", "node", origin="http://elsewhere.example")[0] == 4403
