@@ -7,6 +7,7 @@ from typing import Any
 
 from core.evaluate.quoted import ABLATIONS, PEERS, PEERS_SOURCE, SOURCE, TABLES, Peer, Quoted, QuotedAblation
 from core.evaluate.tables import number, spread_number, table
+from core.evaluate.verdicts import verdict_table
 
 _QUALITY = ("system", "PSNR dB", "SSIM", "LPIPS alex", "LPIPS vgg")
 _COST = (
@@ -65,6 +66,8 @@ def _split(split: dict[str, Any]) -> list[str]:
             "",
             table(_MOTION, [_motion(row) for row in rows]),
         ]
+    lines += ["Differences from ours, means of runs with the same seed, and in brackets what the paper reports:", ""]
+    lines += [verdict_table(rows)]
     lines += ["Seconds by stage, first frame and a later frame:", "", _stages(rows)]
     lines += ["The last frame with its coarsest levels only (first seed):", "", _caps(rows)]
     lines += [f"- **{row['name']}**: {row['note']}" for row in rows] + [""]
