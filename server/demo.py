@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import subprocess
 import sys
 import time
 import urllib.request
+import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -71,6 +73,7 @@ def run_demo(settings: DemoSettings) -> None:
     )
     with _server(settings, clip) as base:
         live = base.replace("http", "ws", 1) + "/v1/streams/main/live"
+        opened = settings.stay and open_page(base)
         _wait(base, "the first picture", lambda stream: stream["version"] is not None)
         first_picture = time.monotonic() - begin
         _LOG.info("first picture after %.0f s", first_picture)
@@ -102,8 +105,17 @@ def run_demo(settings: DemoSettings) -> None:
         (settings.out / "summary.md").write_text(summary)
         sys.stderr.write("\n" + summary)
         if settings.stay:
-            sys.stderr.write(f"\nOpen {base}/ to look around; Ctrl-C ends.\n")
+            sys.stderr.write(f"\n{'Look' if opened else f'Open {base}/ to look'} around; Ctrl-C ends.\n")
             _sleep_until_interrupted()
+
+
+def open_page(address: str) -> bool:
+    """Show the viewer page in the user's browser; False, and the address in the log, where there is no screen."""
+    screen = sys.platform in ("darwin", "win32") or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+    if screen and webbrowser.open(address):
+        return True
+    _LOG.info("the page is at %s/", address)
+    return False
 
 
 def _summary(settings: DemoSettings, scene: Path, stream: dict[str, Any], first_picture: float, total: float) -> str:
