@@ -1,13 +1,18 @@
 """Adam over named tensors whose rows may come and go.
 
 torch's own Adam keeps its state by parameter object, so growing a parameter means surgery on it; here the state is a
-plain value beside the parameter. Equations: Kingma and Ba 2015, algorithm 1, with epsilon 1e-15 as in 3DGS.
+plain value beside the parameter. Equations: Kingma and Ba 2015, algorithm 1, with epsilon 1e-15 as in 3DGS. On the CPU
+a step is one numba pass over each parameter.
 """
 
 from __future__ import annotations
 
+import numba
+import numpy as np
 import torch
 from torch import Tensor
+
+from core.train.kernels.adam import adam_step
 
 _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
 
@@ -39,14 +44,9 @@ class RowAdam:
                 gradient, value.grad = value.grad, None
                 if gradient is None or rates.get(name, 0.0) == 0.0:
                     continue
-                # counted on the device and read at the end: asking here would stall a GPU at every step
-                self._count_broken(gradient)
-                gradient.nan_to_num_(0.0, 0.0, 0.0)
                 first, second = self._moments[name]
-                first.lerp_(gradient, 1 - _BETA1)
-                second.mul_(_BETA2).addcmul_(gradient, gradient, value=1 - _BETA2)
-                spread = (second / correction2).sqrt_().add_(_EPSILON)
-                value.addcdiv_(first, spread, value=-rates[name] / correction1)
+                # counted on the device and read at the end: asking here would stall a GPU at every step
+                self._count_broken(update(value, gradient, first, second, rates[name] / correction1, correction2))
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
         """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments."""
@@ -55,12 +55,39 @@ class RowAdam:
             self._moments[name] = [torch.cat([m[kept], torch.zeros_like(rows)]) for m in self._moments[name]]
             self.parameters[name] = value
 
-    def _count_broken(self, gradient: Tensor) -> None:
-        count = gradient.numel() - torch.isfinite(gradient).sum()
+    def _count_broken(self, count: Tensor) -> None:
         if self._broken:
             self._broken[0] += count
         else:
             self._broken.append(count)
+
+
+def update(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, correction2: float) -> Tensor:
+    """Change `value` and its moments, of one shape, in place; returns how many entries of the gradient were broken.
+
+    Args:
+        rate: learning rate over the correction of the first moment. correction2: that of the second.
+    """
+    parts = (value, gradient.contiguous(), first, second)
+    if all(part.device.type == "cpu" and part.dtype == torch.float32 and part.is_contiguous() for part in parts):
+        numbers = tuple(np.float32(number) for number in (rate, 1 / correction2, 1 - _BETA1, 1 - _BETA2, _EPSILON))
+        broken = np.zeros(min(numba.get_num_threads(), value.numel()), np.int64)
+        adam_step(len(broken), *(part.detach().view(-1).numpy() for part in parts), numbers, broken)
+        return torch.tensor(int(broken.sum()))
+    return update_reference(value, gradient, first, second, rate, correction2)
+
+
+def update_reference(
+    value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, correction2: float
+) -> Tensor:
+    """`update` by torch, on any device."""
+    broken = gradient.numel() - torch.isfinite(gradient).sum()
+    gradient = gradient.nan_to_num(0.0, 0.0, 0.0)
+    first.lerp_(gradient, 1 - _BETA1)
+    second.mul_(_BETA2).addcmul_(gradient, gradient, value=1 - _BETA2)
+    spread = (second / correction2).sqrt_().add_(_EPSILON)
+    value.addcdiv_(first, spread, value=-rate)
+    return broken
 
 
 def _zeros(value: Tensor) -> list[Tensor]:

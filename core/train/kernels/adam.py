@@ -1,0 +1,38 @@
+"""One step of Adam (Kingma and Ba 2015, algorithm 1) over a flat parameter."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from core.arrays import Float32, Int64
+from core.render.cpu.kernels.inline.constants import KERNEL, ZERO
+
+
+@njit(**KERNEL)
+def adam_step(
+    workers: int, value: Float32, gradient: Float32, first: Float32, second: Float32, numbers: Any, broken: Int64
+) -> None:
+    """Update `value` and both moments, all [n], in place.
+
+    Args:
+        numbers: (rate / correction of the first moment, 1 / correction of the second, 1 - beta1, 1 - beta2, epsilon),
+            float32; the complements, since 1 - beta2 loses four digits in float32.
+        broken: out, [workers] entries of the gradient that were not finite and counted as zero.
+    """
+    rate, inverse, news1, news2, epsilon = numbers
+    count = value.shape[0]
+    for w in prange(workers):
+        lost = np.int64(0)
+        for i in range(count * w // workers, count * (w + 1) // workers):
+            g = gradient[i]
+            if not math.isfinite(g):
+                g = ZERO
+                lost += 1
+            first[i] += news1 * (g - first[i])
+            second[i] += news2 * (g * g - second[i])
+            value[i] -= rate * first[i] / (math.sqrt(second[i] * inverse) + epsilon)
+        broken[w] = lost
