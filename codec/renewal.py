@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from codec.encoder import encode_residual
+from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
 from core.anchors import Scene
 from core.residual import difference
@@ -51,6 +51,23 @@ class RenewalRule:
         if age % self.checked_every == 0 and catch_up_bytes(key, now) > self.catch_up_share * key_bytes:
             return "catch-up"
         return None
+
+
+class Renewal:
+    """Watches a stream's states and says when a keyframe is due."""
+
+    def __init__(self, rule: RenewalRule) -> None:
+        self._rule = rule
+        self._key: Scene | None = None
+        self._key_bytes = 0
+
+    def due(self, before: Scene, now: Scene) -> Reason | None:
+        """Why a keyframe should follow `now`, whose predecessor was `before`; every state has to pass by here."""
+        if before.version == before.keyframe:
+            self._key, self._key_bytes = before, len(encode_keyframe(before, time_ns=0))
+        if self._key is None or self._key.keyframe != now.keyframe:
+            raise ValueError(f"keyframe {now.keyframe} was never shown to this watch")
+        return self._rule.reason(self._key, self._key_bytes, now)
 
 
 def churn(key: Scene, now: Scene) -> int:

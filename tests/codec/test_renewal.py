@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 
 from codec.encoder import encode_keyframe
-from codec.renewal import RenewalRule, catch_up_bytes, churn
+from codec.renewal import Renewal, RenewalRule, catch_up_bytes, churn
 from core.anchors import Scene
+from core.rekey import rekey
 from tests.codec.scenes import grow, make_scene, move
 
 KEY = make_scene((100, 1500), slots=2, features=4)
@@ -58,3 +59,19 @@ def test_the_packet_is_only_sized_now_and_then() -> None:
 def test_states_of_another_keyframe_are_refused() -> None:
     with pytest.raises(ValueError, match="keyframes"):
         RULE.reason(KEY, KEY_BYTES, replace(KEY, keyframe=3, version=8))
+
+
+def test_a_watch_follows_a_stream_over_its_keyframes() -> None:
+    watch, state, keyframes = Renewal(replace(RULE, longest=6)), KEY, list[tuple[int, str]]()
+    for seed in range(12):
+        before, state = state, move(state, seed, share=0.02 if seed < 6 else 0.7)
+        reason = watch.due(before, state)
+        if reason is not None:
+            keyframes.append((state.version, reason))
+            state = rekey(state, state.version)
+    assert keyframes == [(6, "time"), (9, "catch-up")]
+
+
+def test_a_watch_must_see_the_keyframe() -> None:
+    with pytest.raises(ValueError, match="never shown"):
+        Renewal(RULE).due(_still(4), _still(5))
