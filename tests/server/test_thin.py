@@ -254,6 +254,24 @@ def test_a_server_that_draws_for_nobody_says_so(states: tuple[Path, list[Scene]]
         assert closed.value.rcvd.code == 4403
 
 
+def test_who_shows_nothing_loses_the_place(states: tuple[Path, list[Scene]]) -> None:
+    """Pings keep the connection, but a picture that is never acknowledged ends it."""
+    limits = Limits(stuck_seconds=0.4, thin_viewers=1)
+    with running(Settings(limits=limits), StreamSpec(play=states[0], loop=False)) as server:
+        server.wait(lambda stream: stream["state"] == "ended")
+        with viewing(server) as plain:
+            viewer = ThinViewer(plain.connection)
+            viewer.hello()
+            viewer.look(states[1][0].header.cameras[0])
+            with pytest.raises(ConnectionClosed) as closed:
+                viewer.until("a picture that nobody acknowledges")
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1013
+        assert "no picture was acknowledged" in closed.value.rcvd.reason
+        assert server.registry.painter.taken == 0
+        assert server.registry.streams["main"].counters.stuck == 1
+
+
 def test_pace_follows_the_viewer() -> None:
     """Slow deliveries make pictures coarser, quick ones finer, and a view at rest gets the best that is affordable."""
     pace = Pace()
