@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import sync_playwright
 
-from codec.container import SlodWriter
+from codec.container import SlodReader, SlodWriter
+from codec.decoder import SceneDecoder
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
@@ -41,6 +42,7 @@ def shots() -> list[Shot]:
         Shot("live-desktop-dark", many),
         Shot("live-desktop-light", many, theme="light"),
         Shot("live-tablet", full, TABLET),
+        Shot("readme", full, (960, 540), address="/?quality=high"),
         Shot("live-phone-dark", full, PHONE),
         Shot("live-phone-light", many, PHONE, "light"),
         Shot("phone-landscape", full, (844, 390)),
@@ -96,6 +98,8 @@ def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
             page.mouse.move(640, 400)
             page.mouse.wheel(0, 700)
         page.wait_for_timeout(700 if shot.live else 1500)
+        page.mouse.move(shot.size[0] / 2, shot.size[1] / 2)  # controls hide from a hand that rests
+        page.wait_for_timeout(400)
         if not shot.stop:
             page.screenshot(path=out / f"{shot.name}.png")
     if shot.stop:
@@ -104,19 +108,36 @@ def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
     page.close()
 
 
+def recorded(file: Path) -> Clip:
+    """The first frames of a recording."""
+    decoder, states = SceneDecoder(), []
+    with SlodReader(file) as reader:
+        for packet in reader.packets():
+            decoder.push(packet)
+            scene = decoder.scene
+            if scene and len(set(decoder.versions)) == 1:
+                states = [state for state in states if state.version < scene.version] + [scene]
+            if len(states) > 30:
+                break
+    return Clip([replace(state, version=number, keyframe=0) for number, state in enumerate(states)])
+
+
 def main() -> None:
     """Take all, or those whose name holds --only."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, help="folder for the pictures")
     parser.add_argument("--only", default="", help="part of the names wanted")
+    parser.add_argument(
+        "--scene", type=Path, metavar="FILE.slod", help="a recording to show instead of a made-up scene"
+    )
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    clip = make_clip(make_scene(2500), 31)
+    clip = recorded(arguments.scene) if arguments.scene else make_clip(make_scene(2500), 31)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         files = Path(folder)
         with SlodWriter(files / "clip.slod") as writer:
             writer.append(clip.key())
-            for version in range(1, 31):
+            for version in range(1, len(clip.states)):
                 writer.append(clip.residual(version - 1, version))
         browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)
         for shot in shots():
