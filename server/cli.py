@@ -173,6 +173,9 @@ def serve(
     if data is not None:
         _require_folder(data)
         _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
+    if live is not None:
+        _require_folder(live)
+        _call("server.commands:check_rig", live, _names(train), _names(test), views)
     source = {"data": data, "live": live, "play": play}
     streams = tuple(stream.spec for stream in settings.streams)
     if any(source.values()):

@@ -71,6 +71,19 @@ def check_recording(
         raise InputError("--train", f"there is no camera {', '.join(unknown)} in {data}; there are {', '.join(names)}")
 
 
+def check_rig(path: Path, train: tuple[str, ...], test: tuple[str, ...], views: int | None) -> None:
+    """Refuse an unusable live rig or choice of cameras before a worker is started for it."""
+    from core.data import linspace_split
+    from server.ingest.definition import read_definition
+
+    names = tuple(camera.name for camera in read_definition(path).cameras)
+    if not train:
+        linspace_split(names, views, test)
+    unknown = sorted({*train, *test} - set(names))
+    if unknown:
+        raise InputError("--train", f"there is no camera {', '.join(unknown)} in {path}; there are {', '.join(names)}")
+
+
 def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:
     """Train a clip into a `.slod` file, with figures beside it."""
     from server.pipeline import open_job, train_clip

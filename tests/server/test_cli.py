@@ -21,7 +21,7 @@ from server import cli
 from tests.client.clips import states, write_clip
 from tests.core.data.writers import llff_rows, rig, write_video_clip
 
-COMMANDS = "synth train evaluate serve view info export bench demo study tradeoff warm"
+COMMANDS = "synth train evaluate serve push view info export bench demo study tradeoff warm"
 
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -139,6 +139,19 @@ def test_missing_inputs_are_named(run: Run, tmp_path: Path, scene: Path) -> None
     assert_refused(run("export", scene, "--frame", 9), scene, "frames 0 to 3")
     assert_refused(run("synth", empty, "--size", "12"), "WIDTHxHEIGHT")
     assert not (tmp_path / "o.slod").exists()
+
+
+def test_unusable_rigs_are_named_before_a_server_starts(run: Run, tmp_path: Path, clip: Path) -> None:
+    rig = tmp_path / "rig.json"
+    assert_refused(run("serve", "--live", rig), "rig.json", "does not exist")
+    rig.write_text('{"fps": 0, "cameras": []}')
+    assert_refused(run("serve", "--live", rig), "rig.json", "fps")
+    cameras = [{"name": f"cam0{n}", "source": "push:"} for n in range(3)]
+    rig.write_text(json.dumps({"fps": 30, "calibration": str(clip), "cameras": cameras}))
+    assert_refused(run("serve", "--live", rig, "--train", "cam09"), "cam09")
+    assert_refused(run("serve", "--live", rig, "--views", 9), "9")
+    assert_refused(run("serve", "--live", rig, "--play", clip), "name one source")
+    assert_refused(run("push", "ws://127.0.0.1:1/v1/streams/main/ingest", "a=nothing.mp4"), "nothing.mp4", "does not exist")
 
 
 def test_damaged_data_sets_are_named(run: Run, tmp_path: Path, clip: Path) -> None:
