@@ -146,12 +146,12 @@ def test_unusable_rigs_are_named_before_a_server_starts(run: Run, tmp_path: Path
     assert_refused(run("serve", "--live", rig), "rig.json", "does not exist")
     rig.write_text('{"fps": 0, "cameras": []}')
     assert_refused(run("serve", "--live", rig), "rig.json", "fps")
-    cameras = [{"name": f"cam0{n}", "source": "push:"} for n in range(3)]
+    cameras = [{"name": f"cam0{n}", "source": "push:"} for n in (0, 1, 3)]
     rig.write_text(json.dumps({"fps": 30, "calibration": str(clip), "cameras": cameras}))
     assert_refused(run("serve", "--live", rig, "--train", "cam09"), "cam09")
     assert_refused(run("serve", "--live", rig, "--views", 9), "9")
     assert_refused(run("serve", "--live", rig, "--play", clip), "name one source")
-    assert_refused(run("push", "ws://127.0.0.1:1/v1/streams/main/ingest", "a=nothing.mp4"), "nothing.mp4", "does not exist")
+    assert_refused(run("push", "ws://127.0.0.1:1/v1/streams/main/ingest", "a=nothing.mp4"), "nothing.mp4")
 
 
 def test_damaged_data_sets_are_named(run: Run, tmp_path: Path, clip: Path) -> None:
