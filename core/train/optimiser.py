@@ -73,7 +73,7 @@ def update(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate:
         numbers = tuple(np.float32(number) for number in (rate, 1 / correction2, 1 - _BETA1, 1 - _BETA2, _EPSILON))
         broken = np.zeros(min(numba.get_num_threads(), value.numel()), np.int64)
         adam_step(len(broken), *(part.detach().view(-1).numpy() for part in parts), numbers, broken)
-        return torch.tensor(int(broken.sum()))
+        return torch.from_numpy(broken).sum()
     return update_reference(value, gradient, first, second, rate, correction2)
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from core.entropy_model import BINS, UNIT_BIN, magnitude_bits
 from core.quantise import DEFAULT_OFFSET
-from core.train.kernels.rate import coded_bits
+from core.train.kernels import rate as kernels
 
 SET_BITS = 4.0  # about what it costs that an anchor changes at all: its place in the dynamic set
 _TYPICAL = 0.5  # weight of the average anchor beside the anchor's own other values
@@ -30,37 +30,32 @@ def residual_bits(latent: Tensor, position: Tensor) -> Tensor:
         latent: [n,24], position: [n,3] real numbers in quanta, before they are rounded.
     """
     if all(values.device.type == "cpu" and values.dtype == torch.float32 for values in (latent, position)):
-        bits: Tensor = _Coded.apply(latent) + _Coded.apply(position)  # type: ignore[no-untyped-call]
-        return bits + _set_bits(latent, position)
+        bits: Tensor = _Fused.apply(latent, position)  # type: ignore[no-untyped-call]
+        return bits
     return residual_bits_reference(latent, position)
 
 
 def residual_bits_reference(latent: Tensor, position: Tensor) -> Tensor:
     """`residual_bits` by torch, on any device and for any float type."""
-    return _coded_bits(latent) + _coded_bits(position) + _set_bits(latent, position)
-
-
-def _set_bits(latent: Tensor, position: Tensor) -> Tensor:
     largest = torch.cat([latent, position], dim=1).abs().amax(dim=1)
-    return SET_BITS * largest.clamp(max=1).sum()
+    return _coded_bits(latent) + _coded_bits(position) + SET_BITS * largest.clamp(max=1).sum()
 
 
-class _Coded(torch.autograd.Function):
-    """`_coded_bits` with the gradient made together with the value, since it needs the same bins."""
+class _Fused(torch.autograd.Function):
+    """The gradient is made together with the value, since it needs the same bins."""
 
     @staticmethod
-    def forward(ctx: Any, values: Tensor) -> Tensor:
-        gradient = np.zeros(values.shape, np.float32)
-        table = _table(values.device).numpy()
-        bits = coded_bits(values.detach().contiguous().numpy(), table, _TYPICAL * values.shape[1], gradient)
-        ctx.gradient = torch.from_numpy(gradient)
-        return values.new_tensor(bits)
+    def forward(ctx: Any, latent: Tensor, position: Tensor) -> Tensor:
+        values = [tensor.detach().contiguous().numpy() for tensor in (latent, position)]
+        gradients = [np.empty(array.shape, np.float32) for array in values]
+        bits = kernels.residual_bits(*values, _table(latent.device).numpy(), _TYPICAL, SET_BITS, *gradients)
+        ctx.gradients = [torch.from_numpy(gradient) for gradient in gradients]
+        return latent.new_tensor(bits)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> Tensor:
-        gradient: Tensor = ctx.gradient * upstream
-        return gradient
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, ...]:
+        return tuple(gradient * upstream for gradient in ctx.gradients)
 
 
 def _coded_bits(values: Tensor) -> Tensor:

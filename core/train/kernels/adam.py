@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numba
 import numpy as np
-from numba import njit, prange
 
 from core.arrays import Float32, Int64
 from core.render.cpu.kernels.inline.constants import KERNEL, ZERO
 
+_LARGEST = np.finfo(np.float32).max
 
-@njit(**KERNEL)
+
+@numba.njit(**KERNEL)
 def adam_step(
     workers: int, value: Float32, gradient: Float32, first: Float32, second: Float32, numbers: Any, broken: Int64
 ) -> None:
@@ -25,13 +27,12 @@ def adam_step(
     """
     rate, inverse, news1, news2, epsilon = numbers
     count = value.shape[0]
-    for w in prange(workers):
+    for w in numba.prange(workers):
         lost = np.int64(0)
         for i in range(count * w // workers, count * (w + 1) // workers):
-            g = gradient[i]
-            if not math.isfinite(g):
-                g = ZERO
-                lost += 1
+            good = abs(gradient[i]) <= _LARGEST  # false for NaN too
+            g = gradient[i] if good else ZERO
+            lost += 0 if good else 1
             first[i] += news1 * (g - first[i])
             second[i] += news2 * (g * g - second[i])
             value[i] -= rate * first[i] / (math.sqrt(second[i] * inverse) + epsilon)
