@@ -73,7 +73,12 @@ def _threshold(difference: Float32, floor: float) -> float:
 
 
 def mixture_threshold(scores: Float64, posterior: float) -> float:
-    """Score from which an anchor is dynamic with at least `posterior`, by a mixture of two Gaussians (paper eq. 8).
+    """Score from which an anchor is dynamic with at least `posterior`; see `mixture_thresholds`."""
+    return mixture_thresholds(scores, posterior)[0]
+
+
+def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
+    """Scores from which an anchor is dynamic with at least each posterior, by a mixture of two Gaussians (paper eq. 8).
 
     Made monotone: everything above the lowest score from which the posterior stays above the threshold is dynamic.
 
@@ -81,14 +86,14 @@ def mixture_threshold(scores: Float64, posterior: float) -> float:
         scores: [N] positive, finite.
 
     Returns:
-        The threshold; 0 where there are too few scores or they are all alike, so that all are dynamic.
+        The thresholds; 0 where there are too few scores or they are all alike, so that all are dynamic.
     """
     if len(scores) < _FEWEST:
-        return 0.0
+        return [0.0] * len(posteriors)
     limited = np.minimum(scores, 10 * np.quantile(scores, 0.98))  # one wild score must not bend the mixture
     values = (limited / limited.mean()) ** _POWER
     if np.ptp(values) < 1e-6:
-        return 0.0
+        return [0.0] * len(posteriors)
     mixture = GaussianMixture(
         2,
         means_init=np.quantile(values, [0.25, 0.98])[:, None],
@@ -98,11 +103,13 @@ def mixture_threshold(scores: Float64, posterior: float) -> float:
     ).fit(values[:, None])
     high = int(np.argmax(mixture.means_[:, 0]))
     order = np.argsort(values)
-    sure = mixture.predict_proba(values[order, None])[:, high] > posterior
-    sure &= values[order] > mixture.means_[1 - high, 0]
-    unsure = np.flatnonzero(~sure)
-    first = unsure[-1] + 1 if len(unsure) else 0
-    return float(scores[order[first]]) if first < len(order) else float("inf")
+    probability = mixture.predict_proba(values[order, None])[:, high]
+    thresholds = []
+    for posterior in posteriors:
+        unsure = np.flatnonzero((probability <= posterior) | (values[order] <= mixture.means_[1 - high, 0]))
+        first = unsure[-1] + 1 if len(unsure) else 0
+        thresholds.append(float(scores[order[first]]) if first < len(order) else float("inf"))
+    return thresholds
 
 
 def dynamic_anchors(scores: Float64, previous: Bool, enter: float, leave: float) -> Bool:
@@ -117,5 +124,5 @@ def dynamic_anchors(scores: Float64, previous: Bool, enter: float, leave: float)
     scored = scores > 0
     if not scored.any():
         return np.zeros(len(scores), np.bool_)
-    into, out = (mixture_threshold(scores[scored], posterior) for posterior in (enter, leave))
+    into, out = mixture_thresholds(scores[scored], enter, leave)
     return scored & ((scores >= into) | (previous & (scores >= out)))
