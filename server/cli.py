@@ -68,6 +68,10 @@ Frames = Annotated[int | None, typer.Option(min=1, help="At most so many frames.
 SplitFile = Annotated[
     Path | None, typer.Option(help='JSON file {"train": [...], "test": [...]} that names cameras instead of views.')
 ]
+FrameBudget = Annotated[
+    float | None, typer.Option(min=1, metavar="MS", help="Train each later frame for so long; quality gives way.")
+]
+TargetRate = Annotated[float | None, typer.Option(min=1, metavar="KBPS", help="Keep predicted packets to this rate.")]
 Downscale = Annotated[float, typer.Option(min=1, help="Make pictures so many times smaller.")]
 
 
@@ -99,6 +103,8 @@ def train(
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the figures here.")] = None,
     trace: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the stages as a Chrome trace.")] = None,
     layout: LayoutOption = None,
+    frame_budget_ms: FrameBudget = None,
+    target_kbps: TargetRate = None,
 ) -> None:
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
@@ -115,6 +121,8 @@ def train(
         preset=preset,
         device=device.value,
         seed=seed,
+        frame_budget_ms=frame_budget_ms,
+        target_kbps=target_kbps,
     )
     _call("server.commands:train", job, out, json, trace)
 
@@ -151,6 +159,8 @@ def serve(
     downscale: Downscale = 1.0,
     seed: Seed = 0,
     layout: LayoutOption = None,
+    frame_budget_ms: FrameBudget = None,
+    target_kbps: TargetRate = None,
     loop: Annotated[bool, typer.Option(help="Begin a played file again at its end.")] = True,
     state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
     config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,
@@ -190,6 +200,8 @@ def serve(
             "preset": preset,
             "device": device.value,
             "seed": seed,
+            "frame_budget_ms": frame_budget_ms,
+            "target_kbps": target_kbps,
         }
         streams += (_load("server.spec:spec_from_json")(source | options),)
     _call("server.commands:serve", settings, streams)

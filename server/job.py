@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -26,9 +27,11 @@ class TrainJob:
         preset, device, seed: of the trainer.
         points: where first points come from, see `core.initialise.first_points`.
         keyframe_interval: frames between keyframes.
+        frame_budget_ms: wall time for training each later frame, or None for as long as it takes.
+        target_kbps: kilobits a second for predicted packets, or None for any.
 
     Raises:
-        InputError: no single source.
+        InputError: no single source, or a budget or a rate that is not positive.
     """
 
     data: Path | None = None
@@ -45,10 +48,16 @@ class TrainJob:
     seed: int = 0
     points: str = "auto"
     keyframe_interval: int = 300
+    frame_budget_ms: float | None = None
+    target_kbps: float | None = None
 
     def __post_init__(self) -> None:
         if sum(getattr(self, name) is not None for name in SOURCES) != 1:
             raise InputError("what to train", "name one source: data, live or synthetic")
+        for name in ("frame_budget_ms", "target_kbps"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(name, f"must be positive, not {value}")
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; `job_from_json` goes back."""

@@ -94,6 +94,7 @@ class _Trained:
         scene: the state.
         time_ns: its presentation time.
         change: the state before, and what leads from there; None where `scene` itself is to be sent.
+        packet: of the change, where rate control had to know its size at once.
         renewed: the same state as a keyframe, to be sent after the change, or None.
         preview, report, spans: as in `EncodedFrame`.
         captured: when the frame was filmed, in seconds of `time.perf_counter`; None for files.
@@ -107,6 +108,12 @@ class _Trained:
     preview: bool = False
     spans: tuple[Span, ...] = ()
     captured: float | None = None
+    packet: bytes | None = None
+
+    def changing(self) -> bytes:
+        """The packet of the change."""
+        assert self.change is not None
+        return encode_residual(*self.change, kind=PacketKind.PREDICTED, time_ns=self.time_ns)
 
 
 def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
@@ -202,7 +209,15 @@ class _Training:
         self._job, self._dataset, self._opened = opened.job, opened.dataset, opened
         self._previews, self._on_progress, self._outlet = previews, on_progress, outlet
         job, dataset = opened.job, opened.dataset
-        self._trainer = Trainer(dataset.cameras, preset(job.preset), dataset.fps, job.device, opened.rig)
+        self._trainer = Trainer(
+            dataset.cameras,
+            preset(job.preset),
+            dataset.fps,
+            job.device,
+            opened.rig,
+            frame_budget_ms=job.frame_budget_ms,
+            target_kbps=job.target_kbps,
+        )
 
     def run(self, resume: Scene | None, start: int) -> None:
         """All frames from `start`, after the state to resume if there is one."""
@@ -270,7 +285,12 @@ class _Training:
             self._trainer.resume(renewed, keep_references=True)
         spans = _spans(trained)
         report = _report(trained, spans, scene.version)
-        return _Trained(scene, frame.time_ns, report, (before, trained.residual), renewed, spans=spans)
+        state = _Trained(scene, frame.time_ns, report, (before, trained.residual), renewed, spans=spans)
+        if self._job.target_kbps is None:
+            return state
+        packet, span = timing("encode", state.changing)
+        self._trainer.sent(trained, len(packet), span.end - span.begin)
+        return replace(state, packet=packet)
 
 
 def _encoded(state: _Trained) -> EncodedFrame:
@@ -280,7 +300,7 @@ def _encoded(state: _Trained) -> EncodedFrame:
         if state.change is None:
             yield encode_keyframe(state.scene, time_ns=state.time_ns)
         else:
-            yield encode_residual(*state.change, kind=PacketKind.PREDICTED, time_ns=state.time_ns)
+            yield state.packet or state.changing()
         if state.renewed is not None:
             yield encode_keyframe(state.renewed, time_ns=state.time_ns)
 

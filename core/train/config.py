@@ -87,8 +87,9 @@ class PredictConfig:
         feature_step, offset_step: size of a latent quantum in feature and offset units.
         rate_weight: weight in the loss of the bits of the residual, divided by the numbers of a picture.
         cue: whose gradient shows motion (paper: canonical).
-        posterior: threshold of the mixture's dynamic component (paper: 0.8).
-        repaint_posterior: the same for anchors that changed but may not have moved: of them only features are trained.
+        posterior: of the mixture's dynamic component, from which an anchor is taken to move (paper: 0.8).
+        changed_posterior: the same, from which an anchor is trained because what it shows has changed, moving or not:
+            shadows, reflections, what was uncovered (paper: only what moves).
         noise_floor: smallest change of grey value, in units of [0, 1], that counts as motion.
         partition_interval: frames between partitions (paper's star variant: 4).
         growth_at: share of the frame's steps after which anchors are added where Gaussians pull hard.
@@ -108,8 +109,8 @@ class PredictConfig:
     rate_weight: float = 0.01
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
-    posterior: float = 0.8
-    repaint_posterior: float = 0.05
+    posterior: float = 0.9
+    changed_posterior: float = 0.05
     noise_floor: float = 0.02
     partition_interval: int = 1
     growth_at: float = 0.3
@@ -174,7 +175,8 @@ def preset(name: str) -> TrainConfig:
                 default.predict,
                 epochs=10,
                 cue="canonical",
-                repaint_posterior=1.0,
+                posterior=0.8,
+                changed_posterior=1.0,
                 growth_share=0.01,
                 rate_weight=0.0,
                 minimum_steps=0,

@@ -71,7 +71,7 @@ class ResidualTrainer:
 
     Args:
         state: the state before.
-        parts: which anchors to train; those that do not move get new features only.
+        parts: which anchors to train.
         views: pictures of the instant.
         exposure: of the cameras, or None.
         useful: cameras to train on, the most important first.
@@ -79,10 +79,10 @@ class ResidualTrainer:
 
     def __init__(self, state: State, parts: Parts, views: Views, exposure: Exposure | None, useful: list[int]) -> None:
         scene, field = state.scene, state.field
-        trained, moving = (torch.from_numpy(part).to(field.feature.device) for part in (parts.trained, parts.dynamic))
+        trained = torch.from_numpy(parts.trained).to(field.feature.device)
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
         self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
-        self._known, self._still, self._useful = len(rows), torch.nonzero(~moving[rows])[:, 0], useful
+        self._known, self._useful = len(rows), useful
         self._header = scene.header
         device = field.feature.device
         self._background = torch.zeros(3, device=device)
@@ -160,17 +160,8 @@ class ResidualTrainer:
         loss.backward()  # type: ignore[no-untyped-call]
         if config.growth_share:
             self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
-        self._hold_still()
         self._optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
         return loss.detach()
-
-    def _hold_still(self) -> None:
-        """No gradient for what anchors that do not move may not change; without one, Adam leaves a zero where it is."""
-        latent, position = (self._optimiser.parameters[name].grad for name in ("latent", "position"))
-        if latent is not None:
-            latent[self._still, FEATURE_LATENTS:] = 0
-        if position is not None:
-            position[self._still] = 0
 
     def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
         camera = self._views.cameras[number]

@@ -27,8 +27,8 @@ class Parts:
     """What a frame's training does with N anchors.
 
     Attributes:
-        dynamic: [N] bool, they may move: positions, offsets and features are trained.
-        trained: [N] bool, those and the ones that may only change their look: shadows, reflections, what was uncovered.
+        dynamic: [N] bool, they are taken to move.
+        trained: [N] bool, those, and the others that show a change: shadows, reflections, what was uncovered.
     """
 
     dynamic: Bool
@@ -80,14 +80,14 @@ def partition(
     if config.everything:
         everything = np.asarray(alive.cpu().numpy())
         return Parts(everything, everything)
-    posterior, repaint = config.posterior, config.repaint_posterior
+    posterior, lowest = config.posterior, config.changed_posterior
     rows = torch.nonzero(alive)[:, 0]
     if config.cue != "difference":
         scores = error_scores(field, rows, views, backend)
         dynamic = dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS)
         return Parts(dynamic, dynamic)
     scores = change_scores(field, rows, rows[:0], references, views, masks, backend)
-    changed = dynamic_anchors(scores, previous.trained, repaint, repaint * _HYSTERESIS)
+    changed = dynamic_anchors(scores, previous.trained, lowest, lowest * _HYSTERESIS)
     if not changed.any():
         return no_parts(len(field))
     moved = torch.zeros_like(masks)

@@ -41,11 +41,11 @@ class FrameReport:
     Attributes:
         seconds: wall time by stage.
         steps: training steps taken.
-        anchors: anchors alive; dynamic: those that might move.
+        anchors: anchors alive; dynamic: those taken to move.
         loss: mean loss of the last epoch.
         repaired: parameters that became non-finite and were reset.
         spans: each stage's name, begin and end in seconds of `time.perf_counter`.
-        repainted: anchors that were trained too, but might only change their look.
+        changed: anchors that were trained too, since what they show has changed.
     """
 
     seconds: dict[str, float]
@@ -55,7 +55,7 @@ class FrameReport:
     loss: float
     repaired: int = 0
     spans: tuple[tuple[str, float, float], ...] = ()
-    repainted: int = 0
+    changed: int = 0
 
     @property
     def total_seconds(self) -> float:

@@ -39,7 +39,7 @@ class RatePlan:
             config,
             rate_weight=config.rate_weight * self.weight_factor,
             posterior=1 - (1 - config.posterior) * surer,
-            repaint_posterior=1 - (1 - config.repaint_posterior) * surer,
+            changed_posterior=1 - (1 - config.changed_posterior) * surer,
         )
 
 

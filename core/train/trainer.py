@@ -195,7 +195,7 @@ class Trainer:
             quanta.loss,
             quanta.repaired,
             tuple(watch.spans),
-            repainted=len(rows) - moving,
+            changed=len(rows) - moving,
         )
         return TrainedFrame(scene, residual, report, parts.dynamic)
 

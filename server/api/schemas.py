@@ -115,6 +115,8 @@ class NewStream(BaseModel):
     preset: str = Field(default="live", max_length=64)
     device: Literal["auto", "cpu", "cuda"] = "auto"
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    frame_budget_ms: float | None = Field(default=None, gt=0, le=1e6, description="time to train each later frame")
+    target_kbps: float | None = Field(default=None, gt=0, le=1e7, description="rate of predicted packets")
     start: bool = Field(default=False, description="start it at once")
 
     @property
