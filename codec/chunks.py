@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from codec import change, columns, geometry, plain
-from codec.matrices import added_channels, added_matrix, base_channels, base_matrix, level_from_added, level_from_base
+from codec.matrices import (
+    added_channels,
+    added_matrix,
+    base_channels,
+    base_matrix,
+    level_from_added,
+    level_from_base,
+    shifted_channels,
+    shifted_of,
+)
 from core.anchors import LATENTS, AnchorLevel, SceneHeader
 from core.arrays import Int32, Int64
 from core.errors import BitstreamError
@@ -44,7 +53,7 @@ def decode_geometry(data: bytes, profile: int, most_rows: int) -> Int32:
 def encode_base(level: AnchorLevel, profile: int) -> bytes:
     """The BASE chunk of a level that has anchors."""
     matrix = base_matrix(level)
-    coded = columns.encode(matrix) if profile else None
+    coded = columns.encode(matrix, shifted_of(level)) if profile else None
     return plain.encode_plain(matrix) if coded is None else coded
 
 
@@ -52,7 +61,7 @@ def decode_base(data: bytes, profile: int, header: SceneHeader, voxel: Int32) ->
     """The level of a BASE chunk and its voxels."""
     channels = base_channels(header)
     if coding_of(data, profile):
-        return level_from_base(header, voxel, columns.decode(data, 1, len(voxel), channels))
+        return level_from_base(header, voxel, columns.decode(data, 1, len(voxel), channels, shifted_channels(header)))
     matrix = plain.decode_plain(data, channels, len(voxel))
     if len(matrix) != len(voxel):
         raise BitstreamError("corrupt_chunk", f"{len(matrix)} base rows for {len(voxel)} voxels")
@@ -90,7 +99,7 @@ def encode_added(level: AnchorLevel, profile: int) -> bytes:
     """The ADDED chunk."""
     matrix = added_matrix(level)
     candidates = [plain.encode_plain(matrix)]
-    coded = columns.encode(matrix, with_count=True) if profile else None
+    coded = columns.encode(matrix, shifted_of(level, 3), with_count=True) if profile else None
     return min([*candidates, coded] if coded is not None else candidates, key=len)
 
 
@@ -98,7 +107,7 @@ def decode_added(data: bytes, profile: int, header: SceneHeader, most_rows: int)
     """The rows of an ADDED chunk."""
     channels = added_channels(header)
     if coding_of(data, profile):
-        return level_from_added(header, columns.decode_counted(data, most_rows, channels))
+        return level_from_added(header, columns.decode_counted(data, most_rows, channels, shifted_channels(header, 3)))
     return level_from_added(header, plain.decode_plain(data, channels, most_rows).astype(np.int64))
 
 

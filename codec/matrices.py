@@ -8,6 +8,7 @@ from core.anchors import LATENTS, SCALINGS, AnchorLevel, SceneHeader
 from core.arrays import Int32, Int64
 from core.errors import BitstreamError
 
+_UNSHIFTED = 1 + 3  # extra level and position
 _INT16, _INT32 = np.iinfo(np.int16), np.iinfo(np.int32)
 
 
@@ -19,6 +20,16 @@ def base_channels(header: SceneHeader) -> int:
 def added_channels(header: SceneHeader) -> int:
     """Channels of ADDED: voxel, those of BASE, latent, alive."""
     return 3 + base_channels(header) + LATENTS + 1
+
+
+def shifted_channels(header: SceneHeader, first: int = 0) -> slice:
+    """Channels of features, offsets and scalings in a matrix where those of BASE begin at `first`."""
+    return slice(first, first + base_channels(header) - _UNSHIFTED)
+
+
+def shifted_of(level: AnchorLevel, first: int = 0) -> slice:
+    """As `shifted_channels`, for a level."""
+    return slice(first, first + level.feature.shape[1] + level.offset.shape[1] + SCALINGS)
 
 
 def base_matrix(level: AnchorLevel) -> Int64:

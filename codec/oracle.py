@@ -166,6 +166,35 @@ def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None)
     return result
 
 
+def classes(coder: Coder, rows: int, count: int, wanted: Sequence[int] | None) -> list[int]:
+    """Which of `count` classes each row is of, section 6.4."""
+    models: dict[tuple[int, int], list[int]] = {}
+    result: list[int] = []
+    for i in range(rows):
+        own = count - 1
+        for k in range(count - 1):
+            model = models.setdefault((result[-1] if result else 0, k), [1, 1])
+            if flag(coder, model, None if wanted is None else int(wanted[i] == k)):
+                own = k
+                break
+        result.append(own)
+    return result
+
+
+def classed_columns(
+    coder: Coder, rows: int, scales: Sequence[Sequence[int]], wanted: tuple[list[int], Rows] | None
+) -> Rows:
+    """Rows of integers, each class coded apart, section 6.4; `wanted` are classes and numbers."""
+    of_row = classes(coder, rows, len(scales), None if wanted is None else wanted[0])
+    result: Rows = [[] for _ in range(rows)]
+    for k, scale in enumerate(scales):
+        own = [i for i in range(rows) if of_row[i] == k]
+        numbers = None if wanted is None else [wanted[1][i] for i in own]
+        for i, row in zip(own, columns(coder, len(own), scale, numbers), strict=True):
+            result[i] = row
+    return result
+
+
 def dynamic_set(coder: Coder, touched: Sequence[int], changed: Sequence[int] | None) -> list[int]:
     """Which rows change, as 0 and 1, where `touched` says which ones have before, section 9."""
     blocks, models = [[1, 1] for _ in range(8)], [[1, 1] for _ in range(16)]

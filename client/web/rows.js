@@ -2,7 +2,7 @@
 
 import { inflateColumns } from "./deflate.js";
 import { must, Reader } from "./packet.js";
-import { decodeColumns, RansDecoder, readScales } from "./rans.js";
+import { BitModels, decodeColumns, RansDecoder, readScales } from "./rans.js";
 import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
 
 /** @typedef {import("./scene.js").Level} Level */
@@ -16,7 +16,7 @@ import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
  */
 export function decodeBase(chunk, voxel, features, slots) {
   const count = voxel.length / 3;
-  const columns = decodeRows(chunk, features + 3 * slots + 10, count, count);
+  const columns = decodeRows(chunk, features + 3 * slots + 10, count, count, 0, features + 3 * slots + SCALINGS);
   must(columns.rows === count, "corrupt_chunk", "a level has another number of voxels than of rows");
   const level = emptyLevel(features, slots, count);
   level.voxel.set(voxel);
@@ -28,7 +28,7 @@ export function decodeBase(chunk, voxel, features, slots) {
 /** @type {(chunk: Uint8Array, features: number, slots: number, most: number) => Level} */
 export function decodeAdded(chunk, features, slots, most) {
   const channels = features + 3 * slots + 38;
-  const table = decodeRows(chunk, channels, null, most);
+  const table = decodeRows(chunk, channels, null, most, 3, 3 + features + 3 * slots + SCALINGS);
   const level = emptyLevel(features, slots, table.rows);
   fill(level.voxel, 3, table, 0);
   fillBase(level, table, 3, features, slots);
@@ -65,9 +65,11 @@ function fill(column, width, { rows, values, rowStep, channelStep }, first) {
  * @param {number} channels
  * @param {number | null} count - null where the chunk says it
  * @param {number} most - rows that are possible
+ * @param {number} first - channels from here on are shifted by their row's class
+ * @param {number} end - up to here
  * @returns {Table}
  */
-function decodeRows(chunk, channels, count, most) {
+function decodeRows(chunk, channels, count, most, first, end) {
   const reader = new Reader(chunk, "corrupt_chunk");
   const coding = reader.u8();
   if (coding === 0) {
@@ -80,17 +82,48 @@ function decodeRows(chunk, channels, count, most) {
   const modes = Array.from({ length: channels }, (_, c) => (packed[c >> 2] >> (2 * (c & 3))) & 3);
   must(!modes.includes(3), "corrupt_chunk", "a channel has an unknown mode");
   const centres = modes.map((mode) => (mode === 1 ? reader.i32() : 0));
-  const scales = readScales(reader, channels);
-  const coder = new RansDecoder(reader.rest(), coding);
-  const values = decodeColumns(coder, rows, scales);
-  coder.end();
+  const { values, shifts } = decodeClasses(reader, coding, rows, channels);
   for (let c = 0; c < channels; c++) {
-    if (modes[c] === 0) continue;
+    const shifted = c >= first && c < end;
+    if (modes[c] === 0 && !shifted) continue;
     for (let i = 0, at = c; i < rows; i++, at += channels) {
-      const sum = values[at] + (modes[c] === 1 ? centres[c] : i ? values[at - channels] : 0);
+      const value = shifted ? values[at] * (1 << shifts[i]) : values[at];
+      const sum = value + (modes[c] === 1 ? centres[c] : modes[c] === 2 && i ? values[at - channels] : 0);
       must(sum === (sum | 0), "overflow", "a number leaves its column's type");
       values[at] = sum;
     }
   }
   return { rows, values, rowStep: channels, channelStep: 1 };
+}
+
+/** Rows in classes of precision, section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */
+function decodeClasses(reader, coding, rows, channels) {
+  const mask = reader.u8(), used = [0, 1, 2, 3, 4, 5, 6, 7].filter((s) => (mask >> s) & 1);
+  must(mask > 0, "corrupt_chunk", "a chunk has no class of rows");
+  const scales = used.map(() => readScales(reader, channels));
+  const coder = new RansDecoder(reader.rest(), coding);
+  const models = new BitModels(64), classes = new Uint8Array(rows), counts = used.map(() => 0);
+  for (let i = 0, own = 0; i < rows; i++) {
+    const before = 8 * own;
+    own = 0;
+    while (own < used.length - 1 && !coder.flag(models, before + own)) own++;
+    classes[i] = own;
+    counts[own]++;
+  }
+  if (used.length === 1) {
+    const values = decodeColumns(coder, rows, scales[0]);
+    coder.end();
+    return { values, shifts: new Uint8Array(rows).fill(used[0]) };
+  }
+  const values = new Int32Array(rows * channels);
+  for (let k = 0; k < used.length; k++) {
+    const part = decodeColumns(coder, counts[k], scales[k]);
+    for (let i = 0, from = 0; i < rows; i++) {
+      if (classes[i] !== k) continue;
+      values.set(part.subarray(from, from + channels), i * channels);
+      from += channels;
+    }
+  }
+  coder.end();
+  return { values, shifts: classes.map((k) => used[k]) };
 }

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import change_model, column_model, octree_model, oracle, rans
+from codec import change_model, class_model, column_model, octree_model, oracle, rans
 from codec.entropy import encode_items
 from core.arrays import Int64
 from core.entropy_model import FREQUENCIES, SCALES
@@ -45,6 +45,25 @@ def test_columns(seed: int, rows: int, channels: int) -> None:
     found = np.zeros_like(values)
     assert column_model.decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, scale)
     np.testing.assert_array_equal(found, values)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, rows=st.integers(0, 40), channels=st.integers(1, 12), count=st.integers(1, 8))
+def test_classes_of_rows(seed: int, rows: int, channels: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    values, of_row = _numbers(rng, (rows, channels)), rng.integers(0, count, rows)
+    scales = SCALES[rng.integers(0, 192, (count, channels))]
+    lanes, data = encode_items(lambda items: class_model.rows_items(values, of_row, scales, items, 0), 10)
+    encoder = oracle.Encoder()
+    oracle.classed_columns(encoder, rows, scales.tolist(), (of_row.tolist(), values.tolist()))
+    assert encoder.words(lanes) == _words(data)
+    decoder = oracle.Decoder(_words(data), lanes)
+    assert oracle.classed_columns(decoder, rows, scales.tolist(), None) == values.tolist()
+    decoder.finish()
+    found, classes = np.zeros_like(values), np.zeros(rows, np.int64)
+    assert class_model.decode_rows(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, classes, scales)
+    np.testing.assert_array_equal(found, values)
+    np.testing.assert_array_equal(classes, of_row)
 
 
 @settings(max_examples=40, deadline=None)

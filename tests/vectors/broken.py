@@ -137,11 +137,20 @@ def _key_levels(good: bytes, plain: bytes) -> Iterator[tuple[str, bytes, str]]:
     yield "octree-words", geometry(lambda d: d[:-2] + b"\1\1"), "corrupt_chunk"
     yield "coding-2", base(lambda d: b"\2" + d[1:]), "unsupported_profile"
     yield "empty-base", base(lambda _: b""), "corrupt_chunk"
+    yield "no-class", base(lambda d: _with_classes(d, 0)), "corrupt_chunk"
+    yield "class-without-scales", base(lambda d: _with_classes(d, 255)), "corrupt_chunk"
     yield "channel-mode-3", base(lambda d: d[:1] + b"\3" + d[2:]), "corrupt_chunk"
     yield "coding-4-in-profile-0", patch(good, 5, b"\0"), "unsupported_profile"
     rows = struct.pack("<I", 1)
     yield "plain-rows", edit(plain, 1, ChunkKind.BASE, lambda d: d[:1] + rows + d[5:]), "corrupt_chunk"
     yield "plain-overflow", edit(plain, 0, ChunkKind.BASE, lambda d: encode_plain(_huge(d))), "overflow"
+
+
+def _with_classes(data: bytes, mask: int) -> bytes:
+    """A BASE chunk of 15 channels with another byte of classes."""
+    modes = [data[1 + c // 4] >> 2 * (c % 4) & 3 for c in range(15)]
+    at = 1 + 4 + 4 * modes.count(1)
+    return data[:at] + bytes([mask]) + data[at + 1 :]
 
 
 def _huge(data: bytes) -> np.ndarray:

@@ -56,6 +56,7 @@ def valid_streams() -> Streams:
     yield "same-voxel-twice", _same_voxel()
     yield "extension-chunk", _extension()
     yield "no-cameras-no-view", _bare()
+    yield "classes", _classes()
 
 
 def _chain(scene: Scene, profile: int, share: float = 0.3) -> list[bytes]:
@@ -65,6 +66,18 @@ def _chain(scene: Scene, profile: int, share: float = 0.3) -> list[bytes]:
         packets.append(packet(scene, following, profile=profile))
         scene = following
     return packets
+
+
+def _classes() -> list[bytes]:
+    """A keyframe whose rows end in different numbers of zeros, in classes too small to be kept and large enough."""
+    scene = small((40, 300))
+    rng, levels = np.random.default_rng(3), []
+    for level, most in zip(scene.levels, (3, 10), strict=True):
+        unit = 2 ** np.minimum(rng.integers(0, most, len(level)), 9)[:, None].astype(np.int16)
+        columns = {name: (getattr(level, name) // unit * unit).astype(np.int16) for name in ("feature", "offset")}
+        levels.append(replace(level, **columns, scaling=level.scaling // unit * unit))
+    scene = replace(scene, levels=tuple(levels))
+    return [key(scene), packet(scene, move(scene))]
 
 
 def _count(count: int) -> Scene:
