@@ -86,6 +86,10 @@ class StreamCollector(Collector):
         refused = CounterMetricFamily("streamlod_refused_tokens", "requests with a wrong token")
         refused.add_metric([], self._registry.gate.refused)
         yield refused
+        away = CounterMetricFamily("streamlod_turned_away", "connections that were closed", labels=["reason"])
+        for reason, count in list(self._registry.turned_away.items()):
+            away.add_metric([reason], count)
+        yield away
 
 
 def collector_registry(registry: Registry) -> CollectorRegistry:

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import secrets
 import tempfile
+from collections import Counter
 from pathlib import Path
 
 from core.errors import InputError
@@ -38,6 +39,7 @@ class Registry:
         self.streams: dict[str, Stream] = {}
         self.sessions: dict[ViewerSession, str] = {}  # with the viewer's address
         self.painter = Painter(settings.limits.thin_viewers, settings.limits.thin_pixels)
+        self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
         self.draining = False
         self._drained = False
         self._sockets: tempfile.TemporaryDirectory[str] | None = None

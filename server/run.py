@@ -13,10 +13,12 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 
 import uvicorn
+from fastapi import FastAPI
 from prometheus_client import start_http_server
 
 from core.errors import InputError, StreamlodError
 from server.app import create_app
+from server.guard import http_class
 from server.metrics import collector_registry
 from server.registry import Registry
 from server.settings import Settings
@@ -71,12 +73,13 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         listener.close()
 
 
-def server_config(app: object, settings: Settings) -> uvicorn.Config:
+def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """uvicorn's configuration for an application of `create_app`."""
-    limits = settings.limits
+    limits, turned_away = settings.limits, app.state.registry.turned_away
     return uvicorn.Config(
-        app,  # type: ignore[arg-type]
-        ws=websocket_class(limits.viewer_bytes),
+        app,
+        http=http_class(limits, turned_away),
+        ws=websocket_class(limits.viewer_bytes, turned_away),
         ws_per_message_deflate=False,
         ws_max_size=limits.message_bytes,
         ws_ping_interval=20,

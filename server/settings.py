@@ -24,6 +24,8 @@ class Limits(BaseModel):
     viewers_per_address: int = Field(default=200, ge=1, description="viewers from one network address")
     connections: int = Field(default=2000, ge=1, description="connections of any kind; further ones get 503")
     packet_bytes: int = Field(default=16 * 2**20, ge=1024, description="largest packet that is accepted from a worker")
+    request_bytes: int = Field(default=65536, ge=4096, description="largest head, and largest body, of a REST request")
+    request_seconds: float = Field(default=10.0, gt=0, description="time in which a request must have arrived whole")
     message_bytes: int = Field(default=4096, ge=256, description="largest control message")
     messages_per_second: float = Field(default=50.0, gt=0, description="control messages of a viewer, on average")
     hello_seconds: float = Field(default=5.0, gt=0, description="time a viewer has to say hello")

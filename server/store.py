@@ -46,6 +46,7 @@ class Segment:
         first, last: positions of its keyframe and of its newest packet.
         packets, size_bytes: count and sum of sizes of its packets.
         begun_ns: Unix time of its keyframe.
+        begun: monotonic time of its keyframe [s]; retention goes by it, so that a clock that is set deletes nothing.
         closed: whether it has its index and will not change.
     """
 
@@ -55,6 +56,7 @@ class Segment:
     packets: int
     size_bytes: int
     begun_ns: int
+    begun: float
     closed: bool
 
 
@@ -188,8 +190,7 @@ class Recording:
             self._writer.append(packet.data)
         except (OSError, sqlite3.Error) as error:
             self.lost_packets += 1
-            self.fault = f"recording stopped: {error}"
-            _LOG.error("stream %s: %s", self._stream, self.fault)
+            self._stop(error)
             self._abandon()
             return
         last = self.segments[-1]
@@ -204,16 +205,24 @@ class Recording:
         if path.exists():
             raise OSError(f"{path.name} exists already")
         self._writer = SlodWriter(path, live=True)
-        self.segments.append(Segment(path, packet.position, packet.position, 0, 0, time.time_ns(), False))
+        now = time.time_ns(), time.monotonic()
+        self.segments.append(Segment(path, packet.position, packet.position, 0, 0, *now, False))
 
     def finish(self) -> None:
         """Close the open segment. On the recording thread."""
         if self._writer is None:
             return
         writer, self._writer = self._writer, None
-        writer.close()
-        self.segments[-1] = replace(self.segments[-1], closed=True)
-        self._enter(self.segments[-1])
+        try:
+            writer.close()
+            self.segments[-1] = replace(self.segments[-1], closed=True)
+            self._enter(self.segments[-1])
+        except (OSError, sqlite3.Error) as error:  # it can be read without its index, and is repaired at the next start
+            self._stop(error)
+
+    def _stop(self, error: Exception) -> None:
+        self.fault = f"recording stopped: {error}"
+        _LOG.error("stream %s: %s", self._stream, self.fault)
 
     def _abandon(self) -> None:
         """Leave the open segment as it is up to its last whole packet."""
@@ -224,20 +233,20 @@ class Recording:
             writer.close()
         segment = self.segments.pop()
         repaired = None
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, sqlite3.Error):
             repaired = self._repair(segment.path, segment.begun_ns)
         if repaired is not None:
             self.segments.append(repaired)
 
     def _retain(self) -> None:
         """Delete what is too old or too much; the newest segment stays."""
-        retention, now = self._store.retention, time.time_ns()
+        retention, now = self._store.retention, time.monotonic()
         kept = self.segments[-1:]
         total = sum(s.size_bytes for s in kept)
         old = []
         for segment in reversed(self.segments[:-1]):
             total += segment.size_bytes
-            if total > retention.bytes or now - segment.begun_ns > retention.seconds * 1e9:
+            if total > retention.bytes or now - segment.begun > retention.seconds:
                 old.append(segment)
         self._delete(old)
 
@@ -264,7 +273,7 @@ class Recording:
             stat = path.stat()
             if row is not None and row[6] == stat.st_size:
                 place = Position(epoch, first), Position(epoch, row[2])
-                segments.append(Segment(path, *place, row[3], row[4], row[5], True))
+                segments.append(Segment(path, *place, row[3], row[4], row[5], _monotonic(row[5]), True))
             elif (repaired := self._repair(path, stat.st_mtime_ns)) is not None:
                 segments.append(repaired)
         for epoch, first in known:
@@ -287,7 +296,12 @@ class Recording:
         epoch = int(path.stem.split("-")[0])
         first, last = Position(epoch, entries[0].to_version), Position(epoch, entries[-1].to_version)
         size = sum(entry.size_bytes for entry in entries)
-        segment = Segment(path, first, last, len(entries), size, begun_ns, True)
+        segment = Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
         self._enter(segment)
         os.utime(path, ns=(begun_ns, begun_ns))
         return segment
+
+
+def _monotonic(unix_ns: int) -> float:
+    """The monotonic time of an earlier Unix time, by the clock as it is set now."""
+    return time.monotonic() - max(0, time.time_ns() - unix_ns) / 1e9

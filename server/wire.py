@@ -9,8 +9,9 @@ from __future__ import annotations
 import asyncio
 import socket
 from asyncio.transports import BaseTransport
+from collections import Counter
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -24,10 +25,12 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
 
     Attributes:
         send_buffer_bytes: size of the kernel's buffer, about.
+        turned_away: counts peers that break the websocket protocol, by close code.
         take: offered every text message before the endpoint; whether it took it.
     """
 
-    send_buffer_bytes = 256 * 1024
+    send_buffer_bytes: ClassVar[int]
+    turned_away: ClassVar[Counter[str]]
     take: Callable[[bytes], bool] | None = None
 
     def connection_made(self, transport: BaseTransport) -> None:
@@ -42,15 +45,21 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
         if self.take is None or not event.fin or not self.take(bytes(event.data)):
             super().handle_text(event)
 
+    def handle_parser_exception(self) -> None:
+        if self.conn.close_sent is not None:
+            self.turned_away[str(int(self.conn.close_sent.code))] += 1
+        super().handle_parser_exception()
+
     async def run_asgi(self) -> None:
         scope: dict[str, Any] = self.scope  # type: ignore[assignment]
         scope[CONNECTION] = Connection(self)
         await super().run_asgi()
 
 
-def websocket_class(send_buffer_bytes: int) -> type[ViewerProtocol]:
-    """The protocol class for uvicorn's ``ws`` option, with kernel buffers of about `send_buffer_bytes`."""
-    return type("ViewerProtocol", (ViewerProtocol,), {"send_buffer_bytes": send_buffer_bytes})
+def websocket_class(send_buffer_bytes: int, turned_away: Counter[str]) -> type[ViewerProtocol]:
+    """The protocol class for uvicorn's ``ws`` option; see the attributes of `ViewerProtocol`."""
+    fields = {"send_buffer_bytes": send_buffer_bytes, "turned_away": turned_away}
+    return type("ViewerProtocol", (ViewerProtocol,), fields)
 
 
 class Connection:

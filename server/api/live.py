@@ -68,11 +68,13 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
         hello = await _hello(websocket, registry.settings.limits.hello_seconds)
         await _watch(websocket, registry, stream_id, hello, transport)
     except SessionError as error:
+        registry.turned_away[str(error.close_code)] += 1
         await _close(websocket, error.close_code, error.detail)
     except TimeoutError:
         _LOG.warning("stream %s: viewer %s took nothing and is cut off", stream_id, address_of(websocket))
         if (stream := registry.streams.get(stream_id)) is not None:
             stream.counters.stuck += 1
+        registry.turned_away[str(BUSY)] += 1
         seconds = registry.settings.limits.stuck_seconds
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.5):
