@@ -1,6 +1,6 @@
 """The live data set: a rig in operation as an iterator of frame sets that training reads.
 
-Pixels are converted only for instants that are used.
+Pixels are converted just before training asks for them, and only for instants that are used.
 """
 
 from __future__ import annotations
@@ -8,18 +8,19 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from core.arrays import UInt8
+from core.arrays import Bool, UInt8
 from core.camera import Camera
 from core.data.lens import Development, development
 from core.errors import InputError
 from core.frames import FrameSet, PointCloud
+from server.ingest.ahead import just_in_time
 from server.ingest.definition import RigDefinition, read_definition
 from server.ingest.grid import period_of
 from server.ingest.intake import Intake
@@ -28,6 +29,8 @@ from server.ingest.relay import listening
 from server.ingest.rig import Rig
 from server.ingest.statistics import Statistics
 from server.ingest.synchroniser import Slot
+
+_Developed = tuple[Slot, UInt8, Bool]  # an instant, its pictures' pixels [C,H,W,3], which cameras [C] have one
 
 
 @dataclass(eq=False)
@@ -135,19 +138,31 @@ class LiveDataset:
             if self.push_socket is not None and rig.pushed:
                 stack.enter_context(listening(self.push_socket, lambda: Intake(rig)))
             rig.start()
+            slots = rig.slots()
+
+            def develop() -> _Developed | None:
+                developed = (self._developed(rig, slot, pool) for slot in slots)
+                return next((found for found in developed if found[2].any()), None)
+
+            found: Iterator[_Developed] = iter(develop, None)
+            if self.definition.realtime:
+                found = stack.enter_context(closing(just_in_time(develop, lambda _: rig.note_stale())))
             first: Slot | None = None
-            for slot in rig.slots():
+            while index != stop:
+                rig.waiting = True
+                newest = next(found, None)
+                rig.waiting = False
+                if newest is None:
+                    return
+                slot, images, present = newest
+                rig.note_delivery(slot)
                 first = slot if first is None else first
                 time_ns = first.capture_ns + round((slot.number - first.number) * period_of(self.fps))
-                frame = self._develop(rig, slot, index, time_ns, pool)
-                if frame is None:
-                    continue
-                yield frame
+                yield FrameSet(index, time_ns, images, present)
                 index += 1
-                if index == stop:
-                    return
 
-    def _develop(self, rig: Rig, slot: Slot, index: int, time_ns: int, pool: ThreadPoolExecutor) -> FrameSet | None:
+    def _developed(self, rig: Rig, slot: Slot, pool: ThreadPoolExecutor) -> _Developed:
+        """The slot with its pictures' pixels, and which cameras have one."""
         height, width = self.cameras[0].height, self.cameras[0].width
         images = np.zeros((len(self.cameras), height, width, 3), np.uint8)
 
@@ -161,8 +176,8 @@ class LiveDataset:
                 return False
             return True
 
-        present = np.array(list(pool.map(one, self.developments, slot.pictures, images)), np.bool_)
-        return FrameSet(index, time_ns, images, present) if present.any() else None
+        present = list(pool.map(one, self.developments, slot.pictures, images))
+        return slot, images, np.array(present, np.bool_)
 
     def _release(self) -> None:
         self._rig = None

@@ -48,6 +48,9 @@ class Rig:
     Args:
         definition: of the rig.
         chosen: names of the cameras to read.
+
+    Attributes:
+        waiting: whether training waits; to be set by whoever takes slots.
     """
 
     def __init__(self, definition: RigDefinition, chosen: Sequence[str]) -> None:
@@ -56,7 +59,7 @@ class Rig:
         self._epoch_ns: int | None = None
         self._timeline = Timeline()
         self._change = threading.Condition()
-        self._stopped = self._waiting = False
+        self._stopped = self.waiting = False
         self._last = {name: _Last() for name in self._names}
         self._slots: deque[Slot] = deque()
         self._virtual_ns = 0
@@ -142,11 +145,9 @@ class Rig:
         while True:
             with self._change:
                 while not self._slots and not self._stopped and not self._is_over():
-                    self._waiting = True
                     self._change.wait(self._seconds_to_deadline())
                     if self._paced:
                         self._queue(self._synchroniser.poll(self._clock_ns()))
-                self._waiting = False
                 if self._stopped or not self._slots:
                     return
                 if self._paced:
@@ -156,9 +157,18 @@ class Rig:
                 else:
                     slot = self._slots.popleft()
                     self._change.notify_all()
-                self._delivered += 1
-                self._latency_ns = self._timeline.now_ns() - slot.capture_ns
             yield slot
+
+    def note_delivery(self, slot: Slot) -> None:
+        """A slot goes to training now."""
+        with self._change:
+            self._delivered += 1
+            self._latency_ns = self._timeline.now_ns() - slot.capture_ns
+
+    def note_stale(self) -> None:
+        """A slot that was given out is not used: there is a newer one."""
+        with self._change:
+            self._stale += 1
 
     @property
     def fps(self) -> float:
@@ -197,7 +207,7 @@ class Rig:
                 )
             return Statistics(
                 self._synchroniser.is_degraded(now),
-                self._waiting,
+                self.waiting,
                 self._delivered,
                 self._stale,
                 self._synchroniser.dropped,
