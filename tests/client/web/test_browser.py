@@ -56,7 +56,10 @@ class Console:
 @pytest.fixture(scope="module")
 def clip() -> Clip:
     """Forty frames of a small scene."""
-    return make_clip(make_scene(400), 40)
+    clip = make_clip(make_scene(400), 40)
+    clip.key()  # compiles what encodes, here and not while a page waits
+    clip.residual(0, 1)
+    return clip
 
 
 @pytest.fixture
