@@ -207,7 +207,7 @@ def test_hostile_viewers_are_refused_and_counted(clip: Clip) -> None:
 
 def test_hostile_requests_are_refused_and_counted(clip: Clip, tmp_path: Path) -> None:
     config = tmp_path / "server.toml"
-    config.write_text("[limits]\nrequest_seconds = 1.0\nconnections = 40\n")
+    config.write_text("[limits]\nrequest_seconds = 2.0\nconnections = 40\n")
     command = [*PROGRAM, "serve", "--port", "0", "--play", str(clip.path), "--config", str(config)]
     with started(command) as (process, port, _), ExitStack() as stack:
         wait_live(port)
