@@ -26,7 +26,7 @@ class TrainJob:
         downscale: factor by which pictures are made smaller.
         preset, device, seed: of the trainer.
         points: where first points come from, see `core.initialise.first_points`.
-        keyframe_interval: frames between keyframes.
+        keyframe_interval: most frames between keyframes; sooner ones come when they save bytes (`codec.renewal`).
         frame_budget_ms: wall time for training each later frame, or None for as long as it takes.
         target_kbps: kilobits a second for predicted packets, or None for any.
 

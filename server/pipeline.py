@@ -7,6 +7,7 @@ and handed on. `train_stream` is what the worker process runs; `train_clip` writ
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
@@ -19,6 +20,7 @@ import numpy as np
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
+from codec.renewal import Renewal, RenewalRule
 from core.anchors import Scene
 from core.camera import Camera
 from core.data import Dataset, linspace_split, open_dataset, prefetch
@@ -34,6 +36,7 @@ from server.ingest.statistics import Statistics
 from server.job import TrainJob
 from server.trace import Span, timed, timing
 
+_LOG = logging.getLogger(__name__)
 _PREFETCHED = 2  # frames decoded ahead
 _PREVIEWS_AT = (0.1, 0.3, 0.6, 2.0)  # of the first frame's run; the last is never reached
 
@@ -218,6 +221,7 @@ class _Training:
             frame_budget_ms=job.frame_budget_ms,
             target_kbps=job.target_kbps,
         )
+        self._renewal = Renewal(RenewalRule(longest=job.keyframe_interval))
 
     def run(self, resume: Scene | None, start: int) -> None:
         """All frames from `start`, after the state to resume if there is one."""
@@ -280,7 +284,9 @@ class _Training:
         trained = self._trainer.predict(frame)
         assert trained.residual is not None
         scene, renewed = trained.scene, None
-        if scene.version - scene.keyframe >= self._job.keyframe_interval:
+        reason = self._renewal.due(before, scene)
+        if reason is not None:
+            _LOG.info("version %d: a new keyframe, for its %s", scene.version, reason)
             renewed = rekey(scene, scene.version)
             self._trainer.resume(renewed, keep_references=True)
         spans = _spans(trained)

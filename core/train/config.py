@@ -105,7 +105,7 @@ class PredictConfig:
     final_rate: float = 0.1
     feature_step: float = 0.2
     offset_step: float = 0.2
-    position_steps_per_cell: int = 32
+    position_steps_per_cell: int = 16
     rate_weight: float = 0.01
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
