@@ -17,12 +17,13 @@ async function fetchStreams(options) {
 
 /** The stream the address names, or the server's only or first one. @param {URLSearchParams} options @returns {Promise<string>} */
 export async function chooseStream(options) {
-  const named = options.get("stream");
-  const streams = await fetchStreams(options);
-  const chosen = named ?? streams[0]?.id ?? "main";
-  const label = button("stream-name");
-  label.textContent = streams.find(({ id }) => id === chosen)?.name ?? chosen;
-  label.hidden = streams.length < 2;
+  const named = options.get("stream"), listed = fetchStreams(options);
+  const chosen = named ?? (await listed)[0]?.id ?? "main"; // one that is named need not wait for the list
+  listed.then((streams) => {
+    const label = button("stream-name");
+    label.textContent = streams.find(({ id }) => id === chosen)?.name ?? chosen;
+    label.hidden = streams.length < 2;
+  });
   return chosen;
 }
 

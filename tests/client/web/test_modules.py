@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import itertools
 import json
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -63,6 +64,19 @@ def test_page_is_small_and_complete(kernel: bytes) -> None:
             assert "http://" not in text, name
             assert "https://" not in text, name
             assert "node_modules" not in text, name
+
+
+def test_page_preloads_what_it_imports() -> None:
+    """Every module that the page imports at once is announced in its head: no chain of round trips."""
+    page = (WEB / "index.html").read_text()
+    announced, (main,) = re.findall(r'modulepreload" href="(.+?)"', page), re.findall(r'module" src="(.+?)"', page)
+    found, left = set(), [main]
+    while left:
+        name = left.pop()
+        imported = set(re.findall(r'^import .*?from "./(.+?)"', (WEB / name).read_text(), re.MULTILINE | re.DOTALL))
+        left += imported - found
+        found |= imported
+    assert sorted(announced) == sorted(found)
 
 
 def _walk(first: Scene, profile: int) -> tuple[list[Scene], list[bytes]]:
