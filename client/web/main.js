@@ -88,7 +88,7 @@ async function start(viewer) {
     const { status, now } = /** @type {CustomEvent} */ (event).detail;
     retryAt = performance.now() + Math.max(0, status.retryAt - now);
     if (recording && viewer.scene) status.fps ??= viewer.scene.fps;
-    quality.limit(status.levels);
+    quality.limit(status.levels ?? viewer.scene?.levels ?? null);
     refresh();
   });
   viewer.addEventListener("picture", (event) => {

@@ -55,9 +55,9 @@ def test_types() -> None:
 
 
 def test_page_is_small_and_complete(kernel: bytes) -> None:
-    """Under 80 KB compressed, comments and all; every file it refers to is there; nothing comes from elsewhere."""
+    """Under 100 KB compressed with comments and all (test_built.py weighs what is served); nothing comes from elsewhere."""
     files = {path.name: path.read_bytes() for path in WEB.iterdir() if path.suffix not in (".wat", ".py")}
-    assert sum(len(gzip.compress(content)) for name, content in files.items() if name != "__pycache__") < 80_000
+    assert sum(len(gzip.compress(content)) for content in files.values()) < 100_000
     for name, content in files.items():
         if not name.endswith(".wasm"):
             text = content.decode().replace("http://www.w3.org/2000/svg", "")
