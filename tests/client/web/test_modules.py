@@ -55,7 +55,7 @@ def test_types() -> None:
 
 
 def test_page_is_small_and_complete(kernel: bytes) -> None:
-    """Under 100 KB compressed with comments and all (test_built.py weighs what is served); nothing comes from elsewhere."""
+    """Under 100 KB compressed, comments and all (test_built.py weighs what is served); nothing comes from elsewhere."""
     files = {path.name: path.read_bytes() for path in WEB.iterdir() if path.suffix not in (".wat", ".py")}
     assert sum(len(gzip.compress(content)) for content in files.values()) < 100_000
     for name, content in files.items():
