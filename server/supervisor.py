@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 from server.settings import WorkerSettings
 from server.spec import StreamSpec
-from server.worker import Resume, Tag, run_worker
+from server.worker import Resume, Tag, run_worker, send_resume
 
 _LOG = logging.getLogger(__name__)
 _WATCH_SECONDS = 0.25
@@ -109,11 +109,11 @@ class Supervisor:
     async def _run_once(self) -> Ending:
         context = multiprocessing.get_context("spawn")
         resume = await self._owner.resume_point()
-        ours, theirs = context.Pipe(duplex=False)
+        ours, theirs = context.Pipe()
         self._ending, self._heard = None, time.monotonic()
         self._process = context.Process(
             target=run_worker,
-            args=(self._spec, resume, theirs, self._push_socket),
+            args=(self._spec, theirs, self._push_socket),
             name=f"streamlod-{self._spec.id}",
             daemon=True,
         )
@@ -121,7 +121,7 @@ class Supervisor:
         theirs.close()
         loop = asyncio.get_running_loop()
         thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool could run dry
-        pump = loop.run_in_executor(thread, self._pump, ours, loop)
+        pump = loop.run_in_executor(thread, self._pump, ours, resume, loop)
         reason = None
         try:
             while not pump.done():
@@ -144,8 +144,10 @@ class Supervisor:
         """What the worker said about its end; the pump's thread has noted it."""
         return self._ending
 
-    def _pump(self, pipe: Connection, loop: asyncio.AbstractEventLoop) -> None:
+    def _pump(self, pipe: Connection, resume: Resume, loop: asyncio.AbstractEventLoop) -> None:
         """Read messages on a thread; each is handled before the next is read, which holds back the worker."""
+        with contextlib.suppress(OSError):  # what it died of shows below
+            send_resume(resume, pipe)
         while True:
             try:
                 message = pipe.recv_bytes(self._limit)

@@ -61,6 +61,19 @@ class Resume:
     frames: int = 0
 
 
+def send_resume(resume: Resume, pipe: Connection) -> None:
+    """Tell a worker where to go on; blocks until it has begun to listen."""
+    pipe.send_bytes(json.dumps({"frames": resume.frames, "packets": len(resume.packets)}).encode())
+    for packet in resume.packets:
+        pipe.send_bytes(packet)
+
+
+def receive_resume(pipe: Connection) -> Resume:
+    """What `send_resume` sent."""
+    told = json.loads(pipe.recv_bytes())
+    return Resume(tuple(pipe.recv_bytes() for _ in range(told["packets"])), told["frames"])
+
+
 class Sender:
     """Messages to the supervisor, from several threads."""
 
@@ -74,10 +87,11 @@ class Sender:
             self._pipe.send_bytes(bytes((tag,)) + data)
 
 
-def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection, push_socket: Path | None = None) -> None:
+def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = None) -> None:
     """Entry of the process; returns when the source ends, and never raises.
 
     Args:
+        pipe: to the supervisor, which first sends where to go on.
         push_socket: where to take pictures that capture nodes push to the serving process.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
@@ -85,6 +99,7 @@ def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection, push_socket: 
     sender = Sender(pipe)
     threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
     try:
+        resume = receive_resume(pipe)
         if spec.job is None:
             play(spec, resume, sender)
         else:
@@ -92,8 +107,8 @@ def run_worker(spec: StreamSpec, resume: Resume, pipe: Connection, push_socket: 
         sender.send(Tag.END)
     except StreamlodError as error:
         sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError)})
-    except (BrokenPipeError, ConnectionResetError):
-        return
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return  # the supervisor is gone
     except Exception as error:
         _LOG.exception("worker of stream %s", spec.id)
         sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})

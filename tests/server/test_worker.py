@@ -7,6 +7,7 @@ import math
 import multiprocessing
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from core.errors import InputError
 from server.job import TrainJob
 from server.settings import Settings
 from server.spec import StreamSpec, spec_from_json
-from server.worker import Resume, Sender, Tag, play
+from server.worker import Resume, Sender, Tag, play, receive_resume, send_resume
 from tests.server.conftest import Clip, running
 
 
@@ -39,6 +40,15 @@ def test_a_file_is_played_packet_by_packet(clip: Clip, monkeypatch: pytest.Monke
     collect.messages.clear()
     received(clip, Resume(frames=75))
     assert [body for tag, body in collect.messages if tag is Tag.PACKET] == clip.packets[60:]
+
+
+def test_where_to_go_on_is_told_by_pipe_however_long_it_is() -> None:
+    resume = Resume((bytes(3_000_000), b"residual"), 7)
+    ours, theirs = multiprocessing.Pipe()
+    with ours, theirs, ThreadPoolExecutor(1) as pool:
+        sent = pool.submit(send_resume, resume, ours)
+        assert receive_resume(theirs) == resume
+        sent.result(5)
 
 
 class Collector:
