@@ -49,5 +49,5 @@ def cuda_fault() -> str | None:
 
 
 def _gsplat_is_compiled() -> bool:
-    """Whether gsplat brought its kernels as a compiled module, or torch has compiled them before."""
+    """Whether gsplat brought its kernels as a compiled module, as its own wheels for CUDA do."""
     return importlib.util.find_spec("gsplat.csrc") is not None

@@ -20,6 +20,9 @@ from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
 _RULES = {"near_plane": 0.01, "far_plane": 1e10, "eps2d": 0.3, "rasterize_mode": "classic", "packed": True}
 _OPACITY_MAX = 2.0
+_LARGEST = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
+_LARGEST_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
+_NEAR = 0.01
 _NEEDED = {*_RULES, "backgrounds", "absgrad"}
 
 
@@ -47,8 +50,8 @@ def rasterise_cuda(
         parameters = [torch.cat([p[:moving], p[moving:].detach()]) for p in parameters]
     if count == 0:  # gsplat's kernels want at least one Gaussian
         return _empty(means, camera, background, tile_mask, base)
-    pose, intrinsics = _on_device(camera, means.device)
-    parameters[3] = parameters[3].clamp(max=_OPACITY_MAX)
+    pose, intrinsics, centre, half = _on_device(camera, means.device)
+    parameters = sound(parameters, pose, intrinsics, centre)
     images, alphas, meta = rasterization(
         *parameters,
         viewmats=pose[None],
@@ -61,11 +64,11 @@ def rasterise_cuda(
     )
     image, light = images[0], 1 - alphas[0, ..., 0]
     rows = meta["gaussian_ids"].long()
-    wanted = rows < moving
+    # A mask makes the host wait for its count, so it is used only where it must be.
+    wanted = slice(None) if moving == count else rows < moving
     probe = Probe(rows[wanted])
     projected = meta["means2d"]
     if projected.requires_grad:
-        half = projected.new_tensor([camera.width / 2, camera.height / 2])
 
         def record(gradients: Tensor) -> None:
             absolute = getattr(projected, "absgrad", None)
@@ -75,6 +78,36 @@ def rasterise_cuda(
     if tile_mask is not None:
         image, light = _over(image, light, tile_mask, base)
     return Raster(image, light, probe)
+
+
+def sound(parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Tensor) -> list[Tensor]:
+    """The five parameters with those Gaussians moved out of sight that gsplat's kernels cannot draw.
+
+    What is not finite, has no direction, or is so large that projecting it overflows, comes to lie in the camera's
+    centre, and gets no gradient; the CPU kernels leave the same out. Opacities count as at most 2, their gradients go
+    on as though they were not held.
+
+    Args:
+        parameters: as `rasterise_cuda` takes them.
+        pose [4,4], intrinsics [3,3], centre [3]: of the camera.
+    """
+    means, quaternions, scales, opacities, colours = parameters
+    with torch.no_grad():
+        flat = torch.cat([means, quaternions, scales, opacities[:, None], colours], dim=1)
+        depth = (means @ pose[2, :3] + pose[2, 3]).clamp_min(_NEAR)
+        size = scales.abs().amax(dim=1) * intrinsics.diagonal()[:2].amax() / depth
+        length = quaternions.square().sum(dim=1)
+        good = (flat.abs() < _LARGEST).all(dim=1) & (size < _LARGEST_PIXELS) & (length > 0)
+        upright = torch.eye(4, device=means.device)[0]
+        excess = opacities - opacities.clamp(max=_OPACITY_MAX)
+    rows = good[:, None]
+    return [
+        torch.where(rows, means, centre),
+        torch.where(rows, quaternions, upright),
+        torch.where(rows, scales, torch.ones_like(scales)),
+        torch.where(good, opacities - excess, torch.zeros_like(opacities)),
+        torch.where(rows, colours, torch.zeros_like(colours)),
+    ]
 
 
 def _over(image: Tensor, light: Tensor, tile_mask: Tensor, base: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -94,12 +127,15 @@ def _empty(means: Tensor, camera: Camera, background: Tensor, tile_mask: Tensor 
 
 
 @functools.lru_cache(maxsize=64)
-def _on_device(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Pose [4,4] and intrinsics [3,3]; kept, because sending them each time would make the host wait for the device."""
-    return (
-        torch.as_tensor(camera.world_to_camera, dtype=torch.float32, device=device),
-        torch.as_tensor(camera.intrinsics, dtype=torch.float32, device=device),
-    )
+def _on_device(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Pose [4,4], intrinsics [3,3], centre [3] and half the size [2] in pixels.
+
+    Kept, because sending them each time would make the host wait for the device.
+    """
+    half = [camera.width / 2, camera.height / 2]
+    parts = (camera.world_to_camera, camera.intrinsics, camera.centre, half)
+    pose, intrinsics, centre, size = (torch.as_tensor(part, dtype=torch.float32, device=device) for part in parts)
+    return pose, intrinsics, centre, size
 
 
 @functools.cache

@@ -77,8 +77,8 @@ def clip(frames: int = 4) -> dict[str, Any]:
                 cpu, begin = time.process_time(), time.perf_counter()
                 report = trainer.predict(frame).report
                 wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
-            shares = {f"{name} share": seconds / wall for name, seconds in kernels.seconds.items()}
-            numbers = {"wall s": wall, "cpu s": cpu, "kernels share": kernels.total / wall, "dynamic": report.dynamic}
+            shares = {f"{name} share": seconds / cpu for name, seconds in kernels.seconds.items()}
+            numbers = {"wall s": wall, "cpu s": cpu, "kernels share": kernels.total / cpu, "dynamic": report.dynamic}
             numbers |= {f"{stage} s": seconds for stage, seconds in report.seconds.items()}
             found[f"{threads} threads, frame {frame.index}"] = numbers | shares
         trainer.resume(scene)

@@ -2,6 +2,7 @@
 
 import importlib.machinery
 import importlib.util
+import math
 import shutil
 
 import pytest
@@ -10,7 +11,9 @@ import torch
 from core.errors import BackendUnavailable
 from core.render import select
 from core.render.backends import cuda_fault
-from tests.core.render.scenes import make_camera, make_cloud, run
+from core.render.cuda import sound
+from tests.core.render.scenes import NAMES, make_camera, make_cloud, run
+from tests.core.render.test_extremes import CAMERA, CULLED, ODD, odd
 
 
 @pytest.fixture(autouse=True)
@@ -52,3 +55,34 @@ def test_each_missing_part_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_other_words_are_refused() -> None:
     with pytest.raises(ValueError, match="auto, cpu or cuda"):
         select("tpu")
+
+
+@pytest.mark.parametrize(("name", "value"), CULLED)
+def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) -> None:
+    leaves = [torch.tensor(getattr(odd(name, value), n), requires_grad=True) for n in NAMES]
+    pose, intrinsics, centre = (
+        torch.tensor(array, dtype=torch.float32) for array in (CAMERA.world_to_camera, CAMERA.intrinsics, CAMERA.centre)
+    )
+    found = sound(leaves, pose, intrinsics, centre)
+    kept = slice(ODD.stop, None)
+    weak = name == "opacities" and math.isfinite(value)  # gsplat itself leaves those out
+    for old, new in zip(leaves, found, strict=True):
+        assert torch.isfinite(new).all()
+        assert torch.equal(new[kept], old[kept])
+    assert (found[0][ODD] == centre).all(dim=1).all() != weak
+    torch.stack([part.sum() for part in found]).sum().backward()
+    for leaf in leaves:
+        assert leaf.grad is not None
+        assert (leaf.grad[kept] == 1).all()
+        assert weak or not leaf.grad[ODD].any()
+
+
+def test_strong_opacities_are_held_and_keep_their_gradient() -> None:
+    opacities = torch.tensor([0.5, 2.0, 50.0], requires_grad=True)
+    others = torch.ones(3, 3)
+    parts = [others, torch.ones(3, 4), others, opacities, others]
+    held = sound(parts, torch.eye(4), torch.eye(3), torch.zeros(3))[3]
+    assert held.tolist() == [0.5, 2.0, 2.0]
+    held.sum().backward()
+    assert opacities.grad is not None
+    assert opacities.grad.tolist() == [1, 1, 1]

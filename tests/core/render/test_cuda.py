@@ -6,6 +6,7 @@ import torch
 from core.render.backends import cuda_fault
 from core.render.tiles import tile_grid
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, relative, run
+from tests.core.render.test_extremes import CAMERA, CULLED, DRAWN, ODD, PLACES, check_finite, odd, without_odd
 
 fault = cuda_fault()
 pytestmark = [pytest.mark.cuda, pytest.mark.skipif(fault is not None, reason=f"no CUDA backend here: {fault}")]
@@ -60,3 +61,23 @@ def test_tiles_outside_the_mask_come_from_the_base() -> None:
 def test_nothing_to_draw_gives_the_background() -> None:
     outcome = run(make_cloud(0), make_camera(), "cuda", device="cuda")
     assert float((outcome.image - torch.tensor(BACKGROUND).double()).abs().max()) < 1e-7
+
+
+@pytest.mark.parametrize(("name", "value"), CULLED)
+def test_unusable_gaussians_are_left_out(name: str, value: float) -> None:
+    found, wanted = (run(cloud, CAMERA, "cuda", device="cuda") for cloud in (odd(name, value), without_odd()))
+    check_finite(found)
+    assert torch.allclose(found.image, wanted.image, atol=1e-6)
+    assert not any(found.gradients[n][ODD].any() for n in NAMES)
+
+
+@pytest.mark.parametrize(("name", "value"), DRAWN)
+def test_odd_gaussians_are_drawn_as_the_reference_draws_them(name: str, value: float) -> None:
+    found, wanted = run(odd(name, value), CAMERA, "cuda", device="cuda"), run(odd(name, value), CAMERA, "reference")
+    check_finite(found)
+    assert relative(found.image, wanted.image) < 1e-3
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_extreme_views_are_finite(place: str) -> None:
+    check_finite(run(*PLACES[place](), "cuda", device="cuda"))
