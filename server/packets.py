@@ -57,10 +57,13 @@ class StreamPacket:
 
     def framed(self, levels: int) -> bytes:
         """`restricted` as one websocket frame, made once and shared by all viewers."""
-        levels = min(levels, self.info.level_mask.bit_length())
-        if levels not in self._framed:
-            self._framed[levels] = binary_frame(self.restricted(levels))
-        return self._framed[levels]
+        frame = self._framed.get(levels)
+        if frame is None:
+            held = min(levels, self.info.level_mask.bit_length())
+            if held not in self._framed:
+                self._framed[held] = binary_frame(self.restricted(held))
+            frame = self._framed[levels] = self._framed[held]
+        return frame
 
     def forget_frames(self) -> None:
         """Let go of what viewers shared; it is made again if one asks."""

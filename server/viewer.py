@@ -126,9 +126,9 @@ class ViewerSession:
     def _on_news(self) -> None:
         """Something has changed; a packet that follows the newest one is passed on if nothing is in the way."""
         newest = self._hub.newest
-        if self._up_to_date and newest is not None and self._live == newest.number - 1:
+        if self._up_to_date and newest is not None and self._live == newest.number - 1 and not self._is_flight_full():
             frame = newest.framed(self._levels.levels)
-            if not self._is_flight_full() and self._transport.offer(frame):
+            if self._transport.offer(frame):
                 self._last, self._live = newest, newest.number
                 self._account(frame)
                 return
@@ -370,6 +370,7 @@ class ViewerSession:
         return size
 
     def _count(self, size: int) -> None:
+        """Bytes that left for this viewer."""
         self._stream.counters.sent_bytes += size
 
     async def _send(self, message: dict[str, Any]) -> None:

@@ -76,7 +76,7 @@ def benching(serve: Callable[..., None], packets: int, size_bytes: int) -> Itera
 
 def saturate(serve: Callable[..., None], viewers: int, size_bytes: int, seconds: float) -> float:
     """MB per CPU-second, as fast as it goes."""
-    with benching(serve, int(seconds * 400), size_bytes) as bench:
+    with benching(serve, int(seconds * 100), size_bytes) as bench:
         bench.join(viewers)
         bench.run(0, seconds / 4)
         found, _, _ = bench.run(0, seconds)
@@ -105,14 +105,14 @@ def main() -> None:
     size, rate, count = int(options.kilobytes * 1000), options.rate, options.viewers
     ratios = []
     for _ in range(1 if options.short else 2):
-        plain, ours = (saturate(serve, 100, size, 4.0) for serve in (serve_plain, serve_hub))
+        plain, ours = (saturate(serve, count, size, 3.0) for serve in (serve_plain, serve_hub))
         ratios.append(ours / plain)
-        print(f"100 viewers, as fast as it goes: plain {plain:.0f} MB per CPU-second, ours {ours:.0f}")
+        print(f"{count} viewers, as fast as it goes: plain {plain:.0f} MB per CPU-second, ours {ours:.0f}")
     print(f"ours / plain: {median(ratios):.2f}")
 
     with benching(serve_plain, 200, size) as bench:
         bench.join(count)
-        run, delays, _ = bench.run(rate, 8)
+        run, delays, _ = bench.run(rate, 5)
         describe(f"plain, {count} viewers", run, delays, len(run.published_ns) * count)
     with benching(serve_hub, 800, size) as bench:
         bench.join(count - options.stuck)
