@@ -13,6 +13,7 @@ import pytest
 from core.data.pictures import read_picture
 from core.errors import InputError
 from core.evaluate.design import one_at_a_time
+from core.evaluate.footage import chosen_split
 from core.evaluate.quoted import MEET_ROOM, N3DV
 from core.evaluate.resume import earlier_report
 from core.evaluate.rows import Row, study_rows
@@ -77,6 +78,19 @@ def test_a_study_goes_on_where_it_stopped(clip: Path, tmp_path: Path) -> None:
     assert measure(row, 2) == both
     shorter = replace(row.config, keyframe=replace(row.config.keyframe, steps=10))
     assert measure(replace(row, config=shorter), 1)[0]["psnr"] != first["psnr"]
+
+
+def test_a_split_file_must_hold_out_cameras_that_exist(clip: Path, tmp_path: Path) -> None:
+    split = tmp_path / "split.json"
+    for text, fault in (
+        ('{"train": ["cam01"]}', "'test' must name at least one held-out camera"),
+        ('{"train": ["cam01"], "test": ["cam01"]}', "both train and test"),
+        ('{"train": ["cam77"], "test": ["cam00"]}', "there is no camera cam77"),
+    ):
+        split.write_text(text)
+        with pytest.raises(InputError, match=fault):
+            chosen_split(clip, split, None, (), 1.0)
+    assert chosen_split(clip, None, 2, (), 1.0).test == ("cam00",)
 
 
 def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
