@@ -109,15 +109,16 @@ def test_rtsp_cameras_are_trained_through_their_faults_and_the_workers_death(fil
             _LOG.info("from the kill to a picture of the new epoch: %.2f s", time.monotonic() - begin)
             assert found["restarts"] == 1
             trained = wait(port, lambda stream: is_live(stream) and stream["version"] > found["version"] + 2, 120)
-            assert 0 < trained["report"]["latency_seconds"] < trained["report"]["total_seconds"] + 1.5
+            assert trained["report"]["latency_seconds"] > 0
         server.send_signal(signal.SIGTERM)
         assert server.wait(10) == 0
         assert watching.result(20) == 1001  # and every packet on the way there was decoded
         states = [event["state"] for event in viewer.named("state")]
         assert states.count("degraded") >= 3
-    (segment, *_) = sorted((tmp_path / "state" / "streams" / "main").glob("*.slod"))
-    with SlodReader(segment) as reader:
-        assert len(reader.entries) > 3
+    segments = sorted((tmp_path / "state" / "streams" / "main").glob("*.slod"))
+    assert [segment.name[:6] for segment in segments] == ["000001", "000002"]
+    with SlodReader(segments[1]) as reader:
+        assert len(list(reader.packets())) > 3
 
 
 def watch(viewer: Viewer) -> int | None:
