@@ -39,7 +39,7 @@ export function words(status, picture, waitMs) {
     case "reconnecting": {
       const when = seconds > 0 ? `Trying again in ${seconds} s.` : "Trying again.";
       if (picture) return { chip: seconds > 0 ? `Reconnecting in ${seconds} s` : "Reconnecting", tone: "busy", card: null };
-      return full("Reconnecting", "busy", "The server does not answer", `${detail ? `${detail}. ` : ""}${when}`, { spinner: true, button: "Try now" });
+      return full("Reconnecting", "busy", detail ? "Not available now" : "The server does not answer", `${detail ? `${detail}. ` : ""}${when}`, { spinner: true, button: "Try now" });
     }
     case "ended":
       return picture ? { chip: "Ended", tone: "quiet", card: null } : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");
