@@ -116,9 +116,12 @@ def test_rtsp_cameras_are_trained_through_their_faults_and_the_workers_death(fil
         states = [event["state"] for event in viewer.named("state")]
         assert states.count("degraded") >= 3
     segments = sorted((tmp_path / "state" / "streams" / "main").glob("*.slod"))
-    assert [segment.name[:6] for segment in segments] == ["000001", "000002"]
-    with SlodReader(segments[1]) as reader:
-        assert len(list(reader.packets())) > 3
+    assert {segment.name[:6] for segment in segments} == {"000001", "000002"}
+    packets = 0
+    for segment in segments:
+        with SlodReader(segment) as reader:
+            packets += len(list(reader.packets()))  # checksums hold
+    assert packets > 4
 
 
 def watch(viewer: Viewer) -> int | None:
