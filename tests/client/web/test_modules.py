@@ -41,7 +41,8 @@ def test_node(node: str, name: str) -> None:
 def test_types() -> None:
     """JSDoc types, strictly."""
     compiler = HERE / "node_modules" / ".bin" / "tsc"
-    if not compiler.exists() or shutil.which("node") is None:
+    types = HERE / "node_modules" / "@types" / "webxr"
+    if not (compiler.exists() and types.exists()) or shutil.which("node") is None:
         pytest.skip("the TypeScript compiler is not installed: npm install --prefix tests/client/web")
     done = subprocess.run(
         [str(compiler), "--project", "tsconfig.json"],
