@@ -35,6 +35,12 @@ class PushTarget(Protocol):
     def genlock_epoch_ns(self, number: int) -> int:
         """When frame number 0 was taken, given that `number` came just now, if it is the rig's first."""
 
+    def claim(self, camera: str, holder: object) -> None:
+        """From now on `holder` pushes the camera, and whoever did before does not."""
+
+    def holds(self, camera: str, holder: object) -> bool:
+        """Whether nobody has claimed the camera after `holder`."""
+
     def put(self, picture: Picture) -> None:
         """A picture has come."""
 
@@ -59,14 +65,20 @@ class Intake:
         """Hand the message's picture on; nothing happens for a repeat.
 
         Raises:
-            InputError: no such camera is pushed, or the picture is not one, or of another size than calibrated.
+            InputError: no such camera is pushed, another node has taken it over, or the picture is not one, or of
+                another size than calibrated.
         """
         size = self._target.pushed.get(message.camera)
         if size is None:
             raise InputError(f"camera {message.camera!r:.80}", "is not one of the rig's that are pushed")
         if message.codec is not Codec.H264:
             _check_size(message, size)
-        if message.sequence <= self._newest.get(message.camera, -1):
+        if message.camera not in self._newest:
+            self._target.claim(message.camera, self)
+            self._newest[message.camera] = -1
+        if not self._target.holds(message.camera, self):
+            raise InputError(f"camera {message.camera}", "is pushed by another capture node now")
+        if message.sequence <= self._newest[message.camera]:
             return
         found = self._time(message)
         if message.codec is Codec.H264:
@@ -78,7 +90,7 @@ class Intake:
 
     def close(self) -> None:
         """The capture node has gone."""
-        for camera in self._newest:
+        for camera in filter(lambda name: self._target.holds(name, self), self._newest):
             self._target.gone(camera, "its capture node has disconnected", ended=False)
 
     def _time(self, message: PushMessage) -> CaptureTime | None:

@@ -40,6 +40,7 @@ class _Last:
     fault: str = ""
     ended: bool = False
     put: int = 0
+    holder: object = None  # the capture node that pushes it
 
 
 class Rig:
@@ -186,6 +187,15 @@ class Rig:
             if self._epoch_ns is None:
                 self._epoch_ns = self._timeline.now_ns() - round(number * period_of(self._fps))
             return self._epoch_ns
+
+    def claim(self, camera: str, holder: object) -> None:
+        """See `intake.PushTarget`; of two nodes with one camera the later one counts, as after a reconnection."""
+        with self._change:
+            self._last[camera].holder = holder
+
+    def holds(self, camera: str, holder: object) -> bool:
+        """See `intake.PushTarget`."""
+        return self._last[camera].holder is holder
 
     def refuse(self, camera: str, fault: str) -> None:
         """Note that a picture of a camera could not be used."""

@@ -132,7 +132,7 @@ def test_rtsp_cameras_are_paired_through_a_stop_and_a_death(
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_rtsp_cameras_for_a_minute(tmp_path: Path, clip: Path, watch: Callable[..., Watch]) -> None:
-    _film(tmp_path, clip, watch, quiet=45 * FPS, pause=3.0)
+    _film(tmp_path, clip, watch, quiet=60 * FPS, pause=3.0)
 
 
 def _film(tmp_path: Path, clip: Path, watch: Callable[..., Watch], quiet: int, pause: float) -> None:

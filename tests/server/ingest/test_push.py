@@ -32,6 +32,7 @@ from server.ingest.live import LiveDataset, open_live
 from server.ingest.push import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push, parse_push
 from server.ingest.relay import RelayedIntake
 from server.ingest.router import push_router
+from server.ingest.synchroniser import CameraState
 from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, free_ports, number_of, write_definition
 
 
@@ -151,6 +152,21 @@ def test_pictures_of_two_nodes_are_paired_by_the_time_they_state(live: Frames) -
     assert statistics is not None
     assert statistics.degraded
     assert statistics.cameras["cam0"].counts.received in (12, 13)
+
+
+def test_the_later_of_two_nodes_with_one_camera_counts(live: Frames) -> None:
+    rig = live.dataset.rig
+    assert rig is not None
+    early, late, now = Intake(rig), Intake(rig), rig.now_ns
+    early.accept(message(0, "cam0", now))
+    early.accept(message(0, "cam1", now))
+    late.accept(message(1, "cam0", now + 30_000_000))
+    with pytest.raises(InputError, match="another capture node"):
+        early.accept(message(1, "cam0", now + 30_000_000))
+    early.accept(message(1, "cam1", now + 30_000_000))
+    early.close()
+    states = {name: camera.state for name, camera in rig.statistics().cameras.items()}
+    assert states == {"cam0": CameraState.OK, "cam1": CameraState.LOST}
 
 
 def test_refuses_pictures_that_do_not_fit(live: Frames) -> None:
