@@ -36,7 +36,7 @@ def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
     Args:
         floor: smallest difference that counts, in units of [0, 1].
     """
-    difference = np.abs(cv2.blur(current, _BLUR) - cv2.blur(reference, _BLUR)).max(axis=2)
+    difference = _largest_difference(current, reference, _BLUR)
     threshold = _threshold(difference, floor)
     weak = (difference > threshold).astype(np.uint8)
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
@@ -54,14 +54,20 @@ def moved_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
     A light that dims or brightens multiplies a neighbourhood by one gain. What the best gain leaves of the squared
     change, sum(c c) - sum(r c)^2 / sum(r r) over a window and its channels, must itself be above the threshold.
     """
-    difference = np.abs(cv2.blur(current, _SHARP) - cv2.blur(reference, _SHARP)).max(axis=2)
+    difference = _largest_difference(current, reference, _SHARP)
     threshold = _threshold(difference, floor)
     squares, products, energy = (
-        cv2.blur((one * other).mean(axis=2), _LIGHT)
+        cv2.blur(np.einsum("hwc,hwc->hw", one, other) / one.shape[2], _LIGHT)
         for one, other in ((reference, reference), (reference, current), (current, current))
     )
     unexplained = energy - products**2 / np.maximum(squares, 1e-6)
     return np.asarray((difference > threshold) & (unexplained > threshold**2))
+
+
+def _largest_difference(one: Float32, other: Float32, window: tuple[int, int]) -> Float32:
+    """[H,W] largest over the channels of the difference of two blurred pictures."""
+    red, green, blue = cv2.split(np.abs(cv2.blur(one, window) - cv2.blur(other, window)))
+    return np.asarray(np.maximum(np.maximum(red, green), blue))  # four times as fast as a reduction of a short axis
 
 
 def _threshold(difference: Float32, floor: float) -> float:

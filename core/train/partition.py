@@ -15,6 +15,7 @@ from core.render.differentiable import rasterise
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
 from core.train.config import PredictConfig
 from core.train.coverage import coverage
+from core.train.decode import Splats
 from core.train.field import Field
 from core.train.keyframe import Views
 from core.train.motion import changed_pixels, dynamic_anchors, moved_pixels
@@ -163,14 +164,17 @@ class _Average:
     def __init__(self, field: Field, rows: Tensor, others: Tensor) -> None:
         self._field, self._rows, self._wanted = field, torch.cat([rows, others]), len(rows)
         self._total, self._views_seen = np.zeros(len(field)), np.zeros(len(field))
+        self._splats: Splats | None = None
 
     def add(self, number: int, views: Views, base: Tensor | None, mask: Tensor | None, backend: Backend) -> None:
         """One view. `base` [H,W,3] stands in for the render in the error's derivative; `mask` [H,W] limits it."""
         field, rows, camera = self._field, self._rows, views.cameras[number]
-        with torch.no_grad():
-            splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
+        if self._splats is None or field.view_dependent:
+            with torch.no_grad():
+                self._splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
+        splats = self._splats
         raster = rasterise(
-            splats.means.requires_grad_(),
+            splats.means.detach().requires_grad_(),
             *splats.astuple()[1:],
             camera=camera,
             background=torch.zeros(3, device=rows.device),
