@@ -59,7 +59,8 @@ def describe(streaming: Streaming) -> dict[str, Any]:
     """Figures of the frame just trained."""
     assert streaming.result is not None
     report = streaming.result.report
-    numbers = {"steps": report.steps, "dynamic": report.dynamic / report.anchors, "bytes": len(streaming.packet)}
+    shares = {"moving": report.dynamic / report.anchors, "changed": report.changed / report.anchors}
+    numbers = {"steps": report.steps, "bytes": len(streaming.packet)} | shares
     return numbers | {f"{stage} wall s": seconds for stage, seconds in report.seconds.items()}
 
 
@@ -78,7 +79,7 @@ def clip(frames: int = 4) -> dict[str, Any]:
                 report = trainer.predict(frame).report
                 wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
             shares = {f"{name} share": seconds / cpu for name, seconds in kernels.seconds.items()}
-            numbers = {"wall s": wall, "cpu s": cpu, "kernels share": kernels.total / cpu, "dynamic": report.dynamic}
+            numbers = {"wall s": wall, "cpu s": cpu, "kernels share": kernels.total / cpu, "trained": report.dynamic + report.changed}
             numbers |= {f"{stage} s": seconds for stage, seconds in report.seconds.items()}
             found[f"{threads} threads, frame {frame.index}"] = numbers | shares
         trainer.resume(scene)
