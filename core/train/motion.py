@@ -41,7 +41,7 @@ def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
     weak = (difference > threshold).astype(np.uint8)
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
     strongest = np.zeros(count, np.float32)
-    np.maximum.at(strongest, labels.ravel(), difference.ravel())
+    np.maximum.at(strongest, labels.ravel().astype(np.int64), difference.ravel())
     accepted = (strongest > _SEED_FACTOR * threshold) & (statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST_REGION)
     accepted[0] = False
     mask = accepted[labels].astype(np.uint8)
