@@ -12,7 +12,7 @@ export const QUALITIES = [
 const SLOW_FPS = 15, FAST_FPS = 35;
 const PATIENCE = 2, COURAGE = 16; // measurements in a row before a step down or up
 const COOL_DOWN = 120; // heartbeats before a step that proved too slow is tried again
-const LINGER = 20; // heartbeats before a level that no view calls for is given up
+const LINGER = 8; // heartbeats before a level that no view calls for is given up
 
 /**
  * What auto gives up, little by little: fraction of the screen's resolution while things move, and how far away fine

@@ -73,6 +73,7 @@ class Behaviour:
     corrupt: set[int] = field(default_factory=set)  # versions whose packet is damaged, once
     streams: tuple[str, ...] = ("main",)
     hellos: list[dict[str, Any]] = field(default_factory=list)
+    wishes: list[dict[str, Any]] = field(default_factory=list)  # heard, not obeyed
 
 
 class Viewer:
@@ -168,6 +169,8 @@ class Viewer:
             if message["type"] == "seek":
                 live = message["to"] == "live"
                 await self.jump(self.edge if live else message["to"]["version"], "live" if live else "replay")
+            elif message["type"] == "set":
+                self.behaviour.wishes.append(message)
             elif message["type"] in ("pause", "play"):
                 self.mode = "paused" if message["type"] == "pause" else "replay"
                 await self.event("position", mode=self.mode, **self.position(self.version), clamped=False)

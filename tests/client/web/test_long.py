@@ -30,6 +30,24 @@ def resident_bytes() -> int:
     return total
 
 
+def test_auto_quality_on_a_slow_machine(page: Any) -> None:
+    """Frames that take 350 ms: less resolution, fewer far details, fewer levels asked for; what rests is sharp."""
+    page.add_init_script("window.requestAnimationFrame = (act) => setTimeout(() => act(performance.now()), 350)")
+    behaviour = Behaviour(fps=15)
+    with serving(create_app(make_clip(make_scene(600), 200), behaviour)) as url:
+        page.goto(f"{url}/")
+        shows(page, "s.version >= 1")
+        everything = page.evaluate("streamlod.state.splats")
+        width = "document.getElementById('canvas').width"
+        assert page.evaluate(width) == 320
+        page.wait_for_function(f"{width} < 130", timeout=30_000)
+        shows(page, f"s.splats < {everything} / 2")
+        page.wait_for_timeout(6000)
+        assert behaviour.wishes[-1]["levels"] in (1, 2)
+        page.evaluate("streamlod.pause()")
+        page.wait_for_function(f"{width} === 320", timeout=30_000)
+
+
 def test_orbiting_while_frames_arrive(page: Any) -> None:
     """A 5k-splat stream in a loop under a turning camera."""
     page.add_init_script(COUNT_OBJECTS)
