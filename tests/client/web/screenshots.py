@@ -12,6 +12,7 @@ from playwright.sync_api import sync_playwright
 
 from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
+from core.anchors import Scene
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
@@ -110,7 +111,8 @@ def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
 
 def recorded(file: Path) -> Clip:
     """The first frames of a recording."""
-    decoder, states = SceneDecoder(), []
+    decoder = SceneDecoder()
+    states: list[Scene] = []
     with SlodReader(file) as reader:
         for packet in reader.packets():
             decoder.push(packet)

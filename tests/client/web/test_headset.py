@@ -86,7 +86,7 @@ def test_both_eyes_see_the_scene(page: Any, clip: Clip) -> None:
         page.wait_for_timeout(500)
         scene = clip.states[4]
         # Upright where the page stood: the viewer's target is two metres away, up is the rig's.
-        up = -sum(camera.world_to_camera[1, :3] for camera in scene.header.cameras)
+        up = -np.sum([camera.world_to_camera[1, :3] for camera in scene.header.cameras], axis=0)
         up /= np.linalg.norm(up)
         ahead = np.array(pose["rotation"][6:9])
         ahead = ahead - up * (ahead @ up)

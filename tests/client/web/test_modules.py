@@ -71,7 +71,8 @@ def test_page_preloads_what_it_imports() -> None:
     """Every module that the page imports at once is announced in its head: no chain of round trips."""
     page = (WEB / "index.html").read_text()
     announced, (main,) = re.findall(r'modulepreload" href="(.+?)"', page), re.findall(r'module" src="(.+?)"', page)
-    found, left = set(), [main]
+    found: set[str] = set()
+    left = [main]
     while left:
         name = left.pop()
         imported = set(re.findall(r'^import .*?from "./(.+?)"', (WEB / name).read_text(), re.MULTILINE | re.DOTALL))
