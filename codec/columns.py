@@ -12,6 +12,7 @@ from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, w
 from codec.rans import VALUE_LIMIT
 from core.arrays import Int64
 from core.errors import BitstreamError
+from core.quantise import trailing_zeros
 
 _AS_IS, _CENTRED, _PREVIOUS = 0, 1, 2
 _COUNT = struct.Struct("<I")
@@ -61,9 +62,7 @@ def _formed(matrix: Int64, most: int, scaled: Int64) -> tuple[Int64, Int64, Int6
 
 def _shifts(matrix: Int64) -> Int64:
     """[n] how many zeros end every number of a row, in steps that enough rows share."""
-    joined = np.bitwise_or.reduce(matrix, axis=1)
-    zeros = np.log2(np.maximum(joined & -joined, 1)).astype(np.int64)
-    shifts = np.where(joined == 0, class_model.MOST_CLASSES - 1, np.minimum(zeros, class_model.MOST_CLASSES - 1))
+    shifts = trailing_zeros(matrix, class_model.MOST_CLASSES - 1)
     counts = np.bincount(shifts, minlength=class_model.MOST_CLASSES)
     for shift in range(class_model.MOST_CLASSES - 1, 0, -1):
         if 0 < counts[shift] < _FEWEST:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Int16, Int32
+from core.arrays import Int16, Int32, Int64
 
 DEFAULT_OFFSET = 0.34  # of the measured useful range 0.30 to 0.38 (codec notes, section 5); 0.5 would be plain rounding
 
@@ -36,3 +36,10 @@ def saturate(state: Int16 | Int32, delta: Int32) -> Int32:
     limits = np.iinfo(state.dtype)
     total = np.clip(state.astype(np.int64) + delta, limits.min, limits.max)
     return np.asarray(total - state, np.int32)
+
+
+def trailing_zeros(matrix: NDArray[Any], most: int) -> Int64:
+    """[n] how many zero bits end all integers of a row of `matrix` [n,C]; at most `most`, which a row of zeros has."""
+    joined = np.bitwise_or.reduce(matrix.astype(np.int64), axis=1)
+    zeros = np.log2(np.maximum(joined & -joined, 1)).astype(np.int64)
+    return np.where(joined == 0, most, np.minimum(zeros, most))

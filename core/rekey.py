@@ -12,15 +12,18 @@ from core.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
 from core.arrays import Float32, Int16, Int64
 from core.expand import dequantise
 from core.octree import morton_key
+from core.quantise import trailing_zeros
 
 _INT16 = np.iinfo(np.int16)
+_COARSEST = 7  # doublings of a step that are recognised
 
 
 def rekey(scene: Scene, version: int) -> Scene:
     """`scene` as keyframe `version`.
 
     Removed anchors go, the others come in Morton order, and latents are folded into base features and offsets by
-    rounding to the header's steps; positions, scalings, header and weights stay. `rekey_error` says what rounding did.
+    rounding to multiples of the header's steps, as coarse as the anchor's numbers were before; positions, scalings,
+    header and weights stay. `rekey_error` says what rounding did.
     """
     levels = tuple(_fresh(scene.header, scene.weights, level) for level in scene.levels)
     return replace(scene, levels=levels, keyframe=version, version=version)
@@ -29,7 +32,7 @@ def rekey(scene: Scene, version: int) -> Scene:
 def rekey_error(before: Scene, after: Scene) -> tuple[float, float]:
     """Largest change of a feature and of an offset between a scene and its rekeyed form, in their steps.
 
-    At most 0.5, unless a value left the range of int16.
+    At most 0.5 of the multiple that their anchor takes, unless a value left the range of int16.
     """
     feature_error = offset_error = 0.0
     for old, new in zip(before.levels, after.levels, strict=True):
@@ -46,11 +49,12 @@ def rekey_error(before: Scene, after: Scene) -> tuple[float, float]:
 def _fresh(header: SceneHeader, weights: AnchorWeights, level: AnchorLevel) -> AnchorLevel:
     rows = _order(level)
     feature, offset, _ = dequantise(header, weights, level, rows)
+    times = _coarseness(level, rows)
     return AnchorLevel(
         voxel=level.voxel[rows],
         position=level.position[rows],
-        feature=_round(feature, header.feature_steps),
-        offset=_round(offset.reshape(len(rows), -1), header.offset_steps),
+        feature=_round(feature, header.feature_steps, times),
+        offset=_round(offset.reshape(len(rows), -1), header.offset_steps, times),
         scaling=level.scaling[rows],
         extra_level=level.extra_level[rows],
         latent=np.zeros((len(rows), LATENTS), np.int16),
@@ -64,5 +68,14 @@ def _order(level: AnchorLevel) -> Int64:
     return alive[np.argsort(morton_key(level.voxel[alive]), kind="stable")]
 
 
-def _round(values: NDArray[Any], steps: Float32) -> Int16:
-    return np.clip(np.round(values / steps), _INT16.min, _INT16.max).astype(np.int16)
+def _coarseness(level: AnchorLevel, rows: Int64) -> Int64:
+    """[n,1] the power of two that all numbers of each row's base are multiples of."""
+    numbers = np.concatenate([level.feature[rows], level.offset[rows], level.scaling[rows]], axis=1)
+    shifts = np.where(numbers.any(axis=1), trailing_zeros(numbers, _COARSEST), 0)
+    return np.asarray(1 << shifts, np.int64)[:, None]
+
+
+def _round(values: NDArray[Any], steps: Float32, times: Int64) -> Int16:
+    """`values` [n,C] in `steps`, as multiples of `times` [n,1]."""
+    limits = _INT16.max // times
+    return np.asarray(np.clip(np.round(values / (steps * times)), -limits, limits) * times, np.int16)

@@ -72,6 +72,7 @@ class KeyframeConfig:
     prune_opacity: float = 0.005
     extra_level_gain: float = 0.01
     rounding_from: float = 0.75  # from here on the parameters are rounded as they will be sent
+    rounding_share: float = 0.03  # of the squared error there, which rounding may add: each anchor's steps follow
     average_from: float = 0.8  # the result is the mean over the steps from here on; after `growth_until`
 
 

@@ -22,6 +22,7 @@ from core.train.levels import needed_levels, renumbered
 from core.train.losses import photometric_loss
 from core.train.newcomers import strongest
 from core.train.optimiser import RowAdam
+from core.train.precision import USUAL, row_shifts, sensitivities
 from core.train.rounding import Steps
 from core.train.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 
@@ -83,13 +84,20 @@ class KeyframeTrainer:
         self._fixed = field
         self._statistics = GrowthStatistics(len(field), field.slots, device)
         self._highest = field.octree.levels - 1
+        self._shifts = field.level[:0]
         self._average: dict[str, Tensor] = {}
         self._averaged = 0
         self._done = 0
 
     @property
     def field(self) -> Field:
-        """The anchors as they are now: detached, unrounded, and averaged over the last steps once these have come."""
+        """The anchors as they are now: averaged over the last steps once these have come, rounded as they are sent."""
+        field = self._current()
+        feature, offset, scaling = Steps().rounded(field.feature, field.offset, field.scaling, self._precision())
+        return replace(field, feature=feature, offset=offset, scaling=scaling)
+
+    def _current(self) -> Field:
+        """The anchors as they are now: detached, unrounded, averaged once there is an average."""
         parameters = {name: value.detach() for name, value in self._optimiser.parameters.items()}
         parameters |= self._average
         return replace(
@@ -119,6 +127,8 @@ class KeyframeTrainer:
         number = self._order.next()
         cap = self._random_cap()
         rows = self._drawn_rows(number, self._highest if cap is None else cap)
+        if progress >= config.rounding_from and len(self._shifts) != len(self._fixed):
+            self._shifts = self._measured_shifts()
         splats = self._decode(number, rows, rounded=progress >= config.rounding_from)
         level = (self._fixed.level if rows is None else self._fixed.level[rows]).repeat_interleave(self._fixed.slots)
         opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
@@ -162,9 +172,36 @@ class KeyframeTrainer:
         if rows is not None:
             feature, offset, scaling, position = feature[rows], offset[rows], scaling[rows], position[rows]
         if rounded:
-            feature, offset, scaling = Steps().rounded(feature, offset, scaling)
+            shift = self._precision() if rows is None else self._precision()[rows]
+            feature, offset, scaling = Steps().rounded(feature, offset, scaling, shift)
         view = self._fixed.view(self._centres[number])
         return decode(feature, offset, scaling, position, _network_of(parameters), view)
+
+    def _precision(self) -> Tensor:
+        """[N] doublings of the finest steps that each anchor is rounded to."""
+        if len(self._shifts) == len(self._fixed):
+            return self._shifts
+        return torch.full_like(self._fixed.level, USUAL)
+
+    def _measured_shifts(self) -> Tensor:
+        """Precision that costs as much of the squared error as configured."""
+        parameters = self._optimiser.parameters
+        network = Network(*(value.detach() for value in _network_of(parameters).parameters()))
+        error = 0.0
+
+        def draw(number: int, leaves: tuple[Tensor, ...]) -> Tensor:
+            nonlocal error
+            feature, offset, scaling = leaves
+            view = self._fixed.view(self._centres[number])
+            image = self._draw(decode(feature, offset, scaling, self._fixed.position, network, view), number).image
+            with torch.no_grad():
+                shown = self._exposure.apply(image, number) if self._model.exposure else image
+                error += float((shown - self._views.targets[number]).square().sum())
+            return image
+
+        leaves = tuple(parameters[name] for name in _ROW_PARAMETERS)
+        feature, offset, scaling = sensitivities(leaves, draw, self._views.usable, seed=self._done)
+        return row_shifts((feature, offset, scaling), Steps(), self._config.rounding_share * error)
 
     def _draw(self, splats: Splats, number: int) -> Raster:
         return rasterise(*splats.astuple(), self._views.cameras[number], self._background, backend=self._backend)
@@ -228,7 +265,7 @@ class KeyframeTrainer:
 
     def _adjust(self) -> None:
         """Grow, prune, and start counting anew."""
-        field, config = self.field, self._config
+        field, config = self._current(), self._config
         gradient = self._statistics.mean_gradient()
         extra = earned_extra_level(field, gradient, config).float() * config.extra_level_gain
         new = grow(field, gradient, config.growth_threshold, self._highest)

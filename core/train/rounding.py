@@ -9,7 +9,7 @@ from torch import Tensor
 
 from core.quantise import DEFAULT_OFFSET
 
-FEATURE_STEP, OFFSET_STEP, SCALING_STEP = 0.1, 0.05, 0.05
+FEATURE_STEP, OFFSET_STEP, SCALING_STEP = 0.025, 0.0125, 0.0125  # the finest; most anchors take multiples
 
 
 def round_through(values: Tensor) -> Tensor:
@@ -29,19 +29,24 @@ def dead_zone_through(values: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Widths of one quantum: of features, offsets (in multiples of the anchor's size) and log-scales."""
+    """Widths of the finest quantum: of features, offsets (in multiples of the anchor's size) and log-scales."""
 
     feature: float = FEATURE_STEP
     offset: float = OFFSET_STEP
     scaling: float = SCALING_STEP
 
-    def rounded(self, feature: Tensor, offset: Tensor, scaling: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The three arrays on their grids, with straight-through gradients."""
+    def rounded(self, feature: Tensor, offset: Tensor, scaling: Tensor, shift: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The three arrays on their grids, each row's 2^`shift` [N] quanta wide, with straight-through gradients."""
+        times = (2.0**shift)[:, None]
         return (
-            round_through(feature / self.feature) * self.feature,
-            round_through(offset / self.offset) * self.offset,
-            round_through(scaling / self.scaling) * self.scaling,
+            _on_grid(feature, self.feature * times),
+            _on_grid(offset, self.offset * times[..., None]),
+            _on_grid(scaling, self.scaling * times),
         )
+
+
+def _on_grid(values: Tensor, width: Tensor) -> Tensor:
+    return round_through(values / width) * width
 
 
 def to_int16(values: Tensor, step: float) -> Tensor:

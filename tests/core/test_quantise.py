@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from core.quantise import dead_zone, saturate
+from core.quantise import dead_zone, saturate, trailing_zeros
 
 finite = st.floats(-1e12, 1e12)
 
@@ -41,3 +41,8 @@ def test_saturation_never_overflows_and_only_shrinks(state: np.ndarray, delta: n
 def test_refusals(values: list[float], offset: float) -> None:
     with pytest.raises(ValueError, match=r"rounding offset|finite"):
         dead_zone(np.array(values), offset)
+
+
+def test_trailing_zeros_are_those_of_the_whole_row() -> None:
+    matrix = np.array([[4, 8, -12], [1, 0, 0], [0, 0, 0], [-256, 512, 0]])
+    assert trailing_zeros(matrix, 7).tolist() == [2, 0, 7, 7]

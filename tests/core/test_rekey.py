@@ -46,3 +46,13 @@ def test_what_is_shown_stays_within_rounding() -> None:
     assert abs(len(before) - len(after)) <= 0.02 * len(before)
     np.testing.assert_allclose(before.means.mean(axis=0), after.means.mean(axis=0), atol=0.01)
     np.testing.assert_allclose(before.colours.mean(axis=0), after.colours.mean(axis=0), atol=0.01)
+
+
+def test_an_anchor_stays_as_coarse_as_it_was() -> None:
+    scene = make_scene((200,), slots=2, features=4)
+    level = scene.levels[0]
+    coarse = {name: getattr(level, name) * np.int16(8) for name in ("feature", "offset", "scaling")}
+    scene = replace(scene, levels=(replace(level, **coarse),))
+    after = rekey(move(scene, share=1.0), 1).levels[0]
+    assert not any((getattr(after, name) % 8).any() for name in coarse)
+    assert (after.feature != coarse["feature"]).any()
