@@ -93,11 +93,12 @@ class Running:
 
 
 @contextmanager
-def running(settings: Settings, *specs: StreamSpec) -> Iterator[Running]:
-    """A server on a free port of loopback."""
+def running(settings: Settings, *specs: StreamSpec, port: int = 0) -> Iterator[Running]:
+    """A server on a port of loopback, a free one by default."""
     app = create_app(settings, specs)
     listener = socket.socket()
-    listener.bind(("127.0.0.1", 0))
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.bind(("127.0.0.1", port))
     listener.listen(256)
     server = Server(server_config(app, settings), app.state.registry)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])))

@@ -356,3 +356,26 @@ def test_real_server_live_seek_restart(page: Any, clip: Clip, tmp_path: Path) ->
         page.evaluate("streamlod.seek(21)")
         shows(page, "s.version === 21 && s.phase === 'paused'")
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[21].levels]
+
+
+def test_real_server_restarted_in_mid_stream(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """A server stops while frames arrive, and another takes its place: the page waits, then shows that one's stream."""
+    from server.settings import Settings
+    from server.spec import StreamSpec
+    from tests.server.conftest import running
+
+    recording = tmp_path / "clip.slod"
+    with SlodWriter(recording) as writer:
+        writer.append(clip.key())
+        for version in range(1, len(clip.states)):
+            writer.append(clip.residual(version - 1, version))
+    with running(Settings(), StreamSpec(play=recording, loop=True)) as server:
+        page.goto(f"{server.url}/?quality=high")
+        shows(page, "s.version > 3")
+        port = int(server.url.rpartition(":")[2])
+    shows(page, "s.phase === 'reconnecting'")
+    assert page.locator("#card").is_hidden()
+    with running(Settings(), StreamSpec(play=recording, loop=False), port=port):
+        shows(page, "s.version === 39 && s.phase !== 'reconnecting'")
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[39].levels]
+    page.complaints.forgive("WebSocket connection to")
