@@ -15,8 +15,8 @@ def main() -> None:
     """Run one target until it fails or the options say stop."""
     import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
-    import_module("codec.change_model")  # compiled: imported before, so that they stay as they are
-    import_module("codec.octree_model")
+    for compiled in ("change_model", "class_model", "octree_model"):
+        import_module(f"codec.{compiled}")  # before, so that they stay as they are
     with atheris.instrument_imports(include=["codec", "core", "client.playback", "server.messages", "server.views"]):
         from tests.fuzz.corpus import SEEDS
         from tests.fuzz.targets import REPAIRS, TARGETS
