@@ -30,7 +30,7 @@ class ModelConfig:
             haze in front of them.
     """
 
-    gaussians_per_anchor: int = 4
+    gaussians_per_anchor: int = 2
     features: int = 16
     view_dependent: bool = False
     cell_pixels: float = 4.0
@@ -53,10 +53,10 @@ class KeyframeConfig:
     steps: int = 1000
     half_size_until: float = 0.4  # until then pictures of half the width and height: a third of the time a step
     feature_rate: float = 0.02
-    offset_rate: float = 0.1
+    offset_rate: float = 0.04
     scaling_rate: float = 0.03
-    network_rate: float = 0.02
-    final_rate: float = 0.05
+    network_rate: float = 0.005
+    final_rate: float = 0.1
     dssim_weight: float = 0.2
     scale_weight: float = 0.01
     dropout_base: float = 0.05  # gamma = base + slope * level, ramped over the run (paper section III-A)
@@ -165,7 +165,6 @@ def preset(name: str) -> TrainConfig:
                 default.keyframe,
                 steps=1500,
                 half_size_until=0.0,
-                scaling_rate=0.1,
                 growth_interval=100,
                 dropout_base=0.1,
                 dropout_slope=0.05,

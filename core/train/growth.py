@@ -80,8 +80,9 @@ def grow(
     found: list[NewAnchors] = []
     for level in range(field.octree.levels):
         threshold = first_threshold * _LEVEL_FACTOR**level
-        own = (slot_level == level) & (pull >= threshold) & (pull < threshold * _LEVEL_FACTOR)
-        next_level = (slot_level == level) & (pull >= threshold * _LEVEL_FACTOR)
+        hot = (slot_level == level) & (pull >= threshold)
+        hotter = hot & (pull >= threshold * _LEVEL_FACTOR) & (level < highest)  # the finest level grows by itself only
+        own, next_level = hot & ~hotter, hotter
         for target, candidates in ((level, own), (level + 1, next_level)):
             if target <= highest and candidates.any():
                 found.append(_free_nodes(field, occupied or field, centres, np.flatnonzero(candidates), target))

@@ -24,7 +24,11 @@ _FAR_QUANTILE, _NEAR_QUANTILE = 0.99, 0.01
 _SEED_SHARE = 0.7  # of the most anchors there may be; growing places the rest where they are needed
 _SAMPLE = 20_000  # points that the distance statistics look at
 _FEATURE_SPREAD, _OFFSET_SPREAD = 0.1, 0.3  # offsets of zero would leave the K Gaussians identical
-_OPACITY_BIAS = 0.3  # without it a run can start with every opacity below zero, which has no gradient
+_OPACITY_BIAS = 0.55  # tanh gives 0.5
+_QUIET = 0.1  # of the network's random output weights at first: what is drawn is what the points say
+_COLOUR_GAIN = 0.5  # of the colour features: finer than 1, as they are rounded to steps of their own
+_COLOUR_UNITS = range(8, 14)  # hidden units that hand the colour features on, in pairs for either sign
+_DARKEST = 0.02  # and as far from white: logits stay small
 
 
 def seed_field(
@@ -110,28 +114,36 @@ def _neighbour_log_distance(position: Float64) -> Float32:
 
 
 def _first_features(position: Float64, points: PointCloud, size: int, generator: torch.Generator) -> torch.Tensor:
-    """[N,F] small noise, with the colour of the nearest point in the first three channels: a fast, safe start."""
+    """[N,F] small noise, with the logits of the nearest point's colour in the first three channels."""
     feature = _FEATURE_SPREAD * torch.randn(len(position), size, generator=generator)
     _, nearest = cKDTree(points.positions).query(position)
-    feature[:, :3] = torch.from_numpy(2 * (points.colours[nearest] - 0.5))
+    feature[:, :3] = torch.from_numpy(points.colours[nearest]).clamp(_DARKEST, 1 - _DARKEST).logit() / _COLOUR_GAIN
     return feature
 
 
 def _first_network(config: ModelConfig, generator: torch.Generator) -> Network:
+    """A network that gives every Gaussian the colour in its anchor's features and half opacity.
+
+    A network that starts with wrong colours first learns to hide: within 20 steps it sends half of all opacities below
+    zero, where they have no gradient and never come back.
+    """
+    slots = config.gaussians_per_anchor
     inputs = config.features + (VIEW_INPUTS if config.view_dependent else 0)
-    outputs = OUTPUTS * config.gaussians_per_anchor
+    outputs = OUTPUTS * slots
 
     def uniform(*shape: int, fan_in: int) -> torch.Tensor:
         return (torch.rand(*shape, generator=generator) * 2 - 1) / math.sqrt(fan_in)
 
-    output_bias = uniform(outputs, fan_in=HIDDEN)
-    output_bias[: config.gaussians_per_anchor] = _OPACITY_BIAS
-    network = Network(
-        hidden_weight=uniform(inputs, HIDDEN, fan_in=inputs),
-        hidden_bias=uniform(HIDDEN, fan_in=inputs),
-        output_weight=uniform(HIDDEN, outputs, fan_in=HIDDEN),
-        output_bias=output_bias,
-    )
+    hidden_weight, output_weight = uniform(inputs, HIDDEN, fan_in=inputs), uniform(HIDDEN, outputs, fan_in=HIDDEN)
+    hidden_bias, output_bias = uniform(HIDDEN, fan_in=inputs), _QUIET * uniform(outputs, fan_in=HIDDEN)
+    output_weight *= _QUIET
+    hidden_weight[:3] *= _QUIET
+    output_bias[:slots] = _OPACITY_BIAS
+    for unit, (channel, sign) in zip(_COLOUR_UNITS, ((c, s) for c in range(3) for s in (1, -1)), strict=True):
+        hidden_weight[:, unit], hidden_bias[unit], output_weight[unit] = 0.0, 0.0, 0.0
+        hidden_weight[channel, unit] = sign
+        output_weight[unit, slots + channel : 4 * slots : 3] = sign * _COLOUR_GAIN
+    network = Network(hidden_weight, hidden_bias, output_weight, output_bias)
     if config.heads == "shared":
         return network
-    return replace(network, output_weight=network.output_weight * separate_heads(config.gaussians_per_anchor))
+    return replace(network, output_weight=output_weight * separate_heads(slots))
