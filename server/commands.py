@@ -162,9 +162,11 @@ def warm() -> str:
     from core.data.synthetic import SyntheticSpec, open_synthetic
     from core.initialise import first_points
     from core.render.cpu import warm as compile_rasteriser
+    from core.train.kernels.warming import warm as compile_trainer
 
     with tqdm(total=4, unit="part", desc="compiling kernels") as bar:
         compile_rasteriser()
+        compile_trainer()
         bar.update()
         compile_codec()
         bar.update()

@@ -74,12 +74,18 @@ def clip(frames: int = 4) -> dict[str, Any]:
         torch.set_num_threads(threads)
         scene = trainer.scene
         for frame in later[1:]:
-            with KernelTime() as kernels:
+            with KernelTime() as kernels, KernelTime(time.perf_counter) as waiting:
                 cpu, begin = time.process_time(), time.perf_counter()
                 report = trainer.predict(frame).report
                 wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
-            shares = {f"{name} share": seconds / cpu for name, seconds in kernels.seconds.items()}
-            numbers = {"wall s": wall, "cpu s": cpu, "kernels share": kernels.total / cpu, "trained": report.dynamic + report.changed}
+            shares = {f"{name} of cpu": seconds / cpu for name, seconds in kernels.seconds.items()}
+            numbers = {
+                "wall s": wall,
+                "cpu s": cpu,
+                "kernels of cpu": kernels.total / cpu,
+                "kernels of wall": waiting.total / wall,
+                "trained": report.dynamic + report.changed,
+            }
             numbers |= {f"{stage} s": seconds for stage, seconds in report.seconds.items()}
             found[f"{threads} threads, frame {frame.index}"] = numbers | shares
         trainer.resume(scene)

@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from core.anchors import LATENTS
+from core.train.kernels import adam, rate
+from core.train.kernels.warming import warm
 from core.train.optimiser import update, update_reference
 from core.train.rate import residual_bits, residual_bits_reference
 
@@ -71,3 +73,12 @@ def test_rate_of_broken_values_stays_in_its_table() -> None:
     bits.backward()
     assert latent.grad is not None
     assert not latent.grad[0, :3].any() or bits.isnan()
+
+
+def test_warming_compiles_what_training_uses() -> None:
+    warm()
+    signatures = [len(kernel.signatures) for kernel in (adam.adam_step, rate.residual_bits)]
+    value, moments = torch.ones(3, 2), [torch.zeros(3, 2), torch.zeros(3, 2)]
+    update(value, torch.ones(3, 2), *moments, 0.1, 0.001)
+    residual_bits(torch.ones(3, LATENTS), torch.ones(3, 3))
+    assert [len(kernel.signatures) for kernel in (adam.adam_step, rate.residual_bits)] == signatures

@@ -1,0 +1,21 @@
+"""Compile the trainer's kernels ahead of their first use."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.arrays import Float32
+from core.entropy_model import BINS
+from core.train.kernels.adam import adam_step
+from core.train.kernels.rate import residual_bits
+
+
+def warm() -> None:
+    """Compile every kernel, or load it from the cache: some seconds once."""
+
+    def zeros(*shape: int) -> Float32:
+        return np.zeros(shape, np.float32)
+
+    numbers = tuple(np.float32(number) for number in (0.1, 1.0, 0.1, 0.001, 1e-15))
+    adam_step(1, zeros(1), zeros(1), zeros(1), zeros(1), numbers, np.zeros(1, np.int64))
+    residual_bits(zeros(1, 2), zeros(1, 1), zeros(BINS, 3), 0.5, 4.0, zeros(1, 2), zeros(1, 1))
