@@ -1,4 +1,4 @@
-"""How fast whole streaming frames are: ``python -m tests.bench.frame_bench [PART ...] [--json FILE]``.
+"""How fast whole streaming frames are: ``python -m tests.bench.frame_bench [PART ...] [--json FILE] [--svg FILE]``.
 
 A frame is everything from the pictures to the packet: motion, planning, training, rounding, settling and encoding.
 The naive step is what training the whole model does: all anchors decoded through autograd, whole pictures,
@@ -24,6 +24,7 @@ from core.errors import BackendUnavailable
 from core.render import select
 from core.train import PredictConfig, TrainConfig
 from tests.bench.frame_subjects import Naive, Streaming, make_case, trained_clip
+from tests.bench.growth_plot import growth_plot
 from tests.bench.kernel_time import KernelTime
 
 EPOCHS = 10
@@ -167,6 +168,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", help=f"of: {', '.join(REPORTS)}; all by default")
     parser.add_argument("--json", type=Path, help="write every number to this file")
+    parser.add_argument("--svg", type=Path, help="draw the part growth to this file")
     options = parser.parse_args()
     if set(options.parts) - set(REPORTS):
         parser.error(f"parts are: {', '.join(REPORTS)}")
@@ -176,6 +178,8 @@ def main() -> None:
         sys.exit(str(error))
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
+    if options.svg and "growth" in found:
+        options.svg.write_text(growth_plot("A streaming frame", "seconds of CPU", found["growth"]))
 
 
 if __name__ == "__main__":

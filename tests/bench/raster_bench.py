@@ -1,4 +1,4 @@
-"""How fast the CPU rasteriser and loss are: ``python -m tests.bench.raster_bench [PART ...] [--json FILE]``.
+"""How fast the CPU rasteriser and loss are: ``python -m tests.bench.raster_bench [PART ...] [--json FILE] [--svg FILE]``.
 
 Subjects alternate within every round, so that both meet the same neighbours. Times are of the process's CPU on one
 thread unless said otherwise. With STREAMLOD_SPIKES naming a folder that holds ``nbw.py``, that kernel is a subject too.
@@ -29,6 +29,7 @@ from core.render.cpu.workspace import Workspace
 from core.train.decode import Splats
 from core.train.losses import photometric_loss
 from core.train.stage import Stage, make_stage
+from tests.bench.growth_plot import growth_plot
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles
 
 Subjects = dict[str, Callable[[], object]]
@@ -262,6 +263,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("parts", nargs="*", help=f"of: {', '.join(REPORTS)}; all by default")
     parser.add_argument("--json", type=Path, help="write every number to this file")
+    parser.add_argument("--svg", type=Path, help="draw the part growth to this file")
     parser.add_argument("--memory", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.memory:
@@ -272,6 +274,8 @@ def main() -> None:
     found = run(print, options.parts)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
+    if options.svg and "growth" in found:
+        options.svg.write_text(growth_plot("Forward and backward", "milliseconds of CPU", found["growth"]))
 
 
 if __name__ == "__main__":
