@@ -1,4 +1,4 @@
-"""How fast the CPU rasteriser and loss are: ``python -m tests.bench.raster_bench [PART ...] [--json FILE] [--svg FILE]``.
+"""How fast the CPU rasteriser and loss are: ``python -m tests.bench.raster_bench [PART ...]``, with --json and --svg.
 
 Subjects alternate within every round, so that both meet the same neighbours. Times are of the process's CPU on one
 thread unless said otherwise. With STREAMLOD_SPIKES naming a folder that holds ``nbw.py``, that kernel is a subject too.
