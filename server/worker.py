@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
 _INGEST_SECONDS = 0.5
+_NICENESS = 5  # of training: serving comes first, and so does showing the last state again
 
 
 class Tag(IntEnum):
@@ -95,7 +96,6 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
         push_socket: where to take pictures that capture nodes push to the serving process.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
-    os.nice(5)  # serving comes first
     sender = Sender(pipe)
     threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
     try:
@@ -103,7 +103,9 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
         if spec.job is None:
             play(spec, resume, sender)
         else:
-            train(spec.job, resume, sender, push_socket)
+            scene = show_again(resume, sender) if resume.packets else None
+            os.nice(_NICENESS)
+            train(spec.job, scene, resume.frames, sender, push_socket)
         sender.send(Tag.END)
     except StreamlodError as error:
         sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError)})
@@ -114,11 +116,15 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
         sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
 
 
-def train(job: TrainJob, resume: Resume, sender: Sender, push_socket: Path | None = None) -> None:
-    """Train the source's frames as they come and send their packets; of live cameras, also tell how they do."""
-    if job.frames is not None and resume.frames >= job.frames:
+def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_socket: Path | None = None) -> None:
+    """Train the source's frames as they come and send their packets; of live cameras, also tell how they do.
+
+    Args:
+        scene: the keyframe to go on from, which has been sent; None to train one.
+        start: first frame to read.
+    """
+    if job.frames is not None and start >= job.frames:
         return
-    scene = _show_again(resume, sender) if resume.packets else None
     from server.pipeline import open_job, train_stream
 
     def tell(progress: Any) -> None:
@@ -126,7 +132,7 @@ def train(job: TrainJob, resume: Resume, sender: Sender, push_socket: Path | Non
         sender.send(Tag.PROGRESS, body)
 
     opened = open_job(job, push_socket)
-    frames = train_stream(opened, resume=scene, start=resume.frames, previews=True, on_progress=tell)
+    frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=tell)
     with closing(opened), closing(frames), _told(opened, sender):
         for encoded in frames:
             for packet in encoded.packets:
@@ -216,7 +222,7 @@ def _frame_seconds(entries: list[tuple[int, Any]]) -> float:
     return float(min(1.0, max(0.01, (last.time_ns - first.time_ns) / 1e9 / frames))) if frames else 1.0
 
 
-def _show_again(resume: Resume, sender: Sender) -> Scene:
+def show_again(resume: Resume, sender: Sender) -> Scene:
     """Publish the state to go on from as a keyframe, before anything slow is loaded or a camera is asked."""
     from codec.decoder import SceneDecoder
     from codec.encoder import encode_keyframe

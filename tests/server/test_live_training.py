@@ -34,7 +34,7 @@ from server.job import TrainJob
 from server.settings import Settings
 from server.spec import StreamSpec
 from server.stream import Stream
-from server.worker import Resume, Sender, Tag, train
+from server.worker import Sender, Tag, train
 from tests.server.brief import brief_training
 from tests.server.conftest import Clip, running
 
@@ -102,7 +102,7 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
     node = Node(tmp_path / "s")
     with brief_training():
         sender = Sender(theirs)
-        train(TrainJob(live=definition(), preset="live", frames=4), Resume(), sender, tmp_path / "s")
+        train(TrainJob(live=definition(), preset="live", frames=4), None, 0, sender, tmp_path / "s")
         node.stop()
         sender.send(Tag.END)
     listener.join(10)

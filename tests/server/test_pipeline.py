@@ -24,7 +24,7 @@ from core.train import TrainedFrame, Trainer
 from server.job import TrainJob
 from server.pipeline import EncodedFrame, open_job, train_clip, train_stream
 from server.trace import Span
-from server.worker import Resume, Sender, Tag, train
+from server.worker import Resume, Sender, Tag, show_again, train
 from tests.server.brief import brief_training
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
@@ -137,7 +137,8 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
     assert decoder.scene is not None
     ours, theirs = multiprocessing.Pipe(duplex=False)
     with ours, theirs:
-        train(JOB, Resume(tuple(frame.packets[0] for frame in first), 2), Sender(theirs))
+        scene = show_again(Resume(tuple(frame.packets[0] for frame in first), 2), Sender(theirs))
+        train(JOB, scene, 2, Sender(theirs))
         messages = []
         while ours.poll():
             data = ours.recv_bytes()
