@@ -9,9 +9,9 @@ export const QUALITIES = [
   { name: "high", label: "High", note: "all levels" },
   { name: "low", label: "Low", note: "saves data" },
 ];
-const SLOW_FPS = 15, FAST_FPS = 35;
+const SLOW_FPS = 12, FAST_FPS = 30;
 const PATIENCE = 2, COURAGE = 16; // measurements in a row before a step down or up
-const COOL_DOWN = 120; // heartbeats before a step that proved too slow is tried again
+const COOL_DOWN = 60; // heartbeats before a step that proved too slow is tried again
 const LINGER = 8; // heartbeats before a level that no view calls for is given up
 
 /**

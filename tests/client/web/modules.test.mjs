@@ -227,7 +227,7 @@ test("auto gives up resolution first, then far details, and asks only for levels
   quality.limit(4);
   for (let i = 0; i < 30; i++) quality.tick();
   assert.deepEqual([viewer.resolution, viewer.reach], [1, Infinity]);
-  viewer.fps = 12;
+  viewer.fps = 10;
   quality.tick();
   assert.equal(viewer.resolution, 1, "one slow measurement may be chance");
   quality.tick();
