@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -15,7 +16,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
 from server.api import downloads, live, push, streams
-from server.api.access import Problem, need, problem_response, registry_of
+from server.api.access import PROBLEMS, Problem, need, problem_response, registry_of
 from server.api.schemas import Health
 from server.auth import Right
 from server.metrics import collector_registry
@@ -89,8 +90,10 @@ def _add_errors(app: FastAPI) -> None:
         return problem_response(error.status, error.detail, error.headers)
 
     @app.exception_handler(HTTPException)
-    async def http(_: Request, error: HTTPException) -> Response:
-        headers = dict(error.headers) if error.headers else None
+    async def http(request: Request, error: HTTPException) -> Response:
+        headers = dict(error.headers) if error.headers else {}
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_allowed(app, request.url.path)) or headers.get("Allow", "")
         return problem_response(error.status_code, str(error.detail), headers)
 
     @app.exception_handler(RequestValidationError)
@@ -98,6 +101,16 @@ def _add_errors(app: FastAPI) -> None:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         return problem_response(422, f"{place}: {first['msg']}")
+
+
+def _allowed(app: FastAPI, path: str) -> list[str]:
+    """Methods that a path of the interface takes, of all its routes together."""
+    found: set[str] = set()
+    for template, operations in app.openapi()["paths"].items():
+        if re.fullmatch(re.sub(r"\{[^}]+\}", "[^/]+", template), path):
+            found |= {method.upper() for method in operations}
+            found |= {"HEAD" for operation in operations.values() if "downloads" in operation.get("tags", ())}
+    return sorted(found)
 
 
 def _add_health(app: FastAPI) -> None:
@@ -121,7 +134,14 @@ def _add_health(app: FastAPI) -> None:
         response.status_code = 503 if detail else 200
         return Health(status="not ready" if detail else "ok", detail=detail)
 
-    @app.get("/metrics", tags=["health"], summary="Prometheus metrics", dependencies=[need(Right.METRICS)])
+    @app.get(
+        "/metrics",
+        tags=["health"],
+        summary="Prometheus metrics",
+        dependencies=[need(Right.METRICS)],
+        response_class=PlainTextResponse,
+        responses={status: PROBLEMS[status] for status in (401, 403, 429)},
+    )
     async def metrics(request: Request) -> PlainTextResponse:
         """The same as on the port of the metrics, for those with the right."""
         text = generate_latest(collector_registry(registry_of(request)))

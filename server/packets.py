@@ -178,7 +178,7 @@ class PacketWindow:
     def groups(self) -> list[list[StreamPacket]]:
         """Groups of pictures, each from its keyframe on, oldest first."""
         starts = [i for i, packet in enumerate(self._packets) if packet.is_key]
-        ends = [*starts[1:], len(self._packets)]
+        ends = [*starts[1:], len(self._packets)] if starts else []
         return [self._packets[a:b] for a, b in zip(starts, ends, strict=True)]
 
     def _index(self, number: int) -> int:

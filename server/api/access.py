@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 from fastapi.responses import JSONResponse
 from starlette.requests import HTTPConnection
 
+from server.api.schemas import ProblemBody
 from server.auth import Gate, Right
 from server.registry import Registry
 from server.stream import Stream
@@ -37,6 +38,16 @@ TITLES = {
     400: "Bad request", 401: "Token missing or wrong", 403: "Not allowed", 404: "Not found", 405: "Method not allowed",
     409: "Conflict", 410: "Gone", 416: "Range not satisfiable", 422: "Unusable content", 429: "Too many refusals",
     500: "Fault in the server", 503: "Not ready",
+}  # fmt: skip
+
+
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    status: {"model": ProblemBody, "content": {"application/problem+json": {}}, "description": text}
+    for status, text in {
+        400: "the body is no JSON", 401: "token missing or wrong", 403: "the token lacks the right",
+        404: "there is no such thing", 409: "conflict", 410: "it has left the window", 413: "the request is too large",
+        416: "the range lies outside", 422: "the request is malformed", 429: "too many wrong tokens",
+    }.items()
 }  # fmt: skip
 
 

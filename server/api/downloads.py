@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import pathlib
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from server.api.access import Problem, StreamOf, need_download
+from server.api.access import PROBLEMS, Problem, StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
 from server.packets import Position, StreamPacket
 from server.splice import size_of, splice
@@ -18,12 +18,10 @@ from server.stream import Stream
 Group = pathlib.Path | list[StreamPacket]  # a recorded file, or packets in memory
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
 _BOUND = 2**32 - 1
-_ANSWERS: dict[int | str, dict[str, object]] = {
+_ANSWERS: dict[int | str, dict[str, Any]] = {
     206: {"description": "the range asked for"},
     304: {"description": "what the client has is current"},
-    404: {"description": "there never was such a place"},
-    410: {"description": "it has left the window"},
-    416: {"description": "the range lies outside"},
+    **{status: PROBLEMS[status] for status in (401, 403, 404, 410, 416, 422, 429)},
 }
 
 Epoch = Annotated[int, Path(ge=0, le=_BOUND, description="encoder run", examples=[1])]

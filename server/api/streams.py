@@ -11,22 +11,15 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from core.errors import InputError
-from server.api.access import Problem, StreamOf, need, refusal, registry_of
-from server.api.schemas import Link, Manifest, NewLink, NewStream, ProblemBody, StreamBody, StreamList
+from server.api.access import PROBLEMS, Problem, StreamOf, need, refusal, registry_of
+from server.api.schemas import Link, Manifest, NewLink, NewStream, StreamBody, StreamList
 from server.auth import Right
 from server.packets import Position
 from server.stream import Stream
 
-_PROBLEMS: dict[int | str, dict[str, Any]] = {
-    status: {"model": ProblemBody, "content": {"application/problem+json": {}}, "description": text}
-    for status, text in {
-        401: "token missing or wrong", 403: "the token lacks the right", 404: "no such stream",
-        422: "the request is malformed", 429: "too many wrong tokens",
-    }.items()
-}  # fmt: skip
-_CONFLICT: dict[int | str, dict[str, Any]] = {**_PROBLEMS, 409: {"model": ProblemBody, "description": "conflict"}}
+_USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 422, 429)}
 
-router = APIRouter(prefix="/v1/streams", tags=["streams"], responses=_PROBLEMS)
+router = APIRouter(prefix="/v1/streams", tags=["streams"], responses=_USUAL)
 
 
 @router.get("", summary="All streams", dependencies=[need(Right.READ)])
@@ -43,7 +36,7 @@ async def list_streams(
     return StreamList(items=items, next_cursor=page[-1] if len(names) > limit else None)
 
 
-@router.post("", status_code=201, summary="Create a stream", responses=_CONFLICT)
+@router.post("", status_code=201, summary="Create a stream", responses={409: PROBLEMS[409]})
 async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
     """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle without `start`."""
     registry = registry_of(request)

@@ -75,7 +75,7 @@ def family(pid: int) -> list[int]:
 
 def live(port: int) -> Any:
     address = f"ws://127.0.0.1:{port}/v1/streams/main/live"
-    return connect(address, subprotocols=["streamlod.v1"], compression=None, max_size=2**24, proxy=None)  # type: ignore[list-item]
+    return connect(address, subprotocols=["streamlod.v1"], compression=None, max_size=2**24, max_queue=None, proxy=None)  # type: ignore[list-item]
 
 
 def test_playing_needs_little_memory_and_no_training_library(clip: Clip) -> None:
