@@ -24,6 +24,7 @@ class Field:
         position: [N,3] float32 world positions.
         feature: [N,F]; offset: [N,K,3]; scaling: [N,6] log-scales.
         network: shared by all anchors.
+        by_distance: draw only the anchors that a camera's distance calls for (paper section III-A).
     """
 
     octree: Octree
@@ -37,6 +38,7 @@ class Field:
     offset: Tensor
     scaling: Tensor
     network: Network
+    by_distance: bool = False
 
     def __len__(self) -> int:
         return len(self.level)
@@ -50,12 +52,21 @@ class Field:
         """What the network sees from a camera at `centre` [3]."""
         return View(centre, self.reference_distance) if self.view_dependent else None
 
+    @property
+    def looks_the_same(self) -> bool:
+        """Whether every camera gets the same Gaussians."""
+        return not (self.view_dependent or self.by_distance)
+
     def decode(self, centre: Tensor, rows: Tensor | None = None) -> Splats:
-        """Gaussians of `rows` (all by default) for a camera at `centre` [3]."""
+        """Gaussians of `rows` (all by default) for a camera at `centre` [3]; those not called for are transparent."""
         parts = (self.feature, self.offset, self.scaling, self.position)
         if rows is not None:
             parts = (self.feature[rows], self.offset[rows], self.scaling[rows], self.position[rows])
-        return decode(*parts, self.network, self.view(centre))
+        splats = decode(*parts, self.network, self.view(centre))
+        if not self.by_distance:
+            return splats
+        drawn = visible_levels(self if rows is None else self.with_rows(rows), centre, self.octree.levels - 1)
+        return replace(splats, opacities=splats.opacities * drawn.repeat_interleave(self.slots))
 
     def to(self, device: str) -> Field:
         """The same anchors on another device."""

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from core.anchors import FEATURE_LATENTS, LATENTS, AnchorLevel, Scene, empty_level
-from core.arrays import Bool, Int32, Int64
+from core.arrays import Bool, Float32, Int16, Int32, Int64
 from core.render.backends import Backend
 from core.residual import LevelResidual, Residual
 from core.train.budget import Pace, StepPace
@@ -36,6 +36,7 @@ from core.train.stage import Stage, make_stage
 from core.train.state import State
 
 _PREPARATION = 0.3  # of a frame's training time, after which no further camera's picture is planned
+_LARGEST_REST = 2.0  # quanta; more is no rest but a change that could not be sent
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -49,6 +50,7 @@ class Quanta:
         added: new anchors by level, or None for none.
         steps, loss, repaired: figures of the training.
         complete: whether all that was planned was trained, and nothing held back.
+        wanted: [n,27] float32 latents and positions before rounding, or None for zeros.
     """
 
     latent: Int32
@@ -59,6 +61,15 @@ class Quanta:
     loss: float = 0.0
     repaired: int = 0
     complete: bool = True
+    wanted: Float32 | None = None
+
+    @property
+    def rest(self) -> Float32:
+        """[n,27] what rounding, and what held changes back, left undone; the next frame's training begins there."""
+        sent = np.concatenate([self.latent, self.position], axis=1).astype(np.float32)
+        return (
+            np.zeros_like(sent) if self.wanted is None else np.clip(self.wanted - sent, -_LARGEST_REST, _LARGEST_REST)
+        )
 
 
 def no_quanta(anchors: int) -> Quanta:
@@ -90,12 +101,9 @@ class ResidualTrainer:
         self._feature_decoder = torch.from_numpy(scene.weights.feature_decoder).to(device)
         self._offset_decoder = torch.from_numpy(scene.weights.offset_decoder).to(device)
         self._position_steps = torch.from_numpy(scene.header.position_steps).to(device)
-        self._optimiser = RowAdam(
-            {
-                "latent": torch.zeros(len(rows), LATENTS, device=device, requires_grad=True),
-                "position": torch.zeros(len(rows), 3, device=device, requires_grad=True),
-            }
-        )
+        rest = torch.zeros(len(field), LATENTS + 3, device=device) if state.rest is None else state.rest
+        begin = {"latent": rest[rows, :LATENTS], "position": rest[rows, LATENTS:]}
+        self._optimiser = RowAdam({name: value.clone().requires_grad_() for name, value in begin.items()})
         self._static = _static_splats(field, static, self._centres)
         self._shown = state.shown
         self._stages: dict[int, Stage] = {}
@@ -204,21 +212,24 @@ class ResidualTrainer:
         latent, position = (_finite_quanta(self._optimiser.parameters[name]) for name in ("latent", "position"))
         with torch.no_grad():
             opacity = self._dynamic_splats(self._views.usable[0]).opacities.reshape(len(latent), -1).amax(dim=1)
-        # a view-dependent anchor may be transparent from one side only
-        shown = (opacity > _TRANSPARENT).cpu().numpy() | self._all.view_dependent
+        # what looks different to every camera may be transparent to one only
+        shown = (opacity > _TRANSPARENT).cpu().numpy() | (not self._all.looks_the_same)
         known, new = slice(None, self._known), np.flatnonzero(shown[self._known :]) + self._known
         added = None
         if len(new):
             chosen = self._base.with_rows(torch.from_numpy(new).to(opacity.device))
             added = added_levels(chosen, latent[new], position[new], self._header)
-        return Quanta(latent[known], position[known], ~shown[known], added, steps, loss, self._optimiser.broken)
+        wanted = torch.cat([self._optimiser.parameters[name].detach() for name in ("latent", "position")], dim=1)
+        real = wanted[known].nan_to_num(0.0, 0.0, 0.0).cpu().numpy()
+        broken = self._optimiser.broken
+        return Quanta(latent[known], position[known], ~shown[known], added, steps, loss, broken, wanted=real)
 
 
 def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:
     """Gaussians that are only drawn, for each camera; decoded once for all where they look the same to all."""
     decoded: list[Splats] = []
     for centre in centres:
-        if decoded and not field.view_dependent:
+        if decoded and field.looks_the_same:
             decoded.append(decoded[0])
             continue
         with torch.no_grad():
@@ -250,18 +261,25 @@ def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Resi
     for number, level in enumerate(scene.levels):
         inside = (rows >= starts[number]) & (rows < starts[number + 1])
         own, dead = rows[inside & changed] - starts[number], rows[inside & quanta.removed] - starts[number]
-        total = np.clip(level.latent[own].astype(np.int64) + quanta.latent[inside & changed], -32768, 32767)
+        latent, position = quanta.latent[inside & changed], quanta.position[inside & changed]
         empty = empty_level(level.feature.shape[1], scene.header.gaussians_per_anchor)
         levels.append(
             LevelResidual(
                 rows=own,
-                position=quanta.position[inside & changed],
-                latent=(total - level.latent[own]).astype(np.int32),
+                position=_within(level.position[own], position),
+                latent=_within(level.latent[own], latent),
                 removed=dead,
                 added=empty if quanta.added is None else quanta.added[number],
             )
         )
     return Residual(scene.keyframe, scene.version, version, tuple(levels))
+
+
+def _within(values: Int16 | Int32, change: Int32) -> Int32:
+    """`change` of `values`, as far as their integers reach."""
+    limits = np.iinfo(values.dtype)
+    total = np.clip(values.astype(np.int64) + change, limits.min, limits.max)
+    return np.asarray((total - values).astype(np.int32))
 
 
 def _finite_quanta(values: Tensor) -> Int32:

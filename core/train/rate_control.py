@@ -1,20 +1,19 @@
 """Rate control: predicted packets that fit a channel of constant rate, as a video encoder does it.
 
 A leaky bucket models the channel's buffer: each packet pours in, the rate drains it. Two means hold it: the weight of
-the rate term follows how full the bucket is and how large packets have been, and the number of anchors that a frame
-may change is limited to what still fits, so that no burst overflows it.
+the rate term doubles with every eighth that the bucket is too full, and the number of anchors that a frame may change
+is limited to what still fits, so that no burst overflows it.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from core.train.config import PredictConfig
 
-_WEAKEST, _STRONGEST = -2.0, 6.0  # strain: the rate weight is multiplied by two to its power
-_REACTION = 0.5  # of the strain to a packet of twice the wanted size
+_STRAIN = 8.0  # doublings of the rate weight from the wanted fill to one bucket above it
 _WANTED_FILL = 0.3  # of the bucket: room for a burst above, something to drain below
+_STRAINED = 2.0  # factor of the rate weight from which quality visibly gives way
 _OVERHEAD = 40  # bytes of a packet that changes nothing
 _FORGET = 0.3  # weight of the latest packet in the bytes an anchor takes
 _FIRST_GUESS = 8.0  # bytes an anchor, before any packet was seen
@@ -31,6 +30,11 @@ class RatePlan:
 
     weight_factor: float
     most_anchors: int
+
+    @property
+    def strained(self) -> bool:
+        """Whether quality gives way so far that it has to be made good later."""
+        return self.weight_factor >= _STRAINED
 
     def applied(self, config: PredictConfig) -> PredictConfig:
         """`config` under this plan: where packets are too large, bits weigh more and only surer anchors are trained."""
@@ -61,7 +65,6 @@ class RateControl:
         self._drain = kbps * 1000 / 8 / fps  # bytes a frame
         self._capacity = max(kbps * 1000 / 8 * buffer_seconds, self._drain)
         self._held = _WANTED_FILL * self._capacity
-        self._strain = 0.0
         self._bytes_per_anchor = _FIRST_GUESS
 
     @property
@@ -72,7 +75,8 @@ class RateControl:
     def plan(self) -> RatePlan:
         """For the next frame."""
         room = self._capacity - max(self._held - self._drain, 0.0) - _OVERHEAD
-        return RatePlan(2.0**self._strain, max(int(room / self._bytes_per_anchor), 0))
+        strain = _STRAIN * (min(self.fill, 1.0) - _WANTED_FILL)
+        return RatePlan(2.0**strain, max(int(room / self._bytes_per_anchor), 0))
 
     def sent(self, size_bytes: int, anchors: int) -> None:
         """Learn that the latest predicted packet has `size_bytes` and changed so many `anchors`."""
@@ -82,9 +86,6 @@ class RateControl:
             # believed at once when it rises: the limit on anchors must hold now
             new = max(share, self._bytes_per_anchor + _FORGET * (share - self._bytes_per_anchor))
             self._bytes_per_anchor = new
-        wanted = self._drain * (1 + _WANTED_FILL - self.fill)
-        error = math.log2(max(size_bytes, 1) / max(wanted, self._drain / 8))
-        self._strain = min(max(self._strain + _REACTION * error, _WEAKEST), _STRONGEST)
 
     def sent_keyframe(self, size_bytes: int) -> None:
         """Learn of a keyframe: it may fill the bucket, and what is beyond is written off, for nothing could save it."""

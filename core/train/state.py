@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from core.anchors import Scene
+from core.arrays import Float32
 from core.expand import anchor_positions, dequantise
 from core.residual import Residual
 from core.train.convert import field_of, level_starts
@@ -26,6 +27,7 @@ class State:
         references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
         shown: [C,H,W,3] what the state shows, NaN where that is not known; None likewise.
         parts: what the latest frame trained.
+        rest: [N,27] what rounding has left of latents and positions, in quanta; None for nothing.
     """
 
     scene: Scene
@@ -34,6 +36,7 @@ class State:
     references: Tensor | None
     shown: Tensor | None
     parts: Parts
+    rest: Tensor | None = None
 
     @property
     def alive(self) -> Tensor:
@@ -41,8 +44,12 @@ class State:
         alive = np.concatenate([level.alive for level in self.scene.levels])
         return torch.from_numpy(alive).to(self.field.feature.device)
 
-    def after(self, residual: Residual, scene: Scene, parts: Parts) -> State:
-        """The state that `residual` led to; changed rows are dequantised again, as the decoder does it."""
+    def after(self, residual: Residual, scene: Scene, parts: Parts, rows: Tensor, rest: Float32) -> State:
+        """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
+
+        Args:
+            rows: [n] trained rows, with `rest` [n,27].
+        """
         if any(len(part.added) for part in residual.levels):
             return self._relaid(residual, scene, parts)
         field, starts = self.field, level_starts(scene)
@@ -51,13 +58,15 @@ class State:
         for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
             if len(part.rows) == 0:
                 continue
-            rows = torch.from_numpy(part.rows + starts[number]).to(device)
+            changed = torch.from_numpy(part.rows + starts[number]).to(device)
             new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
-            feature[rows] = torch.from_numpy(new_feature).to(device)
-            offset[rows] = torch.from_numpy(new_offset).to(device)
-            position[rows] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
+            feature[changed] = torch.from_numpy(new_feature).to(device)
+            offset[changed] = torch.from_numpy(new_offset).to(device)
+            position[changed] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
         field = replace(field, feature=feature, offset=offset, position=position)
-        return replace(self, scene=scene, field=field, parts=parts)
+        left = torch.zeros(len(field), rest.shape[1], device=device)
+        left[rows] = torch.from_numpy(rest).to(device)
+        return replace(self, scene=scene, field=field, parts=parts, rest=left)
 
     def _relaid(self, residual: Residual, scene: Scene, parts: Parts) -> State:
         """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
@@ -66,14 +75,21 @@ class State:
         for number, part in enumerate(residual.levels):
             origins += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
         origin = np.concatenate(origins)
-        field = field_of(scene).to(device)
+        field = replace(field_of(scene).to(device), by_distance=self.field.by_distance)
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         canonical = self.canonical.with_rows(known).with_values(new, field)
-        return replace(self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin))
+        return replace(self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin), rest=None)
 
 
-def fresh_state(scene: Scene, device: str, references: Tensor | None, shown: Tensor | None = None) -> State:
-    """The state of a keyframe."""
-    field = field_of(scene).to(device)
+def fresh_state(
+    scene: Scene,
+    device: str,
+    references: Tensor | None = None,
+    shown: Tensor | None = None,
+    *,
+    by_distance: bool = False,
+) -> State:
+    """The state of a keyframe; `by_distance` as in `Field`."""
+    field = replace(field_of(scene).to(device), by_distance=by_distance)
     return State(scene, field, field, references, shown, no_parts(len(field)))

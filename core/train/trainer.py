@@ -45,7 +45,7 @@ class Trainer:
         rig: cameras offered to viewers as places to stand; the training cameras by default.
         frame_budget_ms: wall time for each later frame, None for as long as it takes. `sent` tells what encoding took.
         target_kbps: kilobits a second that predicted packets may take, None for any; needs `sent` after every frame.
-        clock: seconds that the budget goes by.
+        clock: seconds that the budget and the report go by.
 
     Raises:
         ValueError: a budget or a rate that is not positive.
@@ -68,6 +68,7 @@ class Trainer:
         self._device = "cuda" if self._backend == "cuda" else "cpu"
         self._exposure = neutral(len(cameras), self._device)
         self._refit_exposure = False
+        self._clock = clock
         self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
         self._state: State | None = None
@@ -132,10 +133,10 @@ class Trainer:
             keep_references: the scene shows what this trainer's state showed.
         """
         if keep_references and self._state is not None:
-            self._state = fresh_state(scene, self._device, self._state.references, self._state.shown)
+            self._state = self._fresh(scene, self._state.references, self._state.shown)
         else:
             self._refit_exposure = self._state is None  # after a crash: exposures do not travel with the scene
-            self._state = fresh_state(scene, self._device, None)
+            self._state = self._fresh(scene)
 
     def predict(self, frames: FrameSet) -> TrainedFrame:
         """Train a later frame; its residual leads from the state before.
@@ -143,10 +144,11 @@ class Trainer:
         Raises:
             ModelError: no keyframe came before, or no camera is present.
         """
-        state, watch, views = self._require(), Stopwatch(), self._views(frames)
+        state, watch, views = self._require(), Stopwatch(self._clock), self._views(frames)
         if self._budget is not None:
             self._budget.start()
-        config = self._planned()
+        plan = None if self._rate is None else self._rate.plan()
+        config = self._config.predict if plan is None else plan.applied(self._config.predict)
         with watch.stage("compare"):
             state, unknown = self._with_pictures(state, views)
             references, shown = state.references, state.shown
@@ -164,11 +166,13 @@ class Trainer:
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
-            if self._rate is not None:
-                quanta = strongest_changes(quanta, self._rate.plan().most_anchors)
+            if plan is not None:
+                quanta = strongest_changes(quanta, plan.most_anchors)
+            # what had no time or no bytes counts as changed again, and goes on where it ended
+            done = quanta.complete and (plan is None or not plan.strained)
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
-            after = state.after(residual, scene, parts)
+            after = state.after(residual, scene, parts, rows, 0 * quanta.rest if done else quanta.rest)
         with watch.stage("settle"):
             if trainer is not None:
                 alive = after.alive
@@ -177,8 +181,7 @@ class Trainer:
                 else:  # anchors were added, and rows are numbered anew
                     shown = rendered(after.field, alive, views, self._backend)
             if renewed:
-                # what had no time or no bytes is compared with what is shown, so that it counts as changed again
-                reached = views.targets if quanta.complete else self._as_filmed(shown, references)
+                reached = views.targets if done else self._as_filmed(shown, references)
                 references = torch.where(masks[..., None], reached, references)
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
@@ -214,11 +217,6 @@ class Trainer:
             else:
                 self._rate.sent(size_bytes, frame.residual.changed)
 
-    def _planned(self) -> PredictConfig:
-        """The configuration of this frame: what rate control leaves of it."""
-        config = self._config.predict
-        return config if self._rate is None else self._rate.plan().applied(config)
-
     def _pace(self, steps: int) -> Pace:
         return StepPace(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
 
@@ -248,7 +246,11 @@ class Trainer:
     def _adopt(self, scene: Scene, views: Views) -> None:
         references = torch.full_like(views.targets, torch.nan)
         references[views.usable] = views.targets[views.usable]
-        self._state = fresh_state(scene, self._device, references)
+        self._state = self._fresh(scene, references)
+
+    def _fresh(self, scene: Scene, references: Tensor | None = None, shown: Tensor | None = None) -> State:
+        by_distance = self._config.model.selection == "distance"
+        return fresh_state(scene, self._device, references, shown, by_distance=by_distance)
 
     def _with_pictures(self, state: State, views: Views) -> tuple[State, list[int]]:
         """The state with references for every usable camera, and the numbers of those that had none.

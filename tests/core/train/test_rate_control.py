@@ -42,7 +42,7 @@ def test_a_burst_never_overflows_the_buffer_and_quality_returns() -> None:
     quiet, burst = [150.0] * 90, [5000.0] * 30
     sizes, fills, factors = packets(control, quiet + burst + quiet)
     assert max(fills) <= 1.05  # bytes an anchor are guessed, so by a packet's spread
-    assert max(factors[90:120]) > 4 * factors[89]
+    assert max(factors[90:120]) > 2 * factors[89]
     assert factors[-1] <= 1.3 * factors[89]
     # a channel of the rate, with the buffer before it, delivers every packet within the buffer's second and a little
     delay, now = 0.0, 0.0
@@ -56,7 +56,7 @@ def test_nothing_to_send_costs_nothing_and_relaxes() -> None:
     control = RateControl(300, FPS)
     _, fills, factors = packets(control, [0.0] * 60)
     assert fills[-1] < 0.05
-    assert factors[-1] == 0.25
+    assert factors[-1] < 0.5
     assert control.plan().most_anchors > 1000
 
 
@@ -64,8 +64,8 @@ def test_a_keyframe_fills_the_buffer_and_is_written_off() -> None:
     control = RateControl(300, FPS)
     control.sent_keyframe(10_000_000)
     assert control.fill == 1
-    _, fills, _ = packets(control, [400.0] * 90)
-    assert fills[-1] < 0.7
+    _, fills, _ = packets(control, [100.0] * 90)
+    assert fills[-1] < 0.5
 
 
 def test_a_plan_under_strain_trains_less_and_surer() -> None:

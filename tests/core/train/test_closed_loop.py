@@ -1,0 +1,194 @@
+"""The closed loop under pictures, states and rates that nobody hopes for: always finite, always the decoder's state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet import PacketKind
+from core.anchors import AnchorLevel, Scene
+from core.arrays import UInt8
+from core.data import Dataset
+from core.data.synthetic import SyntheticSpec, open_synthetic
+from core.expand import expand
+from core.frames import FrameSet, PointCloud
+from core.initialise import first_points
+from core.metrics import psnr
+from core.rekey import rekey
+from core.render.cpu import render
+from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
+
+SPEC = SyntheticSpec(cameras=4, frames=12, width=96, height=54, fps=10.0)
+CAMERA = 2  # the one that things happen to
+
+
+def config(**changed: float | bool) -> TrainConfig:
+    """Preset live with hardly any steps."""
+    live = preset("live")
+    keyframe = replace(live.keyframe, steps=80, growth_interval=20)
+    predict = replace(live.predict, epochs=2, minimum_steps=8)
+    model = replace(live.model, max_anchors=2500)
+    return TrainConfig(model, keyframe, replace(predict, **changed))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def clip() -> Dataset:
+    return open_synthetic(SPEC)
+
+
+@pytest.fixture(scope="module")
+def images(clip: Dataset) -> list[UInt8]:
+    return [frame.images for frame in clip.frames()]
+
+
+@pytest.fixture(scope="module")
+def first(clip: Dataset, images: list[UInt8]) -> Scene:
+    frame = frame_set(0, images[0])
+    points = first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds)
+    return Trainer(clip.cameras, config(), clip.fps, "cpu").keyframe(frame, points).scene
+
+
+def frame_set(index: int, images: UInt8, present: Iterable[bool] | None = None) -> FrameSet:
+    flags = np.ones(len(images), np.bool_) if present is None else np.array(list(present))
+    return FrameSet(index, index, images, flags)
+
+
+def loop(trainer: Trainer, scene: Scene, pictures: Iterable[UInt8]) -> list[TrainedFrame]:
+    """Resume `scene`, train on `pictures`, and hold a decoder fed with the packets against it, bit for bit."""
+    decoder, results = SceneDecoder(), list[TrainedFrame]()
+    decoder.push(encode_keyframe(scene, time_ns=0))
+    trainer.resume(scene)
+    for index, picture in enumerate(pictures, start=scene.version + 1):
+        before, result = trainer.scene, trainer.predict(frame_set(index, picture))
+        assert result.residual is not None
+        decoder.push(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=index))
+        assert decoder.scene is not None
+        for mine, theirs in zip(decoder.scene.levels, result.scene.levels, strict=True):
+            for name in AnchorLevel.__slots__:
+                np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+        assert np.isfinite(result.report.loss)
+        results.append(result)
+    cloud = expand(results[-1].scene, scene.header.cameras[0].centre)
+    assert all(np.isfinite(getattr(cloud, name)).all() for name in ("means", "scales", "opacities", "colours"))
+    return results
+
+
+def quality(scene: Scene, clip: Dataset, images: UInt8, number: int = 0) -> float:
+    camera = clip.cameras[number]
+    shown = render(expand(scene, camera.centre), camera, scene.header.background).image.clip(0, 1)
+    return psnr(shown, images[number].astype(np.float32) / 255)
+
+
+def black(picture: UInt8) -> UInt8:
+    return np.zeros_like(picture)
+
+
+def white(picture: UInt8) -> UInt8:
+    return np.full_like(picture, 255)
+
+
+def noise(picture: UInt8) -> UInt8:
+    return np.random.default_rng(0).integers(0, 256, picture.shape, np.uint8)
+
+
+def flash(picture: UInt8) -> UInt8:
+    return (picture.astype(np.int64) * 2 + 40).clip(0, 255).astype(np.uint8)
+
+
+def covered(picture: UInt8) -> UInt8:
+    dark = picture.copy()
+    dark[CAMERA] = 0
+    return dark
+
+
+def swapped(picture: UInt8) -> UInt8:
+    order = np.arange(len(picture))
+    order[[CAMERA, 0]] = 0, CAMERA
+    return picture[order]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "frames"), [(black, 1), (white, 1), (noise, 1), (flash, 1), (covered, 10), (swapped, 2)]
+)
+def test_a_scene_comes_back_after_bad_pictures(
+    clip: Dataset, images: list[UInt8], first: Scene, spoil: Callable[[UInt8], UInt8], frames: int
+) -> None:
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
+    still = images[0]
+    results = loop(trainer, first, [still, *[spoil(still)] * frames, *[still] * 6])
+    begun, spoilt, ended = (quality(results[place].scene, clip, still) for place in (0, frames, -1))
+    assert ended > min(begun - 3, spoilt + 3)  # a few frames of a few steps do not heal everything
+
+
+@pytest.mark.parametrize("factor", [100.0, 1e-3])
+def test_rates_far_off_stay_finite(clip: Dataset, images: list[UInt8], first: Scene, factor: float) -> None:
+    predict = PredictConfig()
+    rates = {"latent_rate": predict.latent_rate * factor, "position_rate": predict.position_rate * factor}
+    loop(Trainer(clip.cameras, config(**rates), clip.fps, "cpu"), first, images[1:4])
+
+
+@pytest.mark.parametrize("end", [1, -1])
+def test_states_at_the_end_of_their_integers_saturate(
+    clip: Dataset, images: list[UInt8], first: Scene, end: int
+) -> None:
+    """Latents and positions that can go no farther in one direction; anchors of every third row, far out of sight."""
+
+    def edge(level: AnchorLevel) -> AnchorLevel:
+        latent, position = level.latent.copy(), level.position.copy()
+        latent[::2] = np.iinfo(np.int16).max if end > 0 else np.iinfo(np.int16).min
+        position[::3] = np.iinfo(np.int32).max if end > 0 else np.iinfo(np.int32).min
+        return replace(level, latent=latent, position=position)
+
+    far = replace(first, levels=tuple(edge(level) for level in first.levels), version=1)
+    trainer = Trainer(clip.cameras, config(latent_rate=50.0, position_rate=500.0, everything=True), clip.fps, "cpu")
+    trainer.resume(far)
+    for index, picture in enumerate(images[1:4], start=2):
+        scene = trainer.predict(frame_set(index, picture)).scene
+    for before, after in zip(far.levels, scene.levels, strict=True):
+        assert after.latent.dtype == np.int16
+        assert len(before) == len(after)
+    assert any((after.latent != before.latent).any() for before, after in zip(far.levels, scene.levels, strict=True))
+
+
+def test_two_views_and_fifty_points_make_a_first_frame(clip: Dataset, images: list[UInt8]) -> None:
+    frame = frame_set(0, images[0][:2])
+    found = first_points(frame, clip.cameras[:2], depth_bounds=clip.depth_bounds)
+    chosen = np.linspace(0, len(found.positions) - 1, 50).astype(int)
+    few = PointCloud(found.positions[chosen], found.colours[chosen])
+    trainer = Trainer(clip.cameras[:2], config(), clip.fps, "cpu")
+    scene = trainer.keyframe(frame, few).scene
+    assert scene.anchor_count > 0
+    results = loop(Trainer(clip.cameras[:2], config(), clip.fps, "cpu"), scene, [images[1][:2], images[2][:2]])
+    assert np.isfinite(quality(results[-1].scene, clip, images[2]))
+
+
+def test_everything_that_changes_and_nothing_that_does(clip: Dataset, images: list[UInt8], first: Scene) -> None:
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
+    still, moving = images[0], 255 - images[0]
+    results = loop(trainer, first, [still, still, moving])
+    quiet, loud = results[1], results[2]
+    assert (quiet.report.dynamic, quiet.report.changed, quiet.report.steps) == (0, 0, 0)
+    assert loud.report.dynamic + loud.report.changed >= loud.report.anchors / 3
+
+
+def test_a_new_keyframe_changes_nothing_for_training(clip: Dataset, images: list[UInt8], first: Scene) -> None:
+    """Rekeying in the middle: what was known stays known, so a still frame after it stays empty."""
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
+    loop(trainer, first, [images[0], images[1]])
+    trainer.resume(rekey(trainer.scene, trainer.scene.version), keep_references=True)
+    assert trainer.predict(frame_set(3, images[1])).report.steps == 0
+
+
+@pytest.mark.slow
+def test_a_thousand_frames_do_not_drift(clip: Dataset, images: list[UInt8], first: Scene) -> None:
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
+    there_and_back = [*images, *images[-2:0:-1]]
+    results = loop(trainer, first, (there_and_back[index % len(there_and_back)] for index in range(1000)))
+    early = np.mean([quality(result.scene, clip, there_and_back[n]) for n, result in enumerate(results[22:44])])
+    late = np.mean([quality(r.scene, clip, there_and_back[(n + 968) % 22]) for n, r in enumerate(results[968:990])])
+    assert late > early - 2
