@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +12,7 @@ from prometheus_client import generate_latest
 from pydantic import BaseModel
 
 from server.metrics import collector_registry
-from server.settings import Limits, Retention, Settings, WorkerSettings
+from server.settings import Limits, Retention, Settings, WorkerSettings, load_settings
 from server.spec import StreamSpec
 from tests.server.conftest import Clip, running, viewing
 
@@ -44,6 +46,21 @@ def test_metrics_count_and_are_documented(clip: Clip) -> None:
         assert names
         for name in names:
             assert f"`{name}`" in PAGE, name
+
+
+def test_the_dashboard_and_its_containers_ask_for_what_exists(clip: Clip) -> None:
+    folder = Path(__file__).parents[2] / "docker" / "observe"
+    with running(Settings(), StreamSpec(play=clip.path)) as server:
+        text = generate_latest(collector_registry(server.registry)).decode()
+    names = {line.split()[2] for line in text.splitlines() if line.startswith("# TYPE")}
+    panels = json.loads((folder / "dashboard.json").read_text())["panels"]
+    asked = {name for p in panels for t in p["targets"] for name in re.findall(r"streamlod_\w+", t["expr"])}
+    assert len(asked) >= 12
+    assert asked <= names
+    settings = load_settings(folder / "server.toml")
+    assert f'"server:{settings.metrics_port}"' in (folder / "prometheus.yml").read_text()
+    sources = (folder / "datasource.yaml").read_text()
+    assert all(f"uid: {p['datasource']['uid']}," in sources for p in panels)
 
 
 def test_serving_loads_no_training_library() -> None:
