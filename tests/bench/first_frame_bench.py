@@ -2,27 +2,30 @@
 
     python -m tests.bench.first_frame_bench DATA [--views 6 --test cam00 --downscale 2 --steps 1500 --seeds 2]
 
-Prints PSNR, SSIM, and PSNR after fitting gain and offset a channel, of the held-out camera, and saves the pictures.
+Prints PSNR, SSIM, and PSNR after fitting gain and offset a channel, of the held-out camera, with the keyframe's bytes,
+for the whole keyframe and cut at each level; saves the pictures. `--set features=8` and the like change one choice.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 
+from codec.encoder import encode_keyframe
+from core.anchors import empty_level
 from core.arrays import Float32
 from core.data import linspace_split, open_dataset
 from core.expand import expand
 from core.frames import FrameSet
 from core.metrics import psnr, ssim
 from core.render.cpu import render
-from core.train import Trainer, preset
+from core.train import TrainConfig, Trainer, preset
 from core.train.keyframe import Views
 from tests.bench.plain_gaussians import PlainGaussians
 
@@ -37,6 +40,18 @@ def fitted(picture: Float32, truth: Float32) -> Float32:
     return result
 
 
+def changed(config: TrainConfig, settings: list[str]) -> TrainConfig:
+    """`config` with each ``field=number`` of `settings` applied to its model or keyframe part."""
+    model, keyframe = config.model, config.keyframe
+    for name, text in (setting.split("=") for setting in settings):
+        value = text == "true" if text in ("true", "false") else float(text)
+        if name in {field.name for field in fields(model)}:
+            model = replace(model, **{name: type(getattr(model, name))(value)})
+        else:
+            keyframe = replace(keyframe, **{name: type(getattr(keyframe, name))(value)})
+    return replace(config, model=model, keyframe=keyframe)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data")
@@ -47,6 +62,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--preset", default="balanced")
     parser.add_argument("--out", type=Path, default=None)
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
+    parser.add_argument("--no-plain", action="store_true", help="train ours alone")
     options = parser.parse_args()
     dataset = open_dataset(options.data, downscale=options.downscale)
     names = [camera.name for camera in dataset.cameras]
@@ -59,7 +76,7 @@ def main() -> None:
     training = FrameSet(frame.index, frame.time_ns, frame.images[rows], frame.present[rows])
     targets = torch.from_numpy(training.images).float() / 255
 
-    def show(label: str, seed: int, picture: Float32, size: int, seconds: float) -> None:
+    def show(label: str, seed: int, picture: Float32, size: str, seconds: float) -> None:
         picture = picture.clip(0, 1)
         scores = (psnr(picture, truth), ssim(picture, truth), psnr(fitted(picture, truth), truth))
         print(
@@ -74,17 +91,27 @@ def main() -> None:
 
     for seed in range(options.seeds):
         config = preset(options.preset)
-        config = replace(config, seed=seed, keyframe=replace(config.keyframe, steps=options.steps))
+        config = changed(
+            replace(config, seed=seed, keyframe=replace(config.keyframe, steps=options.steps)), options.set
+        )
         begin = time.process_time()
         trained = Trainer(cameras, config, dataset.fps, "cpu").keyframe(training, points)
         seconds = time.process_time() - begin
-        cloud = expand(trained.scene, held_out.centre)
-        picture = render(cloud, held_out, trained.scene.header.background).image
-        show("anchors", seed, picture, trained.scene.anchor_count, seconds)
+        scene = trained.scene
+        for highest in reversed(range(len(scene.levels))):
+            nothing = empty_level(scene.header.feature_steps.size, scene.header.gaussians_per_anchor)
+            hidden = len(scene.levels) - 1 - highest
+            cut = replace(scene, levels=scene.levels[: highest + 1] + (nothing,) * hidden)
+            cloud = expand(scene, held_out.centre, highest)
+            packet = encode_keyframe(cut, time_ns=0)
+            size = f"{cut.anchor_count} anchors, {len(cloud)} Gaussians, {len(packet)} bytes"
+            show(f"anchors-{highest}", seed, render(cloud, held_out, scene.header.background).image, size, seconds)
+        if options.no_plain:
+            continue
         plain = PlainGaussians(points, Views(cameras, targets, list(range(len(rows)))), seed=seed)
         plain.train(seconds)
         with torch.no_grad():
-            show("plain", seed, plain.render(camera=held_out).image.numpy(), len(plain), seconds)
+            show("plain", seed, plain.render(camera=held_out).image.numpy(), f"{len(plain)} Gaussians", seconds)
 
 
 if __name__ == "__main__":
