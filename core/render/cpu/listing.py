@@ -77,8 +77,10 @@ def projected(workspace: Workspace, cloud: GaussianCloud, camera: Camera) -> Pro
 
 def reaching(seen: Projected, tile_mask: Bool) -> Int32:
     """[S] int32 ascending rows of the Gaussians that reach a tile of `tile_mask` [tiles_y,tiles_x]."""
-    touching = np.zeros(len(seen.depths), np.uint8)
-    find_touching(numba.get_num_threads(), seen.records, seen.boxes, seen.depths, tile_mask.astype(np.uint8), touching)
+    if tile_mask.all():
+        return np.flatnonzero(seen.depths > 0).astype(np.int32)
+    touching, mask = np.zeros(len(seen.depths), np.uint8), tile_mask.astype(np.uint8)
+    find_touching(numba.get_num_threads(), seen.records, seen.boxes, seen.depths, mask, touching)
     return np.flatnonzero(touching).astype(np.int32)
 
 
