@@ -81,6 +81,8 @@ def partition(
     if config.everything:
         everything = np.asarray(alive.cpu().numpy())
         return Parts(everything, everything)
+    if not masks.any():  # whatever the cue: static error is no motion
+        return no_parts(len(field))
     posterior, lowest = config.posterior, config.changed_posterior
     rows = torch.nonzero(alive)[:, 0]
     if config.cue != "difference":

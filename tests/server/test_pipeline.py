@@ -61,6 +61,28 @@ def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame
     assert set(figures["per_frame"][1]["seconds"]) >= {"partition", "round", "encode"}
 
 
+def test_controllers_keep_every_frame_and_the_decoders_state(tmp_path: Path) -> None:
+    """A budget of a millisecond and next to no bytes: frames come all the same, and they decode."""
+    seen = list[EncodedFrame]()
+    tight = replace(JOB, frame_budget_ms=1.0, target_kbps=20.0)
+    train_clip(open_job(tight), tmp_path / "scene.slod", seen.append)
+    assert [frame.version for frame in seen] == [0, 1, 2, 3]
+    assert all("encode" in frame.report["seconds"] for frame in seen)
+    decoder = SceneDecoder()
+    for frame in seen:
+        for packet in frame.packets:
+            decoder.push(packet)
+    assert decoder.scene is not None
+    assert decoder.scene.version == 3
+    assert max(len(frame.packets[0]) for frame in seen[1:]) < 2500  # of a bucket that holds a second of 20 kbit
+
+
+@pytest.mark.parametrize("wrong", [{"frame_budget_ms": 0.0}, {"target_kbps": -1.0}, {"target_kbps": float("inf")}])
+def test_budgets_and_rates_that_are_none_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="positive"):
+        replace(JOB, **wrong)  # type: ignore[arg-type]
+
+
 def overlap(ones: list[Span], others: list[Span]) -> float:
     """Seconds that spans of both kinds have in common."""
     return sum(max(0.0, min(a.end, b.end) - max(a.begin, b.begin)) for a in ones for b in others)
