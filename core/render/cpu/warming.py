@@ -30,7 +30,7 @@ def warm(tell: Callable[[str], None] | None = None) -> None:
 
     tell = tell or _LOG.info
     workspace, background = Workspace(), np.zeros(3, np.float32)
-    camera = pinhole("warm", (8.0, 8.0), (4.0, 4.0), (8, 8), np.eye(4))
+    camera = pinhole("warm", (8.0, 8.0), (4.0, 4.0), (32, 8), np.eye(4))
     cloud = _one_gaussian()
     started = time.perf_counter()
     tell("compiling the rasteriser's forward kernels")
@@ -39,9 +39,8 @@ def warm(tell: Callable[[str], None] | None = None) -> None:
     backward(workspace, frame, cloud, np.ones_like(frame.image))
     tell("compiling the loss and what renders parts of a picture")
     photometric_sums(frame.image, frame.image, 0.2, (Box(0, 0, 8, 8),))
-    all_tiles = np.ones((1, 1), np.bool_)
-    touched_tiles(camera, cloud, 1.0)
-    forward_over(workspace, cloud, prepare(cloud, camera, all_tiles, all_tiles, frame.image), background)
+    touched = touched_tiles(camera, cloud, 1.0)  # one tile of two
+    forward_over(workspace, cloud, prepare(cloud, camera, touched, touched, frame.image), background)
     tell(f"rasteriser ready after {time.perf_counter() - started:.1f} s")
 
 

@@ -47,3 +47,32 @@ def test_warming_tells_what_it_does() -> None:
     cpu.warm(said.append)
     assert any("forward" in line for line in said)
     assert "ready" in said[-1]
+
+
+STEP_AFTER_WARMING = """
+import torch
+from core.render import cpu, rasterise
+from core.render.cpu import backdrop, frame, listing, photometric
+from core.render import dirty
+from core.train.losses import photometric_loss
+from core.train.decode import Splats
+from core.train.stage import make_stage
+from tests.core.render.scenes import NAMES, make_camera, make_cloud
+
+cpu.warm()
+kernels = [getattr(m, n) for m in (backdrop, dirty, frame, listing, photometric) for n in dir(m)]
+kernels = [kernel for kernel in kernels if hasattr(kernel, "signatures")]
+before = [len(kernel.signatures) for kernel in kernels]
+cloud, camera = make_cloud(40, size=0.1), make_camera(96, 64)
+parameters = [torch.from_numpy(getattr(cloud, name)).requires_grad_() for name in NAMES]
+splats, background = Splats(*parameters), torch.zeros(3)
+raster, _ = make_stage(camera, splats, splats.detached(), background, "cpu").render(splats)
+photometric_loss(raster.image, torch.zeros(64, 96, 3)).backward()
+rasterise(*parameters, camera, background).image.sum().backward()
+print(len(before), all(before), before == [len(kernel.signatures) for kernel in kernels])
+"""
+
+
+def test_warming_leaves_nothing_to_compile() -> None:
+    answer = subprocess.run([sys.executable, "-c", STEP_AFTER_WARMING], check=True, capture_output=True, text=True)
+    assert answer.stdout.split() == ["10", "True", "True"]
