@@ -102,7 +102,7 @@ class PredictConfig:
     epochs: int = 15
     minimum_steps: int = 60
     latent_rate: float = 0.2
-    position_rate: float = 2.0
+    position_rate: float = 1.0
     final_rate: float = 0.1
     feature_step: float = 0.2
     offset_step: float = 0.2
