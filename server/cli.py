@@ -8,16 +8,32 @@ import os
 import signal
 import sys
 import traceback
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 
-from core.errors import BackendUnavailable, InputError, StreamlodError
-
-FAULT = 2  # exit code of everything that we refuse
-INTERRUPTED = 130
+from core.errors import InputError
+from server.options import (
+    Data,
+    Device,
+    DeviceOption,
+    Downscale,
+    FrameBudget,
+    Frames,
+    LayoutOption,
+    Preset,
+    Seed,
+    SlodFile,
+    SnapshotFormat,
+    SplitFile,
+    TargetRate,
+    Test,
+    Views,
+    names_in,
+    numbers_in,
+)
+from server.refusals import INTERRUPTED, explain
 
 app = typer.Typer(
     name="streamlod",
@@ -29,50 +45,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-
-
-class Device(StrEnum):
-    """Where to compute."""
-
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
-
-
-class Layout(StrEnum):
-    """Of recordings: `core.data.LAYOUTS`, which is not loaded for a help text."""
-
-    n3dv = "n3dv"
-    meetroom = "meetroom"
-    colmap = "colmap"
-    transforms = "transforms"
-    caliscope = "caliscope"
-
-
-class SnapshotFormat(StrEnum):
-    """Of exported snapshots."""
-
-    ply = "ply"
-    spz = "spz"
-
-
-SlodFile = Annotated[Path, typer.Argument(metavar="FILE.slod", help="A recorded bitstream.")]
-Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recording; its layout is detected.")]
-LayoutOption = Annotated[Layout | None, typer.Option(help="Layout of DATA, where detection is wrong.")]
-Test = Annotated[str, typer.Option(metavar="cam00[,...]", help="Held-out cameras, never trained on.")]
-DeviceOption = Annotated[Device, typer.Option(help="auto takes a CUDA device where there is one.")]
-Views = Annotated[int | None, typer.Option(min=1, help="So many training cameras, evenly spread over the rest.")]
-Preset = Annotated[str, typer.Option(help="live, balanced, quality or paper.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
-Frames = Annotated[int | None, typer.Option(min=1, help="At most so many frames.")]
-SplitFile = Annotated[
-    Path | None, typer.Option(help='JSON file {"train": [...], "test": [...]} that names cameras instead of views.')
-]
-FrameBudget = Annotated[
-    float | None, typer.Option(min=1, metavar="MS", help="Train each later frame for so long; quality gives way.")
-]
-TargetRate = Annotated[float | None, typer.Option(min=1, metavar="KBPS", help="Keep predicted packets to this rate.")]
-Downscale = Annotated[float, typer.Option(min=1, help="Make pictures so many times smaller.")]
 
 
 @app.command()
@@ -109,12 +81,12 @@ def train(
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
     _call("server.commands:check_outputs", out, json, trace)
-    _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
+    _call("server.commands:check_recording", data, layout, names_in(train), names_in(test), views, downscale)
     job = _load("server.job:TrainJob")(
         data=data,
         layout=layout,
-        train=_names(train),
-        test=_names(test),
+        train=names_in(train),
+        test=names_in(test),
         views=views,
         frames=frames,
         downscale=downscale,
@@ -140,7 +112,7 @@ def evaluate(
 ) -> None:
     """Decode a file, render the held-out cameras, and measure quality, size and speed."""
     _require_folder(data)
-    _call("client.commands:evaluate", scene, data, _names(test), json, save_images, layout)
+    _call("client.commands:evaluate", scene, data, names_in(test), json, save_images, layout)
 
 
 @app.command()
@@ -182,18 +154,18 @@ def serve(
     settings = _load("server.settings:Settings")(**({} if loaded is None else loaded.model_dump()) | chosen)
     if data is not None:
         _require_folder(data)
-        _call("server.commands:check_recording", data, layout, _names(train), _names(test), views, downscale)
+        _call("server.commands:check_recording", data, layout, names_in(train), names_in(test), views, downscale)
     if live is not None:
         _require_folder(live)
-        _call("server.commands:check_rig", live, _names(train), _names(test), views)
+        _call("server.commands:check_rig", live, names_in(train), names_in(test), views)
     source = {"data": data, "live": live, "play": play}
     streams = tuple(stream.spec for stream in settings.streams)
     if any(source.values()):
         options = {
             "loop": loop,
             "layout": layout,
-            "train": _names(train),
-            "test": _names(test),
+            "train": names_in(train),
+            "test": names_in(test),
             "views": views,
             "frames": frames,
             "downscale": downscale,
@@ -303,14 +275,14 @@ def study(
 ) -> None:
     """Measure what each part of the method is worth, by leaving it out, on cameras that training never saw."""
     _require_folder(data)
-    numbers = _numbers("--views", views)
+    numbers = numbers_in("--views", views)
     options = _load("core.evaluate.study:StudyOptions")(
         views=numbers,
         frames=frames,
         seeds=seeds,
-        ablate=_names(ablate),
+        ablate=names_in(ablate),
         downscale=downscale,
-        test=_names(test),
+        test=names_in(test),
         split=split,
         preset=preset,
         device=device.value,
@@ -333,7 +305,13 @@ def tradeoff(
     """Sweep time, size and quality against each other; finds what nothing else beats."""
     _require_folder(data)
     options = _load("core.evaluate.tradeoff:TradeoffOptions")(
-        frames=frames, views=views, downscale=downscale, test=_names(test), split=split, device=device.value, seed=seed
+        frames=frames,
+        views=views,
+        downscale=downscale,
+        test=names_in(test),
+        split=split,
+        device=device.value,
+        seed=seed,
     )
     _call("server.studies:tradeoff", data, out, options)
 
@@ -358,31 +336,8 @@ def main() -> NoReturn:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        code = _explain(error)
+        code = explain(error)
     raise SystemExit(code or 0)
-
-
-def _explain(error: Exception) -> int:
-    """Write what went wrong; returns the exit code. Faults of our own keep their traceback."""
-    if hasattr(error, "exit_code") and hasattr(error, "show"):  # wrong usage: typer knows how to say it
-        error.show()
-        return int(error.exit_code)
-    if isinstance(error, StreamlodError | OSError | ModuleNotFoundError):
-        sys.stderr.write(f"streamlod: {' '.join(_sentence(error).split())}\n")
-        return FAULT
-    if type(error).__name__ == "Abort":
-        sys.stderr.write("\ninterrupted\n")
-        return INTERRUPTED
-    raise error
-
-
-def _sentence(error: Exception) -> str:
-    if isinstance(error, ModuleNotFoundError):
-        remedy = "install it, for example with pip install 'streamlod[train,serve]'"
-        return str(BackendUnavailable(f"the module {error.name}", remedy))
-    if isinstance(error, OSError) and error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return str(error)
 
 
 def _configure_logging(verbose: bool) -> None:
@@ -408,18 +363,6 @@ def _call(target: str, *arguments: Any) -> None:
     text = _load(target)(*arguments)
     if text:
         typer.echo(text)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _numbers(option: str, text: str) -> tuple[int, ...]:
-    """Positive whole numbers of ``3,4,5``."""
-    words = _names(text)
-    if not words or not all(word.isascii() and word.isdecimal() and 0 < len(word) < 6 and int(word) for word in words):
-        raise InputError(option, f"{text!r} is not a list of positive numbers, for example 3,4,5")
-    return tuple(dict.fromkeys(int(word) for word in words))
 
 
 def _require_folder(path: Path) -> None:

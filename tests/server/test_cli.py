@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from core.data import LAYOUTS
-from server import cli
+from server import cli, options
 from tests.client.clips import states, write_clip
 from tests.core.data.writers import llff_rows, rig, write_video_clip
 
@@ -108,7 +108,7 @@ def test_the_contract_of_options(run: Run, command: str, options: str) -> None:
 
 
 def test_layouts_are_those_of_the_readers() -> None:
-    assert {layout.value for layout in cli.Layout} == set(LAYOUTS)
+    assert {layout.value for layout in options.Layout} == set(LAYOUTS)
 
 
 @pytest.mark.parametrize(
