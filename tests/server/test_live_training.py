@@ -24,6 +24,7 @@ from websockets.sync.client import connect
 
 from codec.packet import peek
 from core.data.synthetic import SyntheticSpec, open_synthetic
+from core.errors import InputError
 from server.ingest.clock import ClockSource
 from server.ingest.metrics import ingest_families
 from server.ingest.push import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
@@ -31,7 +32,7 @@ from server.ingest.relay import RelayedIntake
 from server.ingest.statistics import CameraStatistics, Statistics
 from server.ingest.synchroniser import CameraState, Counts
 from server.job import TrainJob
-from server.settings import Settings
+from server.settings import Settings, load_settings
 from server.spec import StreamSpec
 from server.stream import Stream
 from server.worker import Sender, Tag, train
@@ -213,3 +214,16 @@ def test_live_streams_by_rest_and_who_may_push(clip: Clip, tmp_path: Path) -> No
         assert refusal("none", "node")[0] == 4404
         assert refusal("main", "node") == (4403, "this stream takes no pictures: it is not made from live cameras")
         assert refusal("cams", "node", origin="http://elsewhere.example")[0] == 4403
+
+
+def test_streams_of_the_configuration_file(tmp_path: Path) -> None:
+    file = tmp_path / "server.toml"
+    file.write_text(
+        '[[streams]]\nid = "stage"\nlive = "rig.json"\nviews = 4\n[[streams]]\nid = "old"\nplay = "a.slod"\n'
+    )
+    stage, old = (stream.spec for stream in load_settings(file).streams)
+    assert stage == StreamSpec("stage", TrainJob(live=Path("rig.json"), views=4, preset="live"))
+    assert old == StreamSpec("old", play=Path("a.slod"))
+    file.write_text('[[streams]]\nid = "Stage"\nlive = "rig.json"\n')
+    with pytest.raises(InputError, match=r"streams\.0\.id"):
+        load_settings(file)
