@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 _FORGET = 0.2  # share by which a falling cost follows the latest frame
+_UNKNOWN = 0.05  # of the budget, kept for a later stage that has never been timed
 _MARGIN = 0.05  # of the budget, for what no stage accounts for
 
 
@@ -61,7 +62,7 @@ class FrameBudget:
 
     def left(self, *later: str) -> float:
         """Seconds until the deadline, less what the stages `later` will take; negative when it is too late."""
-        reserved = sum(self._costs.get(stage, 0.0) for stage in later)
+        reserved = sum(self._costs.get(stage, _UNKNOWN * self._seconds) for stage in later)
         return self._end - self._clock() - reserved - _MARGIN * self._seconds
 
     def allows(self, stage: str, *later: str) -> bool:
