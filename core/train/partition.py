@@ -21,6 +21,7 @@ from core.train.keyframe import Views
 from core.train.motion import changed_pixels, dynamic_anchors, moved_pixels
 
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
+_MOST = 0.5  # of the pixels, above which nothing is left that stands still and the mixture would split what moves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +92,8 @@ def partition(
         return Parts(dynamic, dynamic)
     scores = change_scores(field, rows, rows[:0], references, views, masks, backend)
     changed = dynamic_anchors(scores, previous.trained, lowest, lowest * _HYSTERESIS)
+    if masks[views.usable].float().mean() > _MOST:
+        changed = scores > 0
     if not changed.any():
         return no_parts(len(field))
     moved = torch.zeros_like(masks)
