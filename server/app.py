@@ -91,10 +91,10 @@ def _add_errors(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> Response:
-        headers = dict(error.headers) if error.headers else {}
-        if error.status_code == 405:
-            headers["Allow"] = ", ".join(_allowed(app, request.url.path)) or headers.get("Allow", "")
-        return problem_response(error.status_code, str(error.detail), headers)
+        allowed = _allowed(app, request.url.path) if error.status_code in {404, 405} else []
+        if allowed and request.method not in allowed:  # the page's files lie behind and know of no other methods
+            return problem_response(405, "this place takes other methods", {"Allow": ", ".join(allowed)})
+        return problem_response(error.status_code, str(error.detail), dict(error.headers or {}))
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Request, error: RequestValidationError) -> Response:

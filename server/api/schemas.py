@@ -19,6 +19,13 @@ _STREAM_EXAMPLE: dict[str, Any] = {
     "live_path": "/v1/streams/main/live",
 }  # fmt: skip
 
+_MANIFEST_EXAMPLE: dict[str, Any] = {
+    "stream": "main", "state": "live", "epoch": 1, "levels": 5, "fps": 30.0,
+    "window": {"oldest": {"epoch": 1, "version": 0}, "newest": {"epoch": 1, "version": 57}},
+    "gops": [{"epoch": 1, "first": 0, "last": 57, "packets": 58, "bytes": 812345, "begun_ns": 1764000000000000000,
+              "path": "/v1/streams/main/gops/1/0"}],
+}  # fmt: skip
+
 
 class PositionBody(BaseModel):
     """A place in a stream."""
@@ -79,6 +86,8 @@ class GroupBody(BaseModel):
 
 class Manifest(BaseModel):
     """The window and its groups of pictures."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [_MANIFEST_EXAMPLE]})
 
     stream: str
     state: str

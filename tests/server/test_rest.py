@@ -110,6 +110,66 @@ def test_downloads_answer_ranges_and_conditions(client: httpx.Client) -> None:
     assert client.get(path, headers={"Range": "bytes=0-0", "If-Range": '"other"'}).status_code == 200
 
 
+def test_what_is_closed_may_be_kept_for_ever_and_what_grows_may_not(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path)) as server, server.client() as client:
+        server.wait(lambda stream: stream["state"] == "live" and stream["version"] > 60)
+        closed, tags = "/v1/streams/main/gops/1/0", set()
+        for path in (closed, "/v1/streams/main/packets/1/7"):
+            answer = client.get(path)
+            etag, caching = answer.headers["etag"], answer.headers["cache-control"]
+            assert (etag[0], etag[-1]) == ('"', '"')  # strong
+            assert caching == "public, max-age=31536000, immutable"
+            assert client.get(path).headers["etag"] == etag
+            kept = client.get(path, headers={"If-None-Match": f'"x", {etag}'})
+            assert (kept.status_code, kept.content, kept.headers["cache-control"]) == (304, b"", caching)
+            head = client.head(path)
+            assert (head.status_code, head.headers["content-length"]) == (200, str(len(answer.content)))
+            assert client.get(path, headers={"Range": "bytes=2-5"}).content == answer.content[2:6]
+            beyond = client.get(path, headers={"Range": "bytes=99999999-"})
+            assert (beyond.status_code, beyond.headers["content-type"]) == (416, "application/problem+json")
+            tags.add(etag)
+        growing = "/v1/streams/main/gops/1/60"
+        for _ in range(2):
+            answer = client.get(growing)
+            assert answer.headers["cache-control"] in {"public, no-cache", "public, max-age=31536000, immutable"}
+            tags.add(answer.headers["etag"])
+            version = server.stream()["version"]
+            server.wait(lambda stream, version=version: stream["version"] != version)  # type: ignore[misc]
+        assert len(tags) >= 3
+
+
+def test_a_blocking_manifest_answers_as_soon_as_there_is_more(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path)) as server, server.client() as client:
+        server.wait(lambda stream: stream["state"] == "live")
+        seen = []
+        for _ in range(5):
+            window = client.get("/v1/streams/main/manifest").json()["window"]["newest"]
+            after = {"after_epoch": window["epoch"], "after_version": window["version"], "wait_ms": 5000}
+            later = client.get("/v1/streams/main/manifest", params=after).json()["window"]["newest"]
+            seen.append((window["epoch"], window["version"]) < (later["epoch"], later["version"]))
+        assert all(seen)
+
+
+def test_an_idle_stream_has_an_empty_manifest_and_other_methods_are_named(client: httpx.Client, clip: Clip) -> None:
+    assert client.post("/v1/streams", json={"id": "idle", "play": str(clip.path)}).json()["state"] == "idle"
+    manifest = client.get("/v1/streams/idle/manifest").json()
+    assert (manifest["window"], manifest["gops"], manifest["epoch"]) == (None, [], None)
+    assert client.get("/v1/streams/idle/bitstream").status_code == 404
+    for method, path, allowed in (
+        ("PUT", "/v1/streams", "GET, POST"),
+        ("GET", "/v1/streams/idle/start", "POST"),
+        ("POST", "/v1/streams/idle/bitstream", "GET, HEAD"),
+    ):
+        refused = client.request(method, path)
+        assert (refused.status_code, refused.headers["allow"]) == (405, allowed)
+        assert refused.headers["content-type"] == "application/problem+json"
+    assert client.post("/v1/streams", content=b"\xff", headers={"Content-Type": "application/json"}).status_code in {
+        400,
+        422,
+    }
+    assert client.delete("/v1/streams/idle").status_code == 204
+
+
 def test_streams_are_created_started_stopped_and_deleted(client: httpx.Client, server: Running, clip: Clip) -> None:
     made = client.post("/v1/streams", json={"id": "second", "play": str(clip.path), "start": True})
     assert (made.status_code, made.headers["location"]) == (201, "/v1/streams/second")
@@ -141,6 +201,8 @@ def test_openapi_describes_every_operation(client: httpx.Client) -> None:
     operations = [op for path in document["paths"].values() for op in path.values()]
     assert len(operations) >= 12
     assert all(op.get("summary") and (op.get("description") or "health" in op["tags"]) for op in operations)
+    for name in ("StreamBody", "NewStream", "NewLink", "Manifest"):
+        assert document["components"]["schemas"][name]["examples"], name
 
 
 def token_file(folder: Path, **rights: list[str]) -> Path:
