@@ -18,7 +18,7 @@ from core.train.exposure import Exposure, neutral
 from core.train.field import Field, visible_levels
 from core.train.growth import GrowthStatistics, earned_extra_level, grow
 from core.train.heads import separate_heads
-from core.train.levels import needed_levels, renumbered
+from core.train.levels import needed_levels
 from core.train.losses import photometric_loss
 from core.train.newcomers import strongest
 from core.train.optimiser import RowAdam
@@ -216,31 +216,31 @@ class KeyframeTrainer:
         return loss
 
     def _drop_idle_levels(self) -> None:
-        """Give up the levels that carry nothing, while there are steps left to settle; the paper keeps all."""
+        """Give up fine levels that carry nothing, while there are steps left to settle; the paper keeps all."""
         if self._model.selection == "distance" or self._model.levels is not None:
             return
         octree, level = self._fixed.octree, self._fixed.level
         judges = self._views.usable[:: max(1, len(self._views.usable) // _JUDGES)]
 
         @torch.no_grad()
-        def loss(first: int, last: int) -> float:
-            rows = torch.nonzero((level >= first) & (level <= last))[:, 0]
+        def loss(highest: int) -> float:
+            rows = torch.nonzero(level <= highest)[:, 0]
             losses = []
             for number in judges:
                 splats = self._decode(number, rows, rounded=False)
                 losses.append(float(self._loss(self._draw(splats, number), splats, number)))
             return sum(losses) / len(losses)
 
-        first, last = needed_levels(octree.levels, loss)
-        if (first, last) == (0, octree.levels - 1):
+        needed = needed_levels(octree.levels, loss)
+        if needed == octree.levels:
             return
-        fewer, rows, renamed = renumbered(octree, level, first, last)
+        rows = torch.nonzero(level < needed)[:, 0]
         nothing = {name: self._optimiser.parameters[name].detach()[:0] for name in _ROW_PARAMETERS}
         self._optimiser.replace_rows(rows, nothing)
         self._fixed = replace(
             self._fixed,
-            octree=fewer,
-            level=renamed,
+            octree=replace(octree, levels=needed),
+            level=level[rows],
             voxel=self._fixed.voxel[rows],
             extra_level=self._fixed.extra_level[rows],
             position=self._fixed.position[rows],

@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
-import torch
-from torch import Tensor
-
-from core.octree import Octree
-
-_IDLE = 0.02  # of the loss: a level whose absence costs less than this share carries nothing
+_IDLE_SHARE = 0.02  # a finest level carries nothing when the loss without it is at most this share higher,
+_IDLE_LOSS = 1 / 255  # and one grey level
 
 
-def needed_levels(levels: int, loss: Callable[[int, int], float]) -> tuple[int, int]:
-    """(first, last) level to keep, at least one.
+def needed_levels(levels: int, loss: Callable[[int], float]) -> int:
+    """How many of the coarsest levels to keep, at least one.
+
+    Coarse levels are kept whatever they carry: viewers on thin links have nothing else.
 
     Args:
         levels: how many there are.
-        loss: of the picture drawn with the levels from one to another only, both included.
+        loss: of the pictures drawn with the levels up to one only, that included.
     """
-    first, last = 0, levels - 1
-    limit = (1 + _IDLE) * loss(first, last)
-    while last > first and loss(first, last - 1) <= limit:
-        last -= 1
-    while first < last and loss(first + 1, last) <= limit:
-        first += 1
-    return first, last
-
-
-def renumbered(octree: Octree, level: Tensor, first: int, last: int) -> tuple[Octree, Tensor, Tensor]:
-    """The octree of levels `first` to `last` alone, the [n] rows of `level` [N] that it holds, and their new levels."""
-    rows = torch.nonzero((level >= first) & (level <= last))[:, 0]
-    return replace(octree, root_cell=octree.cell(first), levels=last - first + 1), rows, level[rows] - first
+    limit = (1 + _IDLE_SHARE) * loss(levels - 1) + _IDLE_LOSS
+    while levels > 1 and loss(levels - 2) <= limit:
+        levels -= 1
+    return levels
