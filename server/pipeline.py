@@ -162,7 +162,8 @@ def train_stream(
     def train(outlet: Outlet[_Trained]) -> None:
         _Training(opened, previews, on_progress, outlet).run(resume, start)
 
-    with closing(made_by(train, "training")) as trained:
+    # at the end the cameras are closed first: training that waits for them could not be ended
+    with closing(made_by(train, "training")) as trained, closing(opened):
         for state in trained:
             yield _encoded(state)
 

@@ -133,7 +133,7 @@ def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_s
 
     opened = open_job(job, push_socket)
     frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=tell)
-    with closing(opened), closing(frames), _told(opened, sender):
+    with closing(frames), _told(opened, sender):
         for encoded in frames:
             for packet in encoded.packets:
                 sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)

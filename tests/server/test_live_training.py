@@ -24,7 +24,7 @@ from websockets.sync.client import connect
 
 from codec.packet import peek
 from core.data.synthetic import SyntheticSpec, open_synthetic
-from core.errors import InputError
+from core.errors import InputError, ModelError
 from server.ingest.clock import ClockSource
 from server.ingest.metrics import ingest_families
 from server.ingest.push import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
@@ -32,6 +32,7 @@ from server.ingest.relay import RelayedIntake
 from server.ingest.statistics import CameraStatistics, Statistics
 from server.ingest.synchroniser import CameraState, Counts
 from server.job import TrainJob
+from server.pipeline import open_job, train_stream
 from server.settings import Settings, load_settings
 from server.spec import StreamSpec
 from server.stream import Stream
@@ -121,6 +122,21 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
         assert report["latency_seconds"] * 1e9 <= at - packet.time_ns
     waited = reports[-1]["latency_seconds"] - reports[-1]["total_seconds"]  # before training
     assert waited < reports[0]["total_seconds"] / 2  # a queue would hold what came while the first frame trained
+
+
+def test_a_failing_encoder_ends_training_that_waits_for_cameras(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = Node(tmp_path / "s")
+
+    def broken(*_: object, **__: object) -> bytes:
+        node.stop()  # no further picture will come
+        raise ModelError("the encoder broke")
+
+    monkeypatch.setattr("server.pipeline.encode_keyframe", broken)
+    with brief_training(), pytest.raises(ModelError, match="the encoder broke"):
+        next(train_stream(open_job(TrainJob(live=definition(), preset="live"), tmp_path / "s")))
+    assert "training" not in {thread.name for thread in threading.enumerate()}
 
 
 def figures(state: CameraState = CameraState.OK, fault: str = "", *, waiting: bool = False) -> dict[str, Any]:
