@@ -71,14 +71,15 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
         registry.turned_away[str(error.close_code)] += 1
         await _close(websocket, error.close_code, error.detail)
     except TimeoutError:
-        _LOG.warning("stream %s: viewer %s took nothing and is cut off", stream_id, address_of(websocket))
+        limit = registry.settings.limits.stuck_seconds
+        _LOG.warning("stream %s: a viewer at %s took no byte for %g s and is cut off", stream_id,
+                     address_of(websocket), limit)  # fmt: skip
         if (stream := registry.streams.get(stream_id)) is not None:
             stream.counters.stuck += 1
         registry.turned_away[str(BUSY)] += 1
-        seconds = registry.settings.limits.stuck_seconds
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.5):
-                await _close(websocket, BUSY, f"no progress for {seconds:g} s")
+                await _close(websocket, BUSY, f"no progress for {limit:g} s")
         transport.connection.abort()
     except _GONE:
         return
