@@ -12,6 +12,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -53,18 +54,22 @@ def started(command: list[str]) -> Iterator[tuple[subprocess.Popen[str], int, li
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     log: list[str] = []
+    reading = threading.Thread()
     try:
         for line in process.stderr:
             log.append(line)
             if found := re.search(r"http://127\.0\.0\.1:(\d+)", line):
-                yield process, int(found.group(1)), log
                 break
         else:
             pytest.fail("".join(log))
+        reading = threading.Thread(target=log.extend, args=(process.stderr,))  # a full pipe would halt the server
+        reading.start()
+        yield process, int(found.group(1)), log
     finally:
         process.kill()
         process.wait()
-        log += process.stderr
+        if reading.ident is not None:
+            reading.join()
         process.stderr.close()
 
 
