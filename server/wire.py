@@ -115,10 +115,10 @@ class Connection:
 
     def offer(self, frame: bytes) -> bool:
         """Write a whole websocket frame now, if earlier ones have drained; whether that was so."""
-        protocol = self._protocol
-        if not protocol.writable.is_set() or protocol.disconnected or protocol.close_sent:
+        protocol, transport = self._protocol, self._protocol.transport
+        if not protocol.writable.is_set() or protocol.close_sent or transport.is_closing():
             return False
-        protocol.transport.write(frame)
+        transport.write(frame)
         return True
 
     def abort(self) -> None:
