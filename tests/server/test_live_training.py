@@ -127,15 +127,17 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
 def test_a_failing_encoder_ends_training_that_waits_for_cameras(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    node = Node(tmp_path / "s")
+    node, opened = Node(tmp_path / "s"), open_job(TrainJob(live=definition(), preset="live"), tmp_path / "s")
 
     def broken(*_: object, **__: object) -> bytes:
         node.stop()  # no further picture will come
+        while not (told := opened.statistics()) or not told.waiting:
+            time.sleep(0.05)
         raise ModelError("the encoder broke")
 
     monkeypatch.setattr("server.pipeline.encode_keyframe", broken)
     with brief_training(), pytest.raises(ModelError, match="the encoder broke"):
-        next(train_stream(open_job(TrainJob(live=definition(), preset="live"), tmp_path / "s")))
+        next(train_stream(opened))
     assert "training" not in {thread.name for thread in threading.enumerate()}
 
 
