@@ -110,7 +110,7 @@ class PredictConfig:
     rate_weight: float = 0.01
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
-    posterior: float = 0.9
+    posterior: float = 0.2
     changed_posterior: float = 0.05
     noise_floor: float = 0.02
     partition_interval: int = 1
@@ -143,7 +143,7 @@ def preset(name: str) -> TrainConfig:
             default,
             model=replace(default.model, max_anchors=16_000),
             keyframe=replace(default.keyframe, steps=500, growth_interval=25),
-            predict=replace(default.predict, epochs=8, minimum_steps=40),
+            predict=replace(default.predict, epochs=8, minimum_steps=40, latent_rate=0.4),
         ),
         "quality": replace(
             default,

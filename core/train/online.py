@@ -238,13 +238,13 @@ def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[
     return decoded
 
 
-def strongest_changes(quanta: Quanta, most: int) -> Quanta:
-    """At most `most` of the changes, those of most quanta; the other anchors stay as they are."""
+def strongest_changes(quanta: Quanta, most: int, first: Bool) -> Quanta:
+    """At most `most` of the changes: those of the anchors `first` [n] before others, and those of most quanta first."""
     energy = np.abs(quanta.latent).sum(axis=1, dtype=np.int64) + np.abs(quanta.position).sum(axis=1, dtype=np.int64)
     if np.count_nonzero(energy) <= most:
         return quanta
     kept = np.zeros(len(energy), np.bool_)
-    kept[np.argsort(-energy, kind="stable")[:most]] = True
+    kept[np.lexsort((-energy, ~first | (energy == 0)))[:most]] = True
     return replace(
         quanta,
         latent=np.where(kept[:, None], quanta.latent, 0).astype(np.int32),

@@ -167,7 +167,7 @@ class Trainer:
                 quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
             if plan is not None:
-                quanta = strongest_changes(quanta, plan.most_anchors)
+                quanta = strongest_changes(quanta, plan.most_anchors, parts.dynamic[parts.trained])
             # what had no time or no bytes counts as changed again, and goes on where it ended
             done = quanta.complete and (plan is None or not plan.strained)
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
