@@ -134,7 +134,7 @@ def test_boxes_that_share_windows_are_refused() -> None:
         photometric_loss(*pictures(30, 30), region=(Box(0, 0, 10, 30), Box(19, 0, 30, 30)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.lists(st.booleans(), min_size=9, max_size=9), min_size=7, max_size=7))
 def test_boxes_hold_the_tiles_and_keep_apart(rows: list[list[bool]]) -> None:
     mask, camera = np.array(rows), make_camera(9 * 16 - 5, 7 * 16 - 3)
