@@ -107,7 +107,7 @@ class PredictConfig:
     feature_step: float = 0.2
     offset_step: float = 0.2
     position_steps_per_cell: int = 16
-    rate_weight: float = 0.01
+    rate_weight: float = 0.005
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
     posterior: float = 0.2
@@ -149,7 +149,7 @@ def preset(name: str) -> TrainConfig:
             default,
             model=replace(default.model, max_anchors=80_000),
             keyframe=replace(default.keyframe, steps=2000, growth_interval=100),
-            predict=replace(default.predict, epochs=30, rate_weight=0.004),
+            predict=replace(default.predict, epochs=30, rate_weight=0.002),
         ),
         "paper": TrainConfig(
             model=replace(
