@@ -44,7 +44,7 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
     if problem is not None:
         raise problem
     for name, path in (("data", body.data), ("live", body.live), ("play", body.play)):
-        if isinstance(path, str) and not await asyncio.to_thread(Path(path).exists):
+        if isinstance(path, str) and not await asyncio.to_thread(_is_there, path):
             raise Problem(422, f"{name}: there is no {path!r:.200} on the server")
     try:
         stream = await registry.create(body.spec)
@@ -117,6 +117,13 @@ async def get_manifest(
             "gops": _groups(stream),
         }
     )
+
+
+def _is_there(path: str) -> bool:
+    try:
+        return Path(path).exists()
+    except OSError:  # a name that no file can have
+        return False
 
 
 async def _wait_for_later(stream: Stream, place: Position, seconds: float) -> None:

@@ -180,7 +180,13 @@ def test_streams_are_created_started_stopped_and_deleted(client: httpx.Client, s
     server.wait(lambda stream: stream["state"] == "live" and stream["epoch"] == 2, "second")
     assert client.delete("/v1/streams/second").status_code == 204
     assert client.get("/v1/streams/second").status_code == 404
-    for body in ({"id": "Bad", "play": "x"}, {"id": "x"}, {"id": "x", "play": "/none"}, {"id": "x", "more": 1}):
+    for body in (
+        {"id": "Bad", "play": "x"},
+        {"id": "x"},
+        {"id": "x", "play": "/none"},
+        {"id": "x", "play": "n" * 4096},
+        {"id": "x", "more": 1},
+    ):
         assert client.post("/v1/streams", json=body).status_code == 422
 
 
