@@ -56,7 +56,7 @@ def test_training_ends_before_what_comes_later_would_be_late(step_seconds: float
 def test_rates_decay_to_the_end_however_short_the_time() -> None:
     clock = Clock()
     budget = FrameBudget(100, clock)
-    pace, reached = budget.pace(1000), []
+    pace, reached = budget.pace(1000), list[float]()
     while (progress := pace.progress(len(reached))) < 1:
         reached.append(progress)
         clock.work(0.01)
