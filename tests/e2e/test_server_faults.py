@@ -238,7 +238,8 @@ def test_hostile_requests_are_refused_and_counted(clip: Clip, tmp_path: Path) ->
         with contextlib.suppress(ConnectionError):
             for _ in range(100):
                 chunked.sendall(b"1000\r\n" + b"a" * 4096 + b"\r\n")
-        until(lambda: away(port, "large") == 2)
+        until(lambda: away(port, "large") + away(port, "slow") == 5)
+        assert away(port, "large") >= 1  # a busy machine may take too long for the other
         crowd = [connect() for _ in range(90)]  # more than twice as many as there may be
         until(lambda: len(list(Path(f"/proc/{process.pid}/fd").iterdir())) < 60)
         for peer in crowd:

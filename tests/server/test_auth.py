@@ -279,7 +279,7 @@ def test_certificates_and_tokens_are_renewed_while_viewers_stay(clip: Clip, tmp_
         address = f"wss://127.0.0.1:{port}/v1/streams/main/live"
         offers: Any = ["streamlod.v1", "bearer.a"]
         with (
-            connect(address, subprotocols=offers, ssl=trust, compression=None, max_size=2**24, proxy=None) as viewer,
+            connect(address, subprotocols=offers, ssl=trust, compression=None, max_queue=None, proxy=None) as viewer,
             httpx.Client(base_url=f"https://127.0.0.1:{port}", verify=trust, trust_env=False) as client,
         ):
             viewer.send('{"type":"hello","versions":[1]}')
