@@ -26,7 +26,6 @@ from tests.bench.raster_subjects import convolution_loss
 
 SLOTS, FEATURES, HIDDEN = 10, 16, 32
 _CELL = 0.02  # world units
-_FOCUS = np.array([0.0, 0.0, 5.0])  # what moves lies about this point
 _SHIFT = np.array([0.04, 0.02, 0.0], np.float32)  # and moves so far in a frame: about 4 pixels
 
 
@@ -40,13 +39,15 @@ class FrameCase:
     after: FrameSet
 
 
-def make_case(anchors: int, views: int, size: tuple[int, int], share: float, backend: Backend = "cpu") -> FrameCase:
-    """`anchors` of ten Gaussians each, filling the view; the `share` of them nearest to one point moves."""
+def make_case(
+    anchors: int, views: int, size: tuple[int, int], share: float, backend: Backend = "cpu", depth: float = 5.0
+) -> FrameCase:
+    """`anchors` of ten Gaussians each, filling the view; the `share` of them nearest to a point `depth` away moves."""
     cameras = _rig(views, *size)
     field = _field(anchors, size[0])
     scene = scene_of(field, PredictConfig(), cameras, 30.0, 0)
     field = field_of(scene)
-    order = np.argsort(np.linalg.norm(field.position.numpy() - _FOCUS, axis=1))
+    order = np.argsort(np.linalg.norm(field.position.numpy() - [0, 0, depth], axis=1))
     moving = torch.from_numpy(order[: round(share * anchors)])
     position = field.position.clone()
     position[moving] += torch.from_numpy(_SHIFT)
