@@ -22,7 +22,7 @@ from core.evaluate.systems import FirstFrames, Run, run_system
 from core.evaluate.tables import number, table
 
 _log = logging.getLogger(__name__)
-SCHEMA = 2
+SCHEMA = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,8 @@ class Cost:
 COSTS = (
     Cost("predicted_seconds", "training seconds a frame"),
     Cost("first_frame_seconds", "first frame seconds"),
+    Cost("predicted_cpu_seconds", "CPU seconds a frame"),
+    Cost("first_frame_cpu_seconds", "first frame CPU seconds"),
     Cost("predicted_bytes_mean", "KB a predicted frame", 1000),
     Cost("keyframe_bytes", "KB a keyframe", 1000),
     Cost("render_milliseconds", "rendering milliseconds a picture"),
