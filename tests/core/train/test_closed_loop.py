@@ -185,6 +185,7 @@ def test_a_new_keyframe_changes_nothing_for_training(clip: Dataset, images: list
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_a_thousand_frames_do_not_drift(clip: Dataset, images: list[UInt8], first: Scene) -> None:
     trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
     there_and_back = [*images, *images[-2:0:-1]]
