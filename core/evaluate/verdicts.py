@@ -107,6 +107,8 @@ def _cell(name: str, values: Sequence[float], published: float | None) -> str:
     if published is None:
         return text
     theirs = f"{published:+.2f}" if name == "psnr" else f"x {number(published)}"
+    if name == "fps":  # wall time, and of another kind of machine: too little to judge by
+        return f"{text} ({theirs})"
     verdict = {True: "as published", False: "**against**", None: "no telling"}[agrees(name, values, published)]
     return f"{text} ({theirs}: {verdict})"
 
