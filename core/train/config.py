@@ -141,9 +141,9 @@ def preset(name: str) -> TrainConfig:
         "balanced": default,
         "live": replace(
             default,
-            model=replace(default.model, max_anchors=16_000),
+            model=replace(default.model, max_anchors=24_000),
             keyframe=replace(default.keyframe, steps=500, growth_interval=25),
-            predict=replace(default.predict, epochs=8, minimum_steps=40, latent_rate=0.4),
+            predict=replace(default.predict, epochs=8, minimum_steps=40),
         ),
         "quality": replace(
             default,
