@@ -17,7 +17,6 @@ from core.evaluate.truth import dynamic_precision_recall, read_spec, shown_motio
 from core.train import TrainConfig, Trainer
 from tests.core.evaluate.conftest import SPEC, shortened
 
-
 QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pictures show
 
 
