@@ -11,9 +11,12 @@ from urllib.parse import urlsplit
 from fastapi import Depends, Request
 from fastapi.responses import JSONResponse
 from starlette.requests import HTTPConnection
+from starlette.websockets import WebSocket
 
+from core.errors import SessionError
 from server.api.schemas import ProblemBody
 from server.auth import Gate, Right
+from server.messages import FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
 from server.registry import Registry
 from server.stream import Stream
 
@@ -102,6 +105,25 @@ def is_foreign(connection: HTTPConnection) -> bool:
     origin = connection.headers.get("origin")
     own, allowed = connection.headers.get("host"), registry_of(connection).settings.origins
     return bool(origin) and urlsplit(origin).netloc != own and origin not in allowed
+
+
+async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
+    """The stream that a websocket may use.
+
+    Raises:
+        SessionError: it comes from a foreign page or without `right`, the server stops, or there is no such stream.
+    """
+    registry = registry_of(websocket)
+    if is_foreign(websocket):
+        raise SessionError(FORBIDDEN, "pages of this origin may not connect")
+    problem = await refusal(registry.gate, websocket, right, stream_id)
+    if problem is not None:
+        raise SessionError(FORBIDDEN if problem.status == 403 else UNAUTHORISED, problem.detail)
+    if registry.draining:
+        raise SessionError(STOPPING, "the server is stopping; connect again")
+    if stream_id not in registry.streams:
+        raise SessionError(NO_STREAM, "there is no such stream")
+    return registry.streams[stream_id]
 
 
 def need(right: Right) -> Any:

@@ -11,19 +11,16 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
 
 from core.errors import SessionError
-from server.api.access import address_of, is_foreign, refusal, registry_of
+from server.api.access import address_of, admit, registry_of
 from server.auth import Right
 from server.messages import (
     BAD_MESSAGE,
     BAD_VERSION,
     BUSY,
     FAULT,
-    FORBIDDEN,
     HELLO_TIMEOUT,
     NO_STREAM,
-    STOPPING,
     SUBPROTOCOL,
-    UNAUTHORISED,
     Hello,
     parse_control,
     parse_hello,
@@ -91,15 +88,7 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
 async def _admit(websocket: WebSocket, registry: Registry, stream_id: str) -> None:
     if SUBPROTOCOL not in websocket.scope.get("subprotocols", []):
         raise SessionError(BAD_VERSION, f"offer the sub-protocol {SUBPROTOCOL}")
-    if is_foreign(websocket):
-        raise SessionError(FORBIDDEN, "pages of this origin may not connect")
-    problem = await refusal(registry.gate, websocket, Right.READ, stream_id)
-    if problem is not None:
-        raise SessionError(FORBIDDEN if problem.status == 403 else UNAUTHORISED, problem.detail)
-    if registry.draining:
-        raise SessionError(STOPPING, "the server is stopping; connect again")
-    if stream_id not in registry.streams:
-        raise SessionError(NO_STREAM, "there is no such stream")
+    await admit(websocket, Right.READ, stream_id)
     limits, address = registry.settings.limits, address_of(websocket)
     if len(registry.sessions) >= limits.viewers:
         raise SessionError(BUSY, "the server is full; try again later")

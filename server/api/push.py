@@ -7,12 +7,12 @@ import asyncio
 from starlette.websockets import WebSocket
 
 from core.errors import InputError, SessionError
-from server.api.access import is_foreign, refusal, registry_of
+from server.api.access import admit
 from server.auth import Right
 from server.ingest.push import MAX_MESSAGE_BYTES
 from server.ingest.relay import RelayedIntake
 from server.ingest.router import push_router
-from server.messages import BUSY, FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
+from server.messages import BUSY, FORBIDDEN
 from server.wire import CONNECTION, Connection
 
 
@@ -22,17 +22,7 @@ async def open_intake(websocket: WebSocket, stream_id: str) -> RelayedIntake:
     Raises:
         SessionError: the node may not push there, or nobody takes pictures there at present.
     """
-    registry = registry_of(websocket)
-    if is_foreign(websocket):
-        raise SessionError(FORBIDDEN, "pages of this origin may not connect")
-    problem = await refusal(registry.gate, websocket, Right.PUBLISH, stream_id)
-    if problem is not None:
-        raise SessionError(FORBIDDEN if problem.status == 403 else UNAUTHORISED, problem.detail)
-    if registry.draining:
-        raise SessionError(STOPPING, "the server is stopping; connect again")
-    stream = registry.streams.get(stream_id)
-    if stream is None:
-        raise SessionError(NO_STREAM, "there is no such stream")
+    stream = await admit(websocket, Right.PUBLISH, stream_id)
     if stream.push_socket is None:
         raise SessionError(FORBIDDEN, "this stream takes no pictures: it is not made from live cameras")
     try:

@@ -23,6 +23,7 @@ from core.arrays import Float32
 from core.data import linspace_split, open_dataset
 from core.expand import expand
 from core.frames import FrameSet
+from core.initialise import first_points
 from core.metrics import psnr, ssim
 from core.render.cpu import render
 from core.train import TrainConfig, Trainer, preset
@@ -71,9 +72,8 @@ def main() -> None:
     frame = next(iter(dataset.frames()))
     held_out, cameras = dataset.cameras[names.index(options.test)], tuple(dataset.cameras[row] for row in rows)
     truth = frame.images[names.index(options.test)].astype(np.float32) / 255
-    points = dataset.points()
-    assert points is not None, "this bench starts from the data set's own points"
     training = FrameSet(frame.index, frame.time_ns, frame.images[rows], frame.present[rows])
+    points = first_points(training, cameras, depth_bounds=dataset.depth_bounds, dataset_points=dataset.points())
     targets = torch.from_numpy(training.images).float() / 255
 
     def show(label: str, seed: int, picture: Float32, size: str, seconds: float) -> None:

@@ -190,8 +190,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         folder = Path(name)
         browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)
-        subjects = {"default header": folder / "default.slod", "the paper's header": folder / "paper.slod"}
-        record_synthetic(subjects["default header"], 4, 16, False)
+        subjects = {"small header": folder / "small.slod", "the paper's header": folder / "paper.slod"}
+        record_synthetic(subjects["small header"], 4, 16, False)
         record_synthetic(subjects["the paper's header"], 10, 32, True)
         for number, file in enumerate(files):
             subjects[file.name] = Path(shutil.copy(file, folder / f"{number}.slod"))
