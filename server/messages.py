@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from server.views import Pick, Shown, View, parse_view_message
 SUBPROTOCOL = "streamlod.v1"
 PROTOCOL_VERSION = 1
 LIVE = "live"
+ACK_EVERY = 8  # packets
 
 BAD_MESSAGE, UNAUTHORISED, FORBIDDEN, NO_STREAM = 4400, 4401, 4403, 4404
 HELLO_TIMEOUT, BAD_VERSION, FLOOD = 4408, 4415, 4429
@@ -116,6 +118,14 @@ def parse_control(text: str) -> Control:
         case "ack" | "view" | "pick":
             return parse_view_message(message)
     raise SessionError(BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play, view, pick")
+
+
+def welcome(stream: dict[str, Any], window: dict[str, Any] | None, session: str) -> dict[str, Any]:
+    """The answer to a hello, from STREAM of docs/protocol.md."""
+    about = {"version": PROTOCOL_VERSION, "session": session, "stream": stream["id"]}
+    shared = {name: stream[name] for name in ("state", "detail", "epoch", "levels", "fps")}
+    rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": time.time_ns()}
+    return {"type": "welcome", **about, **shared, **rest}
 
 
 def event(name: str, **fields: Any) -> dict[str, Any]:

@@ -32,6 +32,25 @@ class Throttle:
         return self._free_at - now
 
 
+class Allowance:
+    """A number of messages a second that is not exceeded on average; two seconds' worth may come at once.
+
+    Args:
+        per_second: messages.
+        now: time at which it begins, in seconds.
+    """
+
+    def __init__(self, per_second: float, now: float) -> None:
+        self.per_second = per_second
+        self._left, self._at = 2 * per_second, now
+
+    def take(self, now: float) -> bool:
+        """Account for one message; whether it is within the allowance."""
+        self._left = min(2 * self.per_second, self._left + self.per_second * (now - self._at)) - 1
+        self._at = now
+        return self._left >= 0
+
+
 @dataclass(slots=True)
 class LevelControl:
     """How many levels a viewer gets: one less whenever it falls behind, one more after a calm time.

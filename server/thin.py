@@ -20,12 +20,13 @@ from core.anchors import Scene
 from core.camera import Camera, pinhole
 from core.errors import SessionError
 from core.splat import Splatter
+from server.delivery import Transport
 from server.messages import BUSY, FORBIDDEN, Control, Hello, Pause, Play, Seek, event
 from server.packets import Position, binary_frame
 from server.painting import GRADES, HEADER, Pace, Painter, look_along
 from server.settings import Limits
-from server.stream import Stream
-from server.viewer import Transport, ViewerSession
+from server.stream import Counters, Stream
+from server.viewer import ViewerSession
 from server.views import Pick, Shown, View
 
 _REST_SECONDS = 0.3  # after which a view that does not move gets a better picture
@@ -69,6 +70,7 @@ class ThinSession(ViewerSession):
         self._changed = asyncio.Event()
         self._inlet = _Inlet(transport, self._changed)
         super().__init__(stream, hello, self._inlet, limits)
+        self._delivery.counters = Counters()  # packets stay in this process: they count as nobody's bytes
         self._outlet, self._painter = transport, painter
         self._splatter, self._pace = Splatter(), Pace()
         self._camera: Camera | None = None
@@ -116,13 +118,11 @@ class ThinSession(ViewerSession):
         for task in done:
             task.result()
 
-    def _count(self, size: int) -> None:
-        """Packets stay in this process: nothing was sent."""
-
-    async def _load(self, place: Position) -> None:
-        await super()._load(place)
+    async def _go_back(self, place: Position) -> None:
+        await super()._go_back(place)
         if self._stop:
-            self._stop, self._mode, self._jump = False, "paused", True
+            self._stop = False
+            self._course.pause()
 
     async def _draw(self) -> None:
         """Picture after picture: at once when there is something new, better ones while nothing changes."""
@@ -159,10 +159,19 @@ class ThinSession(ViewerSession):
     async def _picture(self, scene: Scene, camera: Camera, levels: int, index: int) -> None:
         """Draw, send, and wait until it is on the viewer's screen."""
         begin, grade = time.monotonic(), GRADES[index]
-        epoch = self._last.position.epoch if self._last else 0
+        place = self._delivery.position
         painted = await self._painter.run(lambda: self._painter.paint(self._splatter, scene, camera, levels, grade))
         self._number += 1
-        head = (self._number, epoch, scene.version, painted.width, painted.height, grade.quality, levels, 0)
+        head = (
+            self._number,
+            place.epoch if place else 0,
+            scene.version,
+            painted.width,
+            painted.height,
+            grade.quality,
+            levels,
+            0,
+        )
         data = HEADER.pack(*head, int(painted.seconds * 1e6)) + painted.jpeg
         counters = self._stream.counters
         counters.pictures += 1

@@ -1,0 +1,133 @@
+"""A viewer at the live edge: how it joins, follows, falls behind and recovers."""
+
+from __future__ import annotations
+
+from server.delivery import Delivery
+from server.messages import event
+from server.pacing import LevelControl
+from server.settings import Limits
+from server.stream import Stream
+
+
+class Follower:
+    """A place in the hub's window, and what follows from there.
+
+    A viewer that is up to date and whose socket is empty gets a new packet straight from the hub's call, without its
+    task being woken: that is the ordinary case, and makes a packet to a thousand viewers a loop over sockets.
+
+    Args:
+        stream: what is followed.
+        delivery: the way to the viewer.
+        levels: how many it gets.
+        limits: of the server.
+
+    Attributes:
+        up_to_date: nothing is to be done but to pass on what comes.
+    """
+
+    def __init__(self, stream: Stream, delivery: Delivery, levels: LevelControl, limits: Limits) -> None:
+        self._stream, self._hub, self._delivery = stream, stream.hub, delivery
+        self._levels, self._limits = levels, limits
+        self._number: int | None = None  # of the newest packet sent from the hub
+        self._told_caught_up = False
+        self.up_to_date = False
+
+    @property
+    def shown_levels(self) -> int:
+        """Levels that packets carry for this viewer."""
+        return min(self._levels.levels, self._stream.levels or 1)
+
+    def restart(self) -> None:
+        """Join anew with the next step."""
+        self._number, self._told_caught_up = None, False
+
+    def resume(self) -> None:
+        """Go on from the newest packet that was replayed, where it is the hub's; otherwise join anew."""
+        newest, last = self._hub.newest, self._delivery.last
+        assert last is not None
+        same = newest is not None and newest.info.keyframe == last.info.keyframe
+        self._number = newest.number if newest is not None and same and newest.position == last.position else None
+
+    def pass_on(self) -> bool:
+        """Send the newest packet at once, if it is the next one and nothing is in the way; whether it went."""
+        newest = self._hub.newest
+        if not self.up_to_date or newest is None or self._number != newest.number - 1:
+            return False
+        if not self._delivery.offer(newest.framed(self._levels.levels), newest):
+            return False
+        self._number = newest.number
+        return True
+
+    async def step(self, now: float) -> bool:
+        """Send the next thing; whether there was anything."""
+        newest = self._hub.newest
+        assert newest is not None
+        if self._number is None:
+            await self._join()
+            return True
+        if self._number == newest.number:
+            return await self._rest(now)
+        following = self._hub.window.after(self._number)
+        if following is not None and now - following.arrived <= self._limits.viewer_lag_seconds:
+            self._number = following.number
+            await self._delivery.frame(following.framed(self._levels.levels), following)
+            return True
+        await self._overtake(now)
+        return True
+
+    async def _rest(self, now: float) -> bool:
+        """The viewer has everything: say so once, or try a level more."""
+        self._delivery.held_seconds = 0.0
+        if not self._told_caught_up:
+            self._told_caught_up = True
+            await self._delivery.event(event("caught_up"))
+        if self._levels.levels < (self._stream.levels or 1) and self._levels.may_raise(now):
+            await self._raise_level(now)
+            return True
+        self.up_to_date = not self._delivery.is_throttled
+        return False
+
+    async def _join(self) -> None:
+        """The newest keyframe, coarse levels first, and one residual from it to now."""
+        last = self.shown_levels - 1
+        parts = self._hub.key_parts(0, last)
+        newest, residual = await self._hub.catch_up(0, last)
+        self._number = newest.number
+        self._delivery.last = newest
+        await self._give(parts, residual)
+
+    async def _overtake(self, now: float) -> None:
+        """The viewer fell behind: fewer levels, and one residual over all that it missed."""
+        assert self._number is not None
+        shown = self._levels.levels = self.shown_levels
+        if self._delivery.held_seconds > self._limits.viewer_lag_seconds / 10:  # its own doing, not the server's pause
+            self._levels.congested(now)
+            self._delivery.held_seconds = 0.0
+        if self._levels.levels != shown:
+            await self._delivery.event(event("levels", levels=self._levels.levels, reason="congestion"))
+        self._stream.counters.skips += 1
+        if not self._hub.can_skip(self._number):
+            self._number = None
+            return
+        before = self._delivery.last
+        newest, residual = await self._hub.skip(self._number, self._levels.levels)
+        self._number = newest.number
+        if before is not None:
+            limits = {"from": before.position.version, "to": newest.position.version}
+            await self._delivery.event(event("skipped", **limits, reason="congestion"))
+        await self._delivery.frame(residual, newest)
+
+    async def _raise_level(self, now: float) -> None:
+        """One level more: its part of the keyframe, and what has happened to it since."""
+        first = self._levels.levels
+        self._levels.raise_level(now)
+        last = self.shown_levels - 1
+        parts = self._hub.key_parts(first, last)
+        _, residual = await self._hub.catch_up(first, last)
+        await self._delivery.event(event("levels", levels=self.shown_levels, reason="recovered"))
+        await self._give(parts, residual)
+
+    async def _give(self, parts: list[bytes], residual: bytes | None) -> None:
+        """Parts of the keyframe, and the residual from it, if one is needed."""
+        for frame in parts if residual is None else [*parts, residual]:
+            await self._delivery.frame(frame)
