@@ -24,7 +24,6 @@ from core.train.decode import Splats
 from core.train.exposure import Exposure
 from core.train.field import Field
 from core.train.growth import GrowthStatistics, grow
-from core.train.keyframe import Views
 from core.train.losses import photometric_loss
 from core.train.newcomers import added_levels, newcomers, strongest
 from core.train.optimiser import RowAdam
@@ -34,6 +33,7 @@ from core.train.rounding import dead_zone, dead_zone_through
 from core.train.schedule import ViewOrder
 from core.train.stage import Stage, make_stage
 from core.train.state import State
+from core.train.views import Views
 
 _PREPARATION = 0.3  # of a frame's training time, after which no further camera's picture is planned
 _LARGEST_REST = 2.0  # quanta; more is no rest but a change that could not be sent

@@ -17,8 +17,8 @@ from core.train.config import PredictConfig
 from core.train.coverage import coverage
 from core.train.decode import Splats
 from core.train.field import Field
-from core.train.keyframe import Views
 from core.train.motion import changed_pixels, dynamic_anchors, moved_pixels
+from core.train.views import Views
 
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _MOST = 0.5  # of the pixels, above which nothing is left that stands still and the mixture would split what moves

@@ -8,7 +8,7 @@ from torch import Tensor
 from core.render.backends import Backend
 from core.render.differentiable import rasterise
 from core.train.field import Field
-from core.train.keyframe import Views
+from core.train.views import Views
 
 
 def rendered(field: Field, alive: Tensor, views: Views, backend: Backend) -> Tensor:

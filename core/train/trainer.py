@@ -21,7 +21,7 @@ from core.train.config import PredictConfig, TrainConfig
 from core.train.convert import scene_of
 from core.train.exposure import fitted, neutral
 from core.train.field import Field
-from core.train.keyframe import KeyframeTrainer, Views
+from core.train.keyframe import KeyframeTrainer
 from core.train.online import ResidualTrainer, no_quanta, residual_of, strongest_changes
 from core.train.partition import Parts, change_masks, partition
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
@@ -29,6 +29,7 @@ from core.train.rate_control import RateControl
 from core.train.seeding import seed_field
 from core.train.showing import rendered
 from core.train.state import State, fresh_state
+from core.train.views import Views
 
 _REPORT_EVERY = 25
 _AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for

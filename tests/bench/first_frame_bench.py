@@ -27,7 +27,7 @@ from core.initialise import first_points
 from core.metrics import psnr, ssim
 from core.render.cpu import render
 from core.train import TrainConfig, Trainer, preset
-from core.train.keyframe import Views
+from core.train.views import Views
 from tests.bench.plain_gaussians import PlainGaussians
 
 

@@ -16,8 +16,8 @@ from core.metrics import psnr
 from core.render.cpu import render
 from core.train import TrainConfig, Trainer, preset
 from core.train.heads import separate_heads
-from core.train.keyframe import Views
 from core.train.levels import needed_levels
+from core.train.views import Views
 
 UP = np.array([0.0, -1.0, 0.0])
 

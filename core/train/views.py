@@ -1,0 +1,26 @@
+"""The pictures of one instant, as training uses them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+from torch.nn import functional
+
+from core.camera import Camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """Training pictures: cameras, targets [C,H,W,3] float32 in [0, 1], and which of them are there."""
+
+    cameras: tuple[Camera, ...]
+    targets: Tensor
+    usable: list[int]
+
+    def halved(self) -> Views:
+        """The same pictures at half the width and height: each pixel is the mean of those it covers."""
+        height, width = (max(size // 2, 1) for size in self.targets.shape[1:3])
+        planes = functional.adaptive_avg_pool2d(self.targets.permute(0, 3, 1, 2), (height, width))
+        cameras = tuple(camera.scaled(width, height) for camera in self.cameras)
+        return Views(cameras, planes.permute(0, 2, 3, 1).contiguous(), self.usable)
