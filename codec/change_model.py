@@ -1,4 +1,4 @@
-"""The dynamic set and position differences, as compiled loops. FORMAT.md section 9."""
+"""The dynamic set, position and latent differences, as compiled loops. FORMAT.md section 9."""
 
 from __future__ import annotations
 
@@ -6,24 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from codec.column_model import take_columns
+from codec.column_model import columns_items, take_columns
 from codec.compiled import compiled
 from codec.rans import Array, begin, finish, magnitude_bin, put_flag, put_value, take_flag, take_value
 
 BLOCK = 64
-BLOCK_MODELS, ROW_MODELS = 8, 16
+BLOCK_MODELS, ROW_MODELS, LATENT_MODELS = 8, 16, 4
 
 
 @compiled
-def touched_rows(position: Array, latent: Array) -> Array:
-    """[N] uint8: 1 where any of `position` [N,3] or `latent` [N,C] is not 0."""
-    touched = np.zeros(len(position), np.uint8)
-    for i in range(len(position)):
-        for value in position[i]:
-            touched[i] |= value != 0
-        for value in latent[i]:
-            touched[i] |= value != 0
-    return touched
+def rows_with_any(values: Array) -> Array:
+    """[N] uint8: 1 where any of a row of `values` [N,C] is not 0."""
+    found = np.zeros(len(values), np.uint8)
+    for i in range(len(values)):
+        for value in values[i]:
+            found[i] |= value != 0
+    return found
 
 
 @compiled
@@ -170,17 +168,58 @@ def _take_positions(
 
 
 @compiled
+def latents_items(latent: Array, used: Array, scale: Array, items: Array, n: int) -> int:
+    """Model pass over latent differences [n,C]: which rows have any, then those.
+
+    Args:
+        used: [n] 1 for rows whose latents were not all 0 before.
+    """
+    models = np.ones((LATENT_MODELS, 2), np.int64)
+    chosen = np.zeros(len(latent), np.bool_)
+    before = 0
+    for i in range(len(latent)):
+        own = 1 if latent[i].any() else 0
+        n = put_flag(items, n, models[2 * before + used[i]], own)
+        chosen[i] = own == 1
+        before = own
+    return columns_items(latent[chosen], scale, items, n)
+
+
+@compiled
+def _take_latents(words: Array, x: Array, ctl: Array, used: Array, latent: Array, scale: Array) -> None:
+    models = np.ones((LATENT_MODELS, 2), np.int64)
+    chosen = np.zeros(len(latent), np.bool_)
+    before = 0
+    for i in range(len(latent)):
+        before = take_flag(words, x, ctl, models[2 * before + used[i]])
+        chosen[i] = before == 1
+    if ctl[2]:
+        return
+    rows = np.flatnonzero(chosen)
+    part = np.zeros((len(rows), latent.shape[1]), np.int64)
+    take_columns(words, x, ctl, part, scale)
+    for k in range(len(rows)):
+        for c in range(latent.shape[1]):
+            latent[rows[k], c] = part[k, c]
+
+
+@compiled
 def decode_change(
     words: Array,
     lanes: int,
     voxel: Array,
     touched: Array,
+    used: Array,
     position_scale: int,
     predicted: bool,
     scale: Array,
     salt: Any,
 ) -> tuple[bool, Array, Array, Array]:
-    """Whether the stream is sound; rows [n], position [n,3], latent [n,C], all int64."""
+    """Whether the stream is sound; rows [n], position [n,3], latent [n,C], all int64.
+
+    Args:
+        touched, used: [N] 1 for rows, and for rows' latents, that are not all 0 before.
+    """
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
     changed = np.zeros(len(voxel), np.uint8)
     count = 0
@@ -191,16 +230,17 @@ def decode_change(
         count = 0
     rows = np.zeros(count, np.int64)
     delta, latent = np.zeros((count, 3), np.int64), np.zeros((count, len(scale)), np.int64)
-    at = np.zeros((count, 3), np.int64)
+    at, with_latents = np.zeros((count, 3), np.int64), np.zeros(count, np.uint8)
     n = 0
     for i in range(len(changed)):
         if changed[i] and n < count:
             rows[n] = i
+            with_latents[n] = used[i]
             for axis in range(3):
                 at[n, axis] = voxel[i, axis]
             n += 1
     if ctl[2] == 0:
         _take_positions(words, x, ctl, at, delta, position_scale, predicted, salt)
     if ctl[2] == 0:
-        take_columns(words, x, ctl, latent, scale)
+        _take_latents(words, x, ctl, with_latents, latent, scale)
     return finish(words, x, ctl), rows, delta, latent

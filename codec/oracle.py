@@ -214,6 +214,22 @@ def dynamic_set(coder: Coder, touched: Sequence[int], changed: Sequence[int] | N
     return result
 
 
+def latents(coder: Coder, used: Sequence[int], scale: Sequence[int], numbers: Rows | None) -> Rows:
+    """Latent differences of the changed rows, where `used` says which ones had any before, section 9."""
+    models = [[1, 1] for _ in range(4)]
+    flags: list[int] = []
+    for i, had in enumerate(used):
+        wanted = None if numbers is None else int(any(numbers[i]))
+        flags.append(flag(coder, models[2 * (flags[-1] if flags else 0) + had], wanted))
+    chosen = [i for i, own in enumerate(flags) if own]
+    result: Rows = [[0] * len(scale) for _ in used]
+    for i, row in zip(
+        chosen, columns(coder, len(chosen), scale, numbers and [numbers[i] for i in chosen]), strict=True
+    ):
+        result[i] = row
+    return result
+
+
 def positions(coder: Coder, voxel: Sequence[Voxel], scale: int, predicted: bool, delta: Rows | None) -> Rows:
     """Position differences of the changed rows with `voxel`, section 9."""
     average, s1, s2 = [scale] * 3, 3 * scale, 3 * scale

@@ -31,9 +31,10 @@ export function decodeChange(chunk, level) {
   const start = scale(first & 127), predict = first < 128;
   const scales = readScales(reader, LATENTS);
   const coder = new RansDecoder(reader.rest(), coding);
-  const rows = decodeRowSet(coder, level);
+  const used = rowsWithAny(level.latent, LATENTS);
+  const rows = decodeRowSet(coder, level, used);
   const position = decodePositions(coder, rows, level.voxel, start, predict);
-  const latent = decodeColumns(coder, rows.length, scales);
+  const latent = decodeLatents(coder, rows, used, scales);
   coder.end();
   return { rows, position, latent };
 }
@@ -55,17 +56,22 @@ function ascending(gaps, count, limit) {
   return rows;
 }
 
-/** @type {(level: Level) => Uint8Array} which rows are no longer what they were at the keyframe */
-function touchedRows({ count, position, latent }) {
-  const touched = new Uint8Array(count);
-  for (let i = 0; i < position.length; i++) if (position[i]) touched[Math.trunc(i / 3)] = 1;
-  for (let i = 0; i < latent.length; i++) if (latent[i]) touched[Math.trunc(i / LATENTS)] = 1;
-  return touched;
+/** @type {(values: Int32Array | Int16Array, width: number) => Uint8Array} which rows are not all 0 */
+function rowsWithAny(values, width) {
+  const found = new Uint8Array(values.length / width);
+  for (let i = 0; i < values.length; i++) if (values[i]) found[Math.trunc(i / width)] = 1;
+  return found;
 }
 
-/** @type {(coder: RansDecoder, level: Level) => Uint32Array} */
-function decodeRowSet(coder, level) {
-  const { count } = level, touched = touchedRows(level);
+/**
+ * @param {RansDecoder} coder
+ * @param {Level} level
+ * @param {Uint8Array} used - rows whose latents are no longer 0
+ * @returns {Uint32Array}
+ */
+function decodeRowSet(coder, { count, position }, used) {
+  const touched = rowsWithAny(position, 3);
+  for (let i = 0; i < count; i++) touched[i] |= used[i];
   const blockModels = new BitModels(8), rowModels = new BitModels(16);
   const rows = new Uint32Array(count);
   let found = 0, blocks = 0, history = 0;
@@ -85,6 +91,25 @@ function decodeRowSet(coder, level) {
     }
   }
   return rows.slice(0, found);
+}
+
+/** Which rows have any latents, then these. @type {(coder: RansDecoder, rows: Uint32Array, used: Uint8Array, scales: import("./rans.js").Scales) => Int32Array} */
+function decodeLatents(coder, rows, used, scales) {
+  const models = new BitModels(4), chosen = new Uint8Array(rows.length);
+  let found = 0;
+  for (let i = 0, before = 0; i < rows.length; i++) {
+    before = coder.flag(models, 2 * before + used[rows[i]]);
+    chosen[i] = before;
+    found += before;
+  }
+  const part = decodeColumns(coder, found, scales);
+  const latent = new Int32Array(rows.length * LATENTS);
+  for (let i = 0, from = 0; i < rows.length; i++) {
+    if (!chosen[i]) continue;
+    latent.set(part.subarray(from, from + LATENTS), i * LATENTS);
+    from += LATENTS;
+  }
+  return latent;
 }
 
 /** Changed rows by their voxel: an open-addressed table of row indices. */

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from codec import change_model, column_model
-from codec.change import touched
+from codec import change_model
+from codec.change import history
 from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
@@ -100,9 +100,11 @@ def _split(level: LevelResidual, before: AnchorLevel) -> Float64:
     errors = change_model.position_errors(before.voxel[level.rows].astype(np.int64), position, np.uint64(1))
     errors = min(errors, position, key=lambda values: float(np.log2(1.0 + np.abs(values)).sum()))
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
-    ends = [0, change_model.rows_items(changed, touched(before), items, 0)]
+    touched, used = history(before)
+    ends = [0, change_model.rows_items(changed, touched, items, 0)]
     ends.append(change_model.positions_items(errors, scale, items, ends[-1]))
-    ends.append(column_model.columns_items(latent, encode_scales(latent)[1], items, ends[-1]))
+    latent_scale = encode_scales(latent[latent.any(axis=1)])[1]
+    ends.append(change_model.latents_items(latent, used[level.rows], latent_scale, items, ends[-1]))
     return np.array([item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
 
 

@@ -75,25 +75,26 @@ def test_changes(seed: int, count: int, share: float, predicted: bool) -> None:
     voxel = rng.integers(-4, 4, (count, 3)) + rng.choice([-(2**31) + 9, 0, 2**31 - 9])
     rows = np.flatnonzero(changed)
     delta = _numbers(rng, (len(rows), 3)) // 4
-    latent = _numbers(rng, (len(rows), 24))
+    latent = _numbers(rng, (len(rows), 24)) * (rng.random((len(rows), 1)) < rng.random())
+    used = touched & (rng.random(count) < 0.5)
     scale = np.where(latent.any(axis=0), SCALES[rng.integers(0, 192, 24)], 0)
     errors = change_model.position_errors(voxel[rows], delta, SALT) if predicted else delta
 
     def model_pass(items: rans.Array) -> int:
         n = change_model.positions_items(errors, SCALES[50], items, change_model.rows_items(changed, touched, items, 0))
-        return column_model.columns_items(latent, scale, items, n)
+        return change_model.latents_items(latent, used[rows], scale, items, n)
 
     lanes, data = encode_items(model_pass, 10)
     at = [tuple(v) for v in voxel[rows].tolist()]
     encoder = oracle.Encoder()
     oracle.dynamic_set(encoder, touched.tolist(), changed.tolist())
     oracle.positions(encoder, at, int(SCALES[50]), predicted, delta.tolist())
-    oracle.columns(encoder, len(rows), scale.tolist(), latent.tolist())
+    oracle.latents(encoder, used[rows].tolist(), scale.tolist(), latent.tolist())
     assert encoder.words(lanes) == _words(data)
     words = np.frombuffer(data, "<u2").astype(np.uint16)
     voxel32 = voxel.astype(np.int32)
     side = (SCALES[50], predicted, scale, np.uint64(1))
-    sound, *found = change_model.decode_change(words, lanes, voxel32, touched, *side)
+    sound, *found = change_model.decode_change(words, lanes, voxel32, touched, used, *side)
     assert sound
     for expected, array in zip((rows, delta, latent), found, strict=True):
         np.testing.assert_array_equal(expected, array)
