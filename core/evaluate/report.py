@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from core.evaluate.quoted import ABLATIONS, PEERS, PEERS_SOURCE, SOURCE, TABLES, Peer, Quoted, QuotedAblation
+from core.evaluate.sizes import KEYFRAME_INTERVAL
 from core.evaluate.tables import number, spread_number, table
 from core.evaluate.verdicts import verdict_table
 
@@ -15,6 +16,8 @@ _COST = (
     "key KB",
     "P mean KB",
     "P max KB",
+    "stream KB",
+    "stream kbps",
     "key est. KB",
     "P est. KB",
     "first CPU s",
@@ -38,7 +41,9 @@ def study_report(study: dict[str, Any]) -> str:
         f"{', '.join(map(str, study['seeds']))}. Held-out cameras only; every system of a split starts from the "
         "same first points. Figures are means over frames and held-out cameras, then mean ± standard deviation over "
         "seeds. "
-        "Bytes are real packets (P: predicted frames); 'est.' is Shannon's zeroth-order estimate, as papers report it. "
+        "Bytes are real packets (P: predicted frames; stream: mean over a stream in which every frame is predicted and "
+        f"every {KEYFRAME_INTERVAL}th comes as a keyframe as well); 'est.' is Shannon's zeroth-order estimate, as "
+        "papers report it. "
         "Rendering includes the expansion of all anchors and runs on the processor. CPU seconds are those of "
         "all threads, the others wall time. LPIPS is measured on up to "
         f"{protocol['lpips_frames']} frames of a clip. MB is the peak memory of the process while a system trains and "
@@ -85,10 +90,13 @@ def _quality(row: dict[str, Any]) -> list[str]:
 def _cost(row: dict[str, Any]) -> list[str]:
     figures = row["summary"]
     sizes = ("keyframe_bytes", "predicted_bytes_mean", "predicted_bytes_max")
+    stream = (spread_number(figures["stream_bytes"], 2, 1000), spread_number(figures["stream_kbps"], 0))
     estimates = ("shannon_keyframe_bytes", "shannon_predicted_bytes")
     return [
         row["name"],
-        *(spread_number(figures[name], 2, 1000) for name in (*sizes, *estimates)),
+        *(spread_number(figures[name], 2, 1000) for name in sizes),
+        *stream,
+        *(spread_number(figures[name], 2, 1000) for name in estimates),
         spread_number(figures["first_frame_cpu_seconds"], 1),
         spread_number(figures["predicted_cpu_seconds"], 2),
         spread_number(figures["predicted_seconds"], 2),

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from core.anchors import AnchorLevel, Scene
 from core.residual import Residual
 
+KEYFRAME_INTERVAL = 300  # predicted frames to a keyframe, where nothing calls for one sooner (`codec.renewal`)
+
 
 @dataclass(frozen=True, slots=True)
 class PacketSize:
@@ -24,6 +26,15 @@ class PacketSize:
 
 SizeOf = Callable[[Scene | None, Scene, Residual | None], PacketSize]
 """(state before, state after, residual) -> size; before and residual are None for a keyframe."""
+
+
+def stream_bytes(keyframe_bytes: float, predicted_bytes: float, interval: int = KEYFRAME_INTERVAL) -> float:
+    """Bytes a frame of a long stream: every frame is predicted, and every `interval`-th comes as a keyframe as well.
+
+    Args:
+        keyframe_bytes: of one keyframe. predicted_bytes: mean of the predicted packets.
+    """
+    return predicted_bytes + keyframe_bytes / interval
 
 
 def shannon_keyframe_bytes(scene: Scene) -> float:

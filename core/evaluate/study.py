@@ -26,7 +26,7 @@ from core.evaluate.systems import PERCEIVED, FirstFrames, run_system
 from core.evaluate.truth import read_spec
 
 _log = logging.getLogger(__name__)
-SCHEMA = 2
+SCHEMA = 3
 _FACTS = ("data", "machine", "protocol")  # under which runs may stand in one report
 
 

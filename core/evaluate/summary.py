@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from core.evaluate.sizes import stream_bytes
 from core.evaluate.systems import FrameScore, Run
 
 # The figures of a run that tables show; means over its frames unless the name says otherwise. The rendering speed is a
@@ -20,6 +21,8 @@ FIGURES = (
     "keyframe_bytes",
     "predicted_bytes_mean",
     "predicted_bytes_max",
+    "stream_bytes",
+    "stream_kbps",
     "shannon_keyframe_bytes",
     "shannon_predicted_bytes",
     "first_frame_seconds",
@@ -45,16 +48,20 @@ def run_figures(run: Run) -> dict[str, Any]:
     dynamic, right, moving, found = (
         sum(getattr(motion, name) for motion in motions) for name in ("dynamic", "right", "moving", "found")
     )
+    keyframe, predicted = mean(frame.size.total_bytes for frame in first), mean(sizes)
+    stream = None if keyframe is None or predicted is None else stream_bytes(keyframe, predicted)
     return {
         "seed": run.seed,
         "psnr": mean(picture.psnr for picture in pictures),
         "ssim": mean(picture.ssim for picture in pictures),
         "lpips_alex": mean(picture.lpips_alex for picture in pictures),
         "lpips_vgg": mean(picture.lpips_vgg for picture in pictures),
-        "keyframe_bytes": mean(frame.size.total_bytes for frame in first),
+        "keyframe_bytes": keyframe,
         "keyframe_level_bytes": _level_means(first),
-        "predicted_bytes_mean": mean(sizes),
+        "predicted_bytes_mean": predicted,
         "predicted_bytes_max": max(sizes, default=None),
+        "stream_bytes": stream,
+        "stream_kbps": None if stream is None else stream * run.fps * 8 / 1000,
         "predicted_level_bytes": _level_means(later),
         "shannon_keyframe_bytes": mean(frame.shannon_bytes for frame in first),
         "shannon_predicted_bytes": mean(frame.shannon_bytes for frame in later),

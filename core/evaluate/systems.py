@@ -61,6 +61,7 @@ class Run:
     """All that one configuration gave with one seed.
 
     Attributes:
+        fps: frames a second of the footage.
         caps: quality of the last frame at every level cap.
         truth, drawn: [H,W,3] the first held-out camera's last picture and its rendering.
         peak_bytes: largest memory of the process while training and measuring.
@@ -68,6 +69,7 @@ class Run:
     """
 
     seed: int
+    fps: float
     frames: tuple[FrameScore, ...]
     caps: tuple[CapScore, ...]
     truth: UInt8
@@ -170,7 +172,8 @@ def run_system(
         CapScore(levels, score(scene, cameras, truth, highest_level=levels - 1, by_distance=by_distance)[0])
         for levels in range(1, len(scene.levels) + 1)
     )
-    return Run(config.seed, tuple(scores), caps, truth[0], drawn[0], max(peak, peak_bytes()), scene.anchor_count)
+    peak = max(peak, peak_bytes())
+    return Run(config.seed, footage.training.fps, tuple(scores), caps, truth[0], drawn[0], peak, scene.anchor_count)
 
 
 def _trained_frames(

@@ -22,7 +22,7 @@ from core.evaluate.systems import FirstFrames, Run, run_system
 from core.evaluate.tables import number, table
 
 _log = logging.getLogger(__name__)
-SCHEMA = 3
+SCHEMA = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +41,7 @@ COSTS = (
     Cost("first_frame_cpu_seconds", "first frame CPU seconds"),
     Cost("predicted_bytes_mean", "KB a predicted frame", 1000),
     Cost("keyframe_bytes", "KB a keyframe", 1000),
+    Cost("stream_bytes", "KB a frame of a stream", 1000),
     Cost("render_milliseconds", "rendering milliseconds a picture"),
 )
 

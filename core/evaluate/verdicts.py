@@ -15,12 +15,16 @@ _LEAST_DB, _LEAST_RATIO = 0.05, 0.02  # smaller differences are none, however st
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Of a row from its base: PSNR in dB, the others as ratios; None where one is not known."""
+    """Of a row from its base: PSNR in dB, the others as ratios; None where one is not known.
+
+    `bytes` are those of a predicted frame, `stream` those of a frame of a stream with its keyframes.
+    """
 
     psnr: float
     bytes: float | None
     seconds: float | None
     fps: float | None
+    stream: float | None = None
 
 
 def _published(without: Quoted | QuotedAblation, whole: Quoted | QuotedAblation) -> Difference:
@@ -63,11 +67,14 @@ def verdict_table(rows: Sequence[dict[str, Any]]) -> str:
             continue
         published = PUBLISHED.get(row["name"])
         cells = [row["name"]]
-        for name in ("psnr", "bytes", "seconds", "fps"):
+        for name in ("psnr", "bytes", "stream", "seconds", "fps"):
             values = [value for pair in pairs if (value := getattr(pair, name)) is not None]
             cells.append(_cell(name, values, None if published is None else getattr(published, name)))
         body.append(cells)
-    return table(("system", "PSNR dB", "bytes a frame", "CPU seconds a frame", "fps"), body)
+    return table(
+        ("system", "PSNR dB", "bytes a predicted frame", "bytes a frame of a stream", "CPU seconds a frame", "fps"),
+        body,
+    )
 
 
 def paired(base: Sequence[dict[str, Any]], other: Sequence[dict[str, Any]]) -> list[Difference]:
@@ -79,7 +86,7 @@ def paired(base: Sequence[dict[str, Any]], other: Sequence[dict[str, Any]]) -> l
         if reference is not None:
             ratios = (
                 _ratio(run[key], reference[key])
-                for key in ("predicted_bytes_mean", "predicted_cpu_seconds", "render_fps")
+                for key in ("predicted_bytes_mean", "predicted_cpu_seconds", "render_fps", "stream_bytes")
             )
             found.append(Difference(run["psnr"] - reference["psnr"], *ratios))
     return found

@@ -7,10 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from codec.renewal import RenewalRule
 from core.evaluate.footage import Footage
-from core.evaluate.sizes import entropy_bits, shannon_keyframe_bytes, shannon_residual_bytes
+from core.evaluate.sizes import (
+    KEYFRAME_INTERVAL,
+    entropy_bits,
+    shannon_keyframe_bytes,
+    shannon_residual_bytes,
+    stream_bytes,
+)
 from core.residual import difference
 from core.train import TrainConfig, Trainer
+from server.job import TrainJob
 from server.studies import packet_size
 from tests.core.evaluate.conftest import shortened
 
@@ -20,6 +28,15 @@ def test_entropy_of_known_histograms() -> None:
     assert entropy_bits(np.array([], np.int32)) == 0
     assert entropy_bits(np.arange(256)) == pytest.approx(256 * 8)
     assert entropy_bits(np.array([0, 1, 1, 1])) == pytest.approx(4 * 2 - 3 * np.log2(3))
+
+
+def test_a_stream_pays_for_its_keyframes() -> None:
+    """Every frame of a stream is predicted, and the first of each interval comes as a keyframe as well."""
+    packets = [6000 + 20] + [20] * 99
+    assert stream_bytes(6000, 20, interval=100) == pytest.approx(np.mean(packets * 3))
+    assert stream_bytes(KEYFRAME_INTERVAL, 0) == 1
+    defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RenewalRule().longest
+    assert defaults == (KEYFRAME_INTERVAL, KEYFRAME_INTERVAL)
 
 
 def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:

@@ -60,6 +60,8 @@ def test_a_run_measures_every_frame_and_level(footage: Footage, first_frames: Fi
     figures = run_figures(run)
     assert figures["lpips_alex"] is None
     assert figures["predicted_bytes_max"] >= figures["predicted_bytes_mean"]
+    assert figures["predicted_bytes_mean"] < figures["stream_bytes"] < figures["keyframe_bytes"]
+    assert figures["stream_kbps"] == pytest.approx(figures["stream_bytes"] * 8 * SPEC.fps / 1000)
     again = run_figures(run_system(CONFIG, footage, FirstFrames("cpu"), packet_size))
     assert again["psnr"] == pytest.approx(figures["psnr"], abs=0.05)  # threads add in any order
 

@@ -11,7 +11,8 @@ from core.evaluate.verdicts import PUBLISHED, agrees, paired, verdict_table
 
 def run(seed: int, psnr: float, size: float | None = 1000.0) -> dict[str, Any]:
     return {
-        "seed": seed, "psnr": psnr, "predicted_bytes_mean": size, "predicted_cpu_seconds": 2.0, "render_fps": 50.0
+        "seed": seed, "psnr": psnr, "predicted_bytes_mean": size, "predicted_cpu_seconds": 2.0, "render_fps": 50.0,
+        "stream_bytes": None if size is None else size + 500,
     }  # fmt: skip
 
 
@@ -24,6 +25,7 @@ def test_published_differences_are_those_of_the_paper() -> None:
 def test_runs_are_paired_by_seed() -> None:
     (first, second) = paired([run(0, 20), run(1, 21)], [run(1, 22, 500), run(0, 19.5), run(2, 30)])
     assert (first.psnr, first.bytes, second.psnr) == (1, 0.5, -0.5)
+    assert first.stream == pytest.approx(1000 / 1500)
     assert paired([run(0, 20)], [run(0, 21, None)])[0].bytes is None
 
 

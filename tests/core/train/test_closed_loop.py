@@ -185,11 +185,23 @@ def test_a_new_keyframe_changes_nothing_for_training(clip: Dataset, images: list
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
-def test_a_thousand_frames_do_not_drift(clip: Dataset, images: list[UInt8], first: Scene) -> None:
-    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
-    there_and_back = [*images, *images[-2:0:-1]]
-    results = loop(trainer, first, (there_and_back[index % len(there_and_back)] for index in range(1000)))
-    early = np.mean([quality(result.scene, clip, there_and_back[n]) for n, result in enumerate(results[22:44])])
-    late = np.mean([quality(r.scene, clip, there_and_back[(n + 968) % 22]) for n, r in enumerate(results[968:990])])
-    assert late > early - 2
+@pytest.mark.timeout(600)
+def test_a_thousand_frames_do_not_drift() -> None:
+    """A small picture to and fro, each round 22 frames: about two minutes."""
+    clip = open_synthetic(replace(SPEC, cameras=3, width=48, height=27))
+    pictures = [frame.images for frame in clip.frames()]
+    small = config(epochs=1, minimum_steps=4)
+    small = replace(small, model=replace(small.model, max_anchors=600))
+    points = first_points(frame_set(0, pictures[0]), clip.cameras, depth_bounds=clip.depth_bounds)
+    trainer = Trainer(clip.cameras, small, clip.fps, "cpu")
+    scene = trainer.keyframe(frame_set(0, pictures[0]), points).scene
+    there_and_back = [*pictures[1:], *pictures[-2::-1]]
+    results = loop(trainer, scene, (there_and_back[index % len(there_and_back)] for index in range(1000)))
+    rounds = [
+        np.mean(
+            [quality(result.scene, clip, there_and_back[n]) for n, result in enumerate(results[begin : begin + 22])]
+        )
+        for begin in (22, 968)
+    ]
+    assert rounds[1] > rounds[0] - 0.5
+    assert np.mean([result.report.steps > 0 for result in results]) > 0.9
