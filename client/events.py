@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from codec.packet import PacketInfo
+from codec.packet_info import PacketInfo
 from core.anchors import Scene
 
 

@@ -10,7 +10,8 @@ from typing import Any
 from client.recording import require_whole
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
-from codec.packet import PacketInfo, PacketKind, peek
+from codec.packet import PacketKind
+from codec.packet_info import PacketInfo, peek
 from core.anchors import Scene
 from core.errors import BitstreamError, InputError
 

@@ -15,7 +15,8 @@ from types import TracebackType
 from typing import BinaryIO, Self
 
 from codec.limits import DEFAULT_LIMITS, Limits
-from codec.packet import PacketInfo, PacketKind, peek
+from codec.packet import PacketKind
+from codec.packet_info import PacketInfo, peek
 from core.errors import BitstreamError, InputError
 
 _FILE_HEAD = b"SLOD\x01\x00\x00\x00"

@@ -10,7 +10,9 @@ import numpy as np
 from codec import chunks
 from codec.header import decode_header, decode_weights
 from codec.limits import DEFAULT_LIMITS, Limits
-from codec.packet import ChunkKind, Packet, PacketInfo, PacketKind, describe, parse
+from codec.packet import ChunkKind, Packet, PacketKind
+from codec.packet_bytes import parse
+from codec.packet_info import PacketInfo, describe
 from core.anchors import LATENTS, AnchorLevel, Scene, empty_level
 from core.arrays import Int32, Int64
 from core.errors import BitstreamError

@@ -8,7 +8,8 @@ import numpy as np
 
 from codec import chunks
 from codec.header import encode_header, encode_weights
-from codec.packet import Chunk, ChunkKind, Packet, PacketKind, build, make_chunk
+from codec.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
+from codec.packet_bytes import build
 from core.anchors import AnchorLevel, Scene
 from core.residual import LevelResidual, Residual, apply_level
 
@@ -16,7 +17,7 @@ HASH_INTERVAL = 30  # frames between state hashes in predicted packets
 
 
 def encode_keyframe(scene: Scene, *, time_ns: int, profile: int = 1) -> bytes:
-    """The key packet of a scene; `codec.packet.split_levels` makes it trickle.
+    """The key packet of a scene; `codec.packet_levels.split_levels` makes it trickle.
 
     Args:
         time_ns: presentation time in nanoseconds.

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_residual
 from codec.limits import DEFAULT_LIMITS, Limits
-from codec.packet import PacketKind, select_levels, split_levels
+from codec.packet import PacketKind
+from codec.packet_levels import select_levels, split_levels
 from core.anchors import AnchorLevel, Scene
 from core.residual import difference
 from server.packets import PacketWindow, StreamPacket, binary_frame

@@ -7,7 +7,9 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from codec.packet import PacketInfo, PacketKind, drop_levels, peek
+from codec.packet import PacketKind
+from codec.packet_info import PacketInfo, peek
+from codec.packet_levels import drop_levels
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from codec.container import COARSE_LEVELS, SlodReader
-from codec.packet import PacketInfo
+from codec.packet_info import PacketInfo
 from server.packets import StreamPacket
 
 FILE_HEAD = b"SLOD\x01\x00\x00\x00"

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind, peek
+from codec.packet import PacketKind
+from codec.packet_info import peek
 from core.anchors import Scene
 from core.evaluate.sizes import PacketSize
 from core.residual import Residual

@@ -189,7 +189,8 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
 def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
     """Number and entry of each packet of the file that belongs to the chain."""
     from codec.container import SlodReader
-    from codec.packet import PacketKind, peek
+    from codec.packet import PacketKind
+    from codec.packet_info import peek
 
     assert spec.play is not None
     version = None
@@ -226,7 +227,7 @@ def show_again(resume: Resume, sender: Sender) -> Scene:
     """Publish the state to go on from as a keyframe, before anything slow is loaded or a camera is asked."""
     from codec.decoder import SceneDecoder
     from codec.encoder import encode_keyframe
-    from codec.packet import peek
+    from codec.packet_info import peek
     from core.rekey import rekey
 
     decoder = SceneDecoder()

@@ -21,7 +21,8 @@ from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.entropy import encode_scales, scale_of
-from codec.packet import PacketInfo, PacketKind, peek
+from codec.packet import PacketKind
+from codec.packet_info import PacketInfo, peek
 from core.anchors import AnchorLevel, Scene
 from core.arrays import Float64
 from core.entropy_model import SCALES

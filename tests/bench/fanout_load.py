@@ -9,7 +9,8 @@ import os
 from dataclasses import dataclass, replace
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import FIRST_EXTENSION, PacketKind, build, make_chunk, parse
+from codec.packet import FIRST_EXTENSION, PacketKind, make_chunk
+from codec.packet_bytes import build, parse
 from core.anchors import Scene
 from core.residual import difference
 from tests.codec.scenes import make_scene, move

@@ -12,7 +12,8 @@ from client.inspection import describe_file
 from client.recording import decode_frames, decode_version, versions
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind, split_levels
+from codec.packet import PacketKind
+from codec.packet_levels import split_levels
 from core.errors import InputError
 from core.rekey import rekey
 from core.residual import difference

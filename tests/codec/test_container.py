@@ -9,7 +9,8 @@ import pytest
 from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind, split_levels
+from codec.packet import PacketKind
+from codec.packet_levels import split_levels
 from core.anchors import Scene
 from core.errors import BitstreamError, InputError
 from core.residual import difference

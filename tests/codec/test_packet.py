@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 from codec.encoder import encode_keyframe, encode_residual
 from codec.header import decode_header, decode_weights, encode_header, encode_weights
 from codec.limits import DEFAULT_LIMITS
-from codec.packet import Packet, PacketKind, build, drop_levels, make_chunk, parse, peek, select_levels, split_levels
+from codec.packet import Packet, PacketKind, make_chunk
+from codec.packet_bytes import build, parse
+from codec.packet_info import peek
+from codec.packet_levels import drop_levels, select_levels, split_levels
 from core.anchors import AnchorWeights
 from core.residual import difference
 from tests.codec.scenes import make_scene, move

@@ -6,7 +6,7 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.limits import Limits
-from codec.packet import peek
+from codec.packet_info import peek
 from core.errors import BitstreamError
 from tests.codec.scenes import grow, make_scene, move
 from tests.fuzz.corpus import SEEDS, kept, mutants

@@ -22,7 +22,7 @@ from prometheus_client.registry import Collector
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from codec.packet import peek
+from codec.packet_info import peek
 from core.data.synthetic import SyntheticSpec, open_synthetic
 from core.errors import InputError, ModelError
 from server.ingest.clock import ClockSource

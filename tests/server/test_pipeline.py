@@ -15,7 +15,8 @@ import pytest
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_residual
-from codec.packet import PacketKind, peek
+from codec.packet import PacketKind
+from codec.packet_info import peek
 from core.anchors import Scene
 from core.data.synthetic import SyntheticSpec
 from core.errors import InputError, ModelError

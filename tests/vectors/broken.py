@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.packet import ChunkKind, Packet, build, make_chunk, parse
+from codec.packet import ChunkKind, Packet, make_chunk
+from codec.packet_bytes import build, parse
 from codec.plain import encode_plain
 from core.anchors import Scene
 from tests.codec.scenes import grow, move

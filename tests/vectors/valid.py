@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind, build, drop_levels, make_chunk, parse, select_levels, split_levels
+from codec.packet import PacketKind, make_chunk
+from codec.packet_bytes import build, parse
+from codec.packet_levels import drop_levels, select_levels, split_levels
 from core.anchors import Scene, empty_level
 from core.residual import difference
 from tests.codec.scenes import grow, make_scene, move
