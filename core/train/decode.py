@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import numba
 import torch
 from torch import Tensor
 
 from core.expand import LOG_SCALE_LIMIT
 from core.gaussians import GaussianCloud
+from core.train.compiling import Compiled
+from core.train.kernels import decode as kernels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,26 +80,110 @@ def decode(
 ) -> Splats:
     """Gaussians of N anchors.
 
+    What follows the network is one numba pass on the CPU, and compiled by torch elsewhere where that works.
+
     Args:
         feature: [N,F]; offset: [N,K,3]; scaling: [N,6] log-scales; position: [N,3] world.
         view: where from, for a view-dependent network; None otherwise.
     """
-    count, slots = offset.shape[:2]
     inputs = feature
     if view is not None:
         away = position.detach() - view.centre
         distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
         inputs = torch.cat([feature, away / distance, distance / view.reference_distance], dim=1)
-    hidden = torch.addmm(network.hidden_bias, inputs, network.hidden_weight).relu()
-    outputs = torch.addmm(network.output_bias, hidden, network.output_weight)
-    sizes = [slots, 3 * slots, 3 * slots, 4 * slots]
-    opacity, colour, relative, rotation = torch.split(outputs, sizes, dim=1)
+    given = (inputs, offset, scaling, position, *network.parameters())
+    if all(value.device.type == "cpu" and value.dtype == torch.float32 for value in given):
+        return Splats(*_Fused.apply(*given))  # type: ignore[no-untyped-call]
+    return Splats(*_COMPILED(*given))
+
+
+def decode_reference(
+    inputs: Tensor,
+    offset: Tensor,
+    scaling: Tensor,
+    position: Tensor,
+    hidden_weight: Tensor,
+    hidden_bias: Tensor,
+    output_weight: Tensor,
+    output_bias: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """The parts of `Splats` by torch, on any device and for any float type; nothing in it waits for a device.
+
+    Args:
+        inputs: [N,I] what the network sees; the others as `decode` and `Network` have them.
+    """
+    count, slots = offset.shape[:2]
+    hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu()
+    outputs = torch.addmm(output_bias, hidden, output_weight)
+    opacity, colour, relative, rotation = torch.split(outputs, [slots, 3 * slots, 3 * slots, 4 * slots], dim=1)
     size = scaling.clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp()
-    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=rotation.device)
-    return Splats(
-        means=(position[:, None] + offset * size[:, None, :3]).reshape(-1, 3),
-        quaternions=rotation.reshape(-1, 4) + upright,
-        scales=(size[:, None, 3:] * relative.reshape(count, slots, 3).sigmoid()).reshape(-1, 3),
-        opacities=opacity.tanh().reshape(-1),
-        colours=colour.sigmoid().reshape(-1, 3),
+    turned = rotation.reshape(-1, 4)
+    return (
+        (position[:, None] + offset * size[:, None, :3]).reshape(-1, 3),
+        torch.cat([turned[:, :1] + 1, turned[:, 1:]], dim=1),
+        (size[:, None, 3:] * relative.reshape(count, slots, 3).sigmoid()).reshape(-1, 3),
+        opacity.tanh().reshape(-1),
+        colour.sigmoid().reshape(-1, 3),
     )
+
+
+_COMPILED = Compiled(decode_reference)
+
+
+class _Fused(torch.autograd.Function):
+    """`decode_reference` on the CPU: torch's matrix products, numba for all that is done number by number."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Tensor) -> tuple[Tensor, ...]:
+        inputs, offset, scaling, position, hidden_weight, hidden_bias, output_weight, output_bias = given
+        count, slots = offset.shape[:2]
+        hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu_()
+        outputs = torch.addmm(output_bias, hidden, output_weight)
+        size = torch.empty(count, 6)
+        widths = (3, 4, 3, 1, 3)  # of means, quaternions, scales, opacities, colours
+        found = tuple(torch.empty(count, width * slots) for width in widths)
+        kernels.activate(_workers(count), *_arrays(outputs, offset.reshape(count, -1), scaling, position, size, *found))
+        means, quaternions, scales, opacities, colours = found
+        parts = (
+            means.view(-1, 3),
+            quaternions.view(-1, 4),
+            scales.view(-1, 3),
+            opacities.view(-1),
+            colours.view(-1, 3),
+        )
+        # the views, since those are the outputs that autograd watches for changes in place
+        ctx.save_for_backward(inputs, offset, scaling, hidden_weight, output_weight, hidden, size, *parts[2:])
+        return parts
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        inputs, offset, scaling, hidden_weight, output_weight, hidden, size, *parts = ctx.saved_tensors
+        count, slots = offset.shape[:2]
+        known = (offset.reshape(count, -1), scaling, size, *(part.reshape(count, -1) for part in parts))
+        by = (gradient.reshape(count, -1) for gradient in upstream)
+        to_outputs, to_offset, to_scaling, to_position = (
+            torch.empty(count, width) for width in (11 * slots, 3 * slots, 6, 3)
+        )
+        found = (to_outputs, to_offset, to_scaling, to_position)
+        kernels.differentiate(_workers(count), *_arrays(*known, *by, *found))
+        needed = ctx.needs_input_grad
+        to_hidden = (to_outputs @ output_weight.T).masked_fill_(hidden == 0, 0.0)
+        return (
+            to_hidden @ hidden_weight.T if needed[0] else None,
+            to_offset.view(offset.shape),
+            to_scaling,
+            to_position,
+            inputs.T @ to_hidden if needed[4] else None,
+            to_hidden.sum(dim=0) if needed[5] else None,
+            hidden.T @ to_outputs if needed[6] else None,
+            to_outputs.sum(dim=0) if needed[7] else None,
+        )
+
+
+def _workers(count: int) -> int:
+    return max(1, min(numba.get_num_threads(), count))
+
+
+def _arrays(*tensors: Tensor) -> list[Any]:
+    return [tensor.detach().contiguous().numpy() for tensor in tensors]

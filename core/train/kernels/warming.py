@@ -7,6 +7,7 @@ import numpy as np
 from core.arrays import Float32
 from core.entropy_model import BINS
 from core.train.kernels.adam import adam_step
+from core.train.kernels.decode import activate, differentiate
 from core.train.kernels.rate import residual_bits
 
 
@@ -19,3 +20,7 @@ def warm() -> None:
     numbers = tuple(np.float32(number) for number in (0.1, 1.0, 0.1, 0.001, 1e-15))
     adam_step(1, zeros(1), zeros(1), zeros(1), zeros(1), numbers, np.zeros(1, np.int64))
     residual_bits(zeros(1, 2), zeros(1, 1), zeros(BINS, 3), 0.5, 4.0, zeros(1, 2), zeros(1, 1))
+    parts = [zeros(1, width) for width in (3, 4, 3, 1, 3)]
+    activate(1, zeros(1, 11), zeros(1, 3), zeros(1, 6), zeros(1, 3), zeros(1, 6), *parts)
+    known = (zeros(1, 3), zeros(1, 6), zeros(1, 6), *parts[2:])
+    differentiate(1, *known, *parts, zeros(1, 11), zeros(1, 3), zeros(1, 6), zeros(1, 3))

@@ -9,10 +9,11 @@ import pytest
 import torch
 
 from core.anchors import LATENTS
-from core.train.kernels import adam, rate
+from core.train.kernels import adam, decode, rate
 from core.train.kernels.warming import warm
 from core.train.optimiser import update, update_reference
 from core.train.rate import residual_bits, residual_bits_reference
+from tests.core.train.fields import random_field
 
 
 @pytest.mark.parametrize("count", [1, 7, 4099])
@@ -77,8 +78,12 @@ def test_rate_of_broken_values_stays_in_its_table() -> None:
 
 def test_warming_compiles_what_training_uses() -> None:
     warm()
-    signatures = [len(kernel.signatures) for kernel in (adam.adam_step, rate.residual_bits)]
+    kernels = (adam.adam_step, rate.residual_bits, decode.activate, decode.differentiate)
+    signatures = [len(kernel.signatures) for kernel in kernels]
     value, moments = torch.ones(3, 2), [torch.zeros(3, 2), torch.zeros(3, 2)]
     update(value, torch.ones(3, 2), *moments, 0.1, 0.001)
     residual_bits(torch.ones(3, LATENTS), torch.ones(3, 3))
-    assert [len(kernel.signatures) for kernel in (adam.adam_step, rate.residual_bits)] == signatures
+    field = random_field(6)
+    field.network.hidden_weight.requires_grad_()
+    field.decode(torch.zeros(3)).means.sum().backward()  # type: ignore[no-untyped-call]
+    assert [len(kernel.signatures) for kernel in kernels] == signatures
