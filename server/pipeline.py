@@ -221,6 +221,7 @@ class _Training:
             opened.rig,
             frame_budget_ms=job.frame_budget_ms,
             target_kbps=job.target_kbps,
+            label_motion=False,
         )
         self._renewal = Renewal(RenewalRule(longest=job.keyframe_interval))
 

@@ -29,21 +29,22 @@ class Parts:
     """What a frame's training does with N anchors.
 
     Attributes:
-        dynamic: [N] bool, they are taken to move.
+        dynamic: [N] bool, they are taken to move; None where nobody asked.
         trained: [N] bool, those, and the others that show a change: shadows, reflections, what was uncovered.
     """
 
-    dynamic: Bool
+    dynamic: Bool | None
     trained: Bool
 
     def among(self, alive: Bool) -> Parts:
         """Only those of `alive` [N]."""
-        return Parts(self.dynamic & alive, self.trained & alive)
+        return Parts(None if self.dynamic is None else self.dynamic & alive, self.trained & alive)
 
     def relaid(self, origin: Int64) -> Parts:
         """For rows in another order: `origin` [M] says where each was, -1 for new ones, which count as dynamic."""
         rows, new = np.maximum(origin, 0), origin < 0
-        return Parts(new | self.dynamic[rows], new | self.trained[rows])
+        dynamic = None if self.dynamic is None else new | self.dynamic[rows]
+        return Parts(dynamic, new | self.trained[rows])
 
 
 def no_parts(anchors: int) -> Parts:
@@ -69,6 +70,8 @@ def partition(
     previous: Parts,
     config: PredictConfig,
     backend: Backend,
+    *,
+    label: bool = True,
 ) -> Parts:
     """Which anchors to train for this frame, and how.
 
@@ -78,35 +81,54 @@ def partition(
         references: [C,H,W,3] pictures that the state was trained to show.
         masks: [C,H,W] bool from `change_masks`.
         previous: of the frame before.
+        label: also tell which of them move, where that takes drawing the scene twice more.
     """
     if config.everything:
         everything = np.asarray(alive.cpu().numpy())
         return Parts(everything, everything)
     if not masks.any():  # whatever the cue: static error is no motion
         return no_parts(len(field))
-    posterior, lowest = config.posterior, config.changed_posterior
     rows = torch.nonzero(alive)[:, 0]
-    if config.cue != "difference":
+    if config.cue != "difference":  # all that is trained moves
         scores = error_scores(field, rows, views, backend)
-        dynamic = dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS)
+        dynamic = dynamic_anchors(scores, previous.trained, config.posterior, config.posterior * _HYSTERESIS)
         return Parts(dynamic, dynamic)
+    lowest = config.changed_posterior
     scores = change_scores(field, rows, rows[:0], references, views, masks, backend)
     changed = dynamic_anchors(scores, previous.trained, lowest, lowest * _HYSTERESIS)
     if masks[views.usable].float().mean() > _MOST:
         changed = scores > 0
     if not changed.any():
         return no_parts(len(field))
+    if not label:
+        return Parts(None, changed)
+    return Parts(_moving(field, alive, references, views, masks, changed, previous.dynamic, config, backend), changed)
+
+
+def _moving(
+    field: Field,
+    alive: Tensor,
+    references: Tensor,
+    views: Views,
+    masks: Tensor,
+    changed: Bool,
+    previous: Bool | None,
+    config: PredictConfig,
+    backend: Backend,
+) -> Bool:
+    """[N] which of the anchors `changed` [N] move: they explain what no change of light does, and show little else."""
     moved = torch.zeros_like(masks)
     for number in views.usable:
         if masks[number].any():
             pictures = references[number].cpu().numpy(), views.targets[number].cpu().numpy()
             moved[number] = torch.from_numpy(moved_pixels(*pictures, config.noise_floor)).to(masks.device)
     moved &= masks
-    chosen = torch.from_numpy(changed).to(rows.device)
+    chosen = torch.from_numpy(changed).to(alive.device)
     rows, others = torch.nonzero(chosen)[:, 0], torch.nonzero(alive & ~chosen)[:, 0]
     scores = change_scores(field, rows, others, references, views, moved, backend)
     scores = scores * shown_shares(field, rows, others, views, moved, backend)
-    return Parts(dynamic_anchors(scores, previous.dynamic, posterior, posterior * _HYSTERESIS), changed)
+    before = np.zeros(len(field), np.bool_) if previous is None else previous
+    return dynamic_anchors(scores, before, config.posterior, config.posterior * _HYSTERESIS)
 
 
 def error_scores(field: Field, rows: Tensor, views: Views, backend: Backend) -> Float64:

@@ -41,11 +41,11 @@ class FrameReport:
     Attributes:
         seconds: wall time by stage.
         steps: training steps taken.
-        anchors: anchors alive; dynamic: those taken to move.
+        anchors: anchors alive; dynamic: those taken to move; all that were trained where nobody asked.
         loss: mean loss of the last epoch.
         repaired: parameters that became non-finite and were reset.
         spans: each stage's name, begin and end in seconds of `time.perf_counter`.
-        changed: anchors that were trained too, since what they show has changed.
+        changed: the other anchors that were trained, since what they show has changed.
     """
 
     seconds: dict[str, float]
@@ -71,7 +71,8 @@ class TrainedFrame:
         scene: the state after it.
         residual: what changed; None where the state is a keyframe.
         report: figures.
-        dynamic: [N] bool, which anchors of the state before were taken to move, over all levels; None for a keyframe.
+        dynamic: [N] bool, which anchors of the state before were taken to move, over all levels; None for a keyframe,
+            and where nobody asked.
     """
 
     scene: Scene

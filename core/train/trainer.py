@@ -47,6 +47,7 @@ class Trainer:
         frame_budget_ms: wall time for each later frame, None for as long as it takes. `sent` tells what encoding took.
         target_kbps: kilobits a second that predicted packets may take, None for any; needs `sent` after every frame.
         clock: seconds that the budget and the report go by.
+        label_motion: tell which of the trained anchors move, for figures; without, only rate control has it told.
 
     Raises:
         ValueError: a budget or a rate that is not positive.
@@ -62,6 +63,7 @@ class Trainer:
         frame_budget_ms: float | None = None,
         target_kbps: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
+        label_motion: bool = True,
     ) -> None:
         self._cameras, self._config, self._fps = cameras, config, fps
         self._backend = select(device)
@@ -72,6 +74,7 @@ class Trainer:
         self._clock = clock
         self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
+        self._label = label_motion or target_kbps is not None
         self._state: State | None = None
 
     @property
@@ -168,6 +171,7 @@ class Trainer:
                 quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
             if plan is not None:
+                assert parts.dynamic is not None
                 quanta = strongest_changes(quanta, plan.most_anchors, parts.dynamic[parts.trained])
             # what had no time or no bytes counts as changed again, and goes on where it ended
             done = quanta.complete and (plan is None or not plan.strained)
@@ -190,7 +194,7 @@ class Trainer:
         if self._budget is not None:
             for stage, seconds in watch.seconds.items():
                 self._budget.spent(stage, seconds)
-        moving = int(parts.dynamic.sum())
+        moving = len(rows) if parts.dynamic is None else int(parts.dynamic.sum())
         report = FrameReport(
             watch.seconds,
             quanta.steps,
@@ -232,7 +236,8 @@ class Trainer:
             return known, False
         field = state.canonical if config.cue == "canonical" else state.field
         assert state.references is not None
-        return partition(field, alive, state.references, views, masks, known, config, self._backend), True
+        references, label = state.references, self._label
+        return partition(field, alive, references, views, masks, known, config, self._backend, label=label), True
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()
