@@ -14,12 +14,20 @@ from core.octree import morton_key
 from core.train.config import PredictConfig
 from core.train.decode import Network
 from core.train.field import Field
-from core.train.rounding import Steps, to_int16
+from core.train.rounding import Precision, to_int16, usual_precision
 
 
-def scene_of(field: Field, predict: PredictConfig, cameras: tuple[Camera, ...], fps: float, version: int) -> Scene:
-    """A keyframe: the field rounded as it will be sent."""
-    steps = Steps()
+def scene_of(
+    field: Field,
+    predict: PredictConfig,
+    cameras: tuple[Camera, ...],
+    fps: float,
+    version: int,
+    precision: Precision | None = None,
+) -> Scene:
+    """A keyframe: the field rounded as it will be sent, to `precision` or the usual one."""
+    precision = precision or usual_precision(field, 0)
+    field = precision.sent(field)
     features, slots = field.feature.shape[1], field.slots
     header = SceneHeader(
         octree=field.octree,
@@ -29,9 +37,9 @@ def scene_of(field: Field, predict: PredictConfig, cameras: tuple[Camera, ...], 
         position_steps=np.full(
             field.octree.levels, field.octree.root_cell / predict.position_steps_per_cell, np.float32
         ),
-        feature_steps=np.full(features, steps.feature, np.float32),
-        offset_steps=np.full(3 * slots, steps.offset, np.float32),
-        scaling_steps=np.full(6, steps.scaling, np.float32),
+        feature_steps=_array(precision.feature),
+        offset_steps=_array(precision.offset.flatten()),
+        scaling_steps=_array(precision.scaling),
         background=np.zeros(3, np.float32),
         fps=fps,
         cameras=cameras,
@@ -42,10 +50,13 @@ def scene_of(field: Field, predict: PredictConfig, cameras: tuple[Camera, ...], 
         hidden_bias=_sendable(network.hidden_bias),
         output_weight=_sendable(network.output_weight),
         output_bias=_sendable(network.output_bias),
-        feature_decoder=_decoder(FEATURE_LATENTS, features, predict.feature_step),
+        feature_decoder=_sendable(
+            torch.from_numpy(_decoder(FEATURE_LATENTS, features, predict.feature_step)).to(field.feature)
+            @ precision.basis
+        ),
         offset_decoder=_decoder(OFFSET_LATENTS, 3 * slots, predict.offset_step),
     )
-    levels = tuple(_level_of(field, number, steps) for number in range(field.octree.levels))
+    levels = tuple(_level_of(field, number, precision) for number in range(field.octree.levels))
     return Scene(header, weights, levels, keyframe=version, version=version)
 
 
@@ -77,7 +88,7 @@ def level_starts(scene: Scene) -> Int64:
     return np.concatenate([[0], np.cumsum([len(level) for level in scene.levels])]).astype(np.int64)
 
 
-def _level_of(field: Field, number: int, steps: Steps) -> AnchorLevel:
+def _level_of(field: Field, number: int, steps: Precision) -> AnchorLevel:
     rows = torch.nonzero(field.level == number)[:, 0]
     voxel = field.voxel[rows].numpy()
     rows = rows[torch.from_numpy(np.argsort(morton_key(voxel), kind="stable"))]
@@ -87,7 +98,7 @@ def _level_of(field: Field, number: int, steps: Steps) -> AnchorLevel:
         voxel=field.voxel[rows].numpy(),
         position=np.zeros((count, 3), np.int32),
         feature=to_int16(field.feature[rows], steps.feature).numpy(),
-        offset=to_int16(field.offset[rows].reshape(count, -1), steps.offset).numpy(),
+        offset=to_int16(field.offset[rows], steps.offset).reshape(count, -1).numpy(),
         scaling=to_int16(field.scaling[rows], steps.scaling).numpy(),
         extra_level=extra.to(torch.int16).numpy(),
         latent=np.zeros((count, LATENTS), np.int16),
@@ -105,6 +116,10 @@ def _decoder(latents: int, outputs: int, step: float) -> Float32:
     return np.ascontiguousarray((step * orthogonal[:latents, :outputs]).astype(np.float16).astype(np.float32))
 
 
+def _array(steps: Tensor) -> Float32:
+    return np.ascontiguousarray(steps.detach().float().cpu().numpy())
+
+
 def _sendable(value: Tensor) -> Float32:
     """float32 values that are exact in float16, as weights travel."""
-    return np.ascontiguousarray(value.detach().half().float().numpy())
+    return np.ascontiguousarray(value.detach().half().float().cpu().numpy())

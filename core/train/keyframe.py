@@ -16,9 +16,9 @@ from core.train.field import Field, visible_levels
 from core.train.growth import GrowthStatistics
 from core.train.learned import ROW_PARAMETERS, LearnedField
 from core.train.levels import needed_levels
-from core.train.precision import USUAL, row_shifts, sensitivities
+from core.train.precision import measured_precision, sensitivity, signed_gradients
 from core.train.refine import count, refine
-from core.train.rounding import Steps
+from core.train.rounding import Precision, usual_precision
 from core.train.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from core.train.views import Views
 
@@ -51,15 +51,21 @@ class KeyframeTrainer:
         )
         self._statistics = _no_statistics(field)
         self._highest = field.octree.levels - 1
-        self._shifts = field.level[:0]
+        self._precision: Precision | None = None
         self._done = 0
 
     @property
     def field(self) -> Field:
         """The anchors as they are now: averaged over the last steps once these have come, rounded as they are sent."""
         field = self._learned.settled
-        feature, offset, scaling = Steps().rounded(field.feature, field.offset, field.scaling, self._precision(field))
+        feature, offset, scaling = self.precision.rounded(field.feature, field.offset, field.scaling)
         return replace(field, feature=feature, offset=offset, scaling=scaling)
+
+    @property
+    def precision(self) -> Precision:
+        """How `field` is rounded."""
+        field, measured = self._learned.settled, self._precision
+        return usual_precision(field) if measured is None or len(measured.shift) != len(field) else measured
 
     @property
     def exposure(self) -> Exposure:
@@ -82,8 +88,8 @@ class KeyframeTrainer:
         cap = self._random_cap()
         rows = self._drawn_rows(field, number, self._highest if cap is None else cap)
         rounded = progress >= config.rounding_from
-        if rounded and len(self._shifts) != len(field):
-            self._shifts = self._measured_shifts(field)
+        if rounded and (self._precision is None or len(self._precision.shift) != len(field)):
+            self._precision = self._measured_precision(field)
         splats = self._decode(field, number, rows, rounded=rounded)
         level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
         opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
@@ -121,17 +127,10 @@ class KeyframeTrainer:
         values = (field.feature, field.offset, field.scaling, field.position)
         feature, offset, scaling, position = values if rows is None else (value[rows] for value in values)
         if rounded:
-            shift = self._precision(field)
-            feature, offset, scaling = Steps().rounded(feature, offset, scaling, shift if rows is None else shift[rows])
+            feature, offset, scaling = self.precision.rounded(feature, offset, scaling, rows)
         return decode(feature, offset, scaling, position, field.network, field.view(self._centres[number]))
 
-    def _precision(self, field: Field) -> Tensor:
-        """[N] doublings of the finest steps that each anchor is rounded to."""
-        if len(self._shifts) == len(field):
-            return self._shifts
-        return torch.full_like(field.level, USUAL)
-
-    def _measured_shifts(self, field: Field) -> Tensor:
+    def _measured_precision(self, field: Field) -> Precision:
         """Precision that costs as much of the squared error as configured."""
         network = Network(*(value.detach() for value in field.network.parameters()))
         error = 0.0
@@ -145,8 +144,8 @@ class KeyframeTrainer:
             return raster.image
 
         leaves = tuple(getattr(field, name) for name in ROW_PARAMETERS)
-        feature, offset, scaling = sensitivities(leaves, draw, self._whole.usable, seed=self._done)
-        return row_shifts((feature, offset, scaling), Steps(), self._config.rounding_share * error)
+        found = sensitivity(signed_gradients(leaves, draw, self._whole.usable, seed=self._done))
+        return measured_precision(field, found, self._config.rounding_share * error)
 
     def _drop_idle_levels(self) -> None:
         """Give up fine levels that carry nothing, while there are steps left to settle; the paper keeps all."""

@@ -26,6 +26,7 @@ from core.train.online import ResidualTrainer, no_quanta, residual_of, strongest
 from core.train.partition import Parts, change_masks, partition
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from core.train.rate_control import RateControl
+from core.train.rounding import Precision
 from core.train.seeding import seed_field
 from core.train.showing import rendered
 from core.train.state import State, fresh_state
@@ -101,7 +102,7 @@ class Trainer:
             trainer = KeyframeTrainer(field, views, self._config, self._backend)
 
         def preview() -> Scene:
-            return self._scene_of(trainer.field, frames.index)
+            return self._scene_of(trainer.field, frames.index, trainer.precision)
 
         steps, losses = self._config.keyframe.steps, list[Tensor]()
         with watch.stage("train"):
@@ -246,8 +247,8 @@ class Trainer:
         targets = torch.from_numpy(frames.images).to(self._device).float().div_(255)
         return Views(self._cameras, targets, usable)
 
-    def _scene_of(self, field: Field, version: int) -> Scene:
-        return scene_of(field, self._config.predict, self._rig, self._fps, version)
+    def _scene_of(self, field: Field, version: int, precision: Precision) -> Scene:
+        return scene_of(field, self._config.predict, self._rig, self._fps, version, precision)
 
     def _adopt(self, scene: Scene, views: Views) -> None:
         references = torch.full_like(views.targets, torch.nan)
