@@ -21,13 +21,16 @@ class Compiled:
     Args:
         function: of tensors to tensors, differentiable by torch.
         backend: as `torch.compile` takes it.
+        device: type of device it is worth it for; elsewhere the function itself does the work.
     """
 
-    def __init__(self, function: Callable[..., Any], backend: str = "inductor") -> None:
-        self._function, self._backend = function, backend
+    def __init__(self, function: Callable[..., Any], backend: str = "inductor", device: str = "cuda") -> None:
+        self._function, self._backend, self._device = function, backend, device
         self._ready: Callable[..., Any] | None = None
 
     def __call__(self, *arguments: Any) -> Any:
+        if arguments[0].device.type != self._device:
+            return self._function(*arguments)
         if self._ready is None:
             self._ready = self._tried(arguments)
         return self._ready(*arguments)
@@ -50,4 +53,5 @@ class Compiled:
 
 
 def _leaf(argument: Any) -> Any:
-    return argument.detach().clone().requires_grad_() if isinstance(argument, Tensor) else argument
+    differentiable = isinstance(argument, Tensor) and argument.is_floating_point()
+    return argument.detach().clone().requires_grad_() if differentiable else argument

@@ -24,7 +24,9 @@ class Exposure:
 
     def apply(self, image: Tensor, camera: int) -> Tensor:
         """`image` [H,W,3] as camera number `camera` would show it."""
-        return image * self.gain[camera] + self.offset[camera]
+        gain, offset = (values[camera].repeat(image.shape[1]) for values in (self.gain, self.offset))
+        # row by row: passes over an innermost axis of three take five times as long
+        return torch.addcmul(offset, image.flatten(1), gain).view(image.shape)
 
     def centre(self) -> None:
         """Bring the mean over the cameras back to gain 1 and offset 0."""

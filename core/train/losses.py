@@ -1,7 +1,8 @@
 """How far a rendered picture is from the filmed one.
 
 Loss of Kerbl et al. 2023, equation 7: (1 - w) L1 + w (1 - SSIM), SSIM with an 11x11 Gaussian window of sigma 1.5 and
-zero padding, means over all pixels and channels.
+zero padding, means over all pixels and channels. Three forms of one loss: a numba pass on the CPU, `photometric_planes`
+on other devices, and `photometric_reference`, which says it plainly.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from core.render.tiles import Box
+from core.train.compiling import Compiled
 
 WINDOW, SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
@@ -24,8 +26,6 @@ def photometric_loss(
     image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
 ) -> Tensor:
     """Scalar loss of `image` [H,W,3] float32 against `target` [H,W,3], both in [0, 1]; differentiable by `image`.
-
-    On the CPU forward and backward are one numba pass; elsewhere they are `photometric_reference`.
 
     Args:
         dssim_weight: w above.
@@ -49,7 +49,20 @@ def photometric_loss(
     if image.device.type == "cpu" and image.dtype == torch.float32:
         loss: Tensor = _Fused.apply(image, target, dssim_weight, boxes)  # type: ignore[no-untyped-call]
         return loss
-    return photometric_reference(image, target, dssim_weight, region)
+    return photometric_planes(image, target, dssim_weight, region)
+
+
+def photometric_planes(
+    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+) -> Tensor:
+    """`photometric_loss` on any device and for any float type, value and gradient together.
+
+    What is blurred is stacked into one batch of planes, twice convolved with a line; all else is done pixel by pixel in
+    two functions that torch compiles for the device. Nothing in it waits for the device.
+    """
+    masks = (None, None) if region is None else tuple(_pixels(image, region, room) for room in (0, WINDOW // 2))
+    loss: Tensor = _Planes.apply(image, target, dssim_weight, *masks)  # type: ignore[no-untyped-call]
+    return loss
 
 
 def photometric_reference(
@@ -80,9 +93,8 @@ def _gap(a: Box, b: Box) -> int:
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     """[H,W,3] structural similarity of [H,W,3] pictures (Wang et al. 2004, equation 13)."""
-    offsets = torch.arange(WINDOW, dtype=image.dtype, device=image.device) - WINDOW // 2
-    line = torch.exp(-(offsets**2) / (2 * SIGMA**2))
-    kernel = torch.outer(line, line) / line.sum() ** 2
+    line = _line(image)
+    kernel = torch.outer(line, line)
 
     def blur(picture: Tensor) -> Tensor:
         planes = picture.permute(2, 0, 1)[:, None]
@@ -92,6 +104,76 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     variances = blur(image * image) - a * a + blur(target * target) - b * b
     covariance = blur(image * target) - a * b
     return ((2 * a * b + _C1) * (2 * covariance + _C2)) / ((a * a + b * b + _C1) * (variances + _C2))
+
+
+def _line(like: Tensor) -> Tensor:
+    """[WINDOW] the window along one axis, which sums to 1."""
+    offsets = torch.arange(WINDOW, dtype=like.dtype, device=like.device) - WINDOW // 2
+    line = torch.exp(-(offsets**2) / (2 * SIGMA**2))
+    return line.div(line.sum())
+
+
+def _blurred(planes: Tensor) -> Tensor:
+    """[N,3,H,W] planes after the window along both axes."""
+    line, (count, channels, height, width) = _line(planes), planes.shape
+    flat = planes.reshape(count * channels, 1, height, width)
+    flat = functional.conv2d(flat, line[None, None, None, :], padding=(0, WINDOW // 2))
+    blurred: Tensor = functional.conv2d(flat, line[None, None, :, None], padding=(WINDOW // 2, 0))
+    return blurred.view(planes.shape)
+
+
+def _moments(image: Tensor, target: Tensor) -> Tensor:
+    """[5,3,H,W] what SSIM blurs: both pictures, their squares and their product."""
+    a, b = image.permute(2, 0, 1), target.permute(2, 0, 1)
+    return torch.stack([a, b, a * a, b * b, a * b])
+
+
+def _similarity(blurred: Tensor) -> tuple[Tensor, Tensor]:
+    """SSIM [3,H,W] of blurred moments [5,3,H,W], and its derivatives [3,3,H,W] by the blurred image, its blurred square
+    and the blurred product."""
+    a, b, aa, bb, ab = blurred
+    luminance, likeness = 2 * a * b + _C1, 2 * (ab - a * b) + _C2
+    means, variances = a * a + b * b + _C1, aa - a * a + bb - b * b + _C2
+    scale = 1 / (means * variances)
+    ssim = luminance * likeness * scale
+    by_mean = 2 * (b * (likeness - luminance) * scale + a * ssim * (1 / variances - 1 / means))
+    return ssim, torch.stack([by_mean, -ssim / variances, 2 * luminance * scale])
+
+
+def _slope(image: Tensor, target: Tensor, spread: Tensor, inside: Tensor | None, weight: float) -> Tensor:
+    """[H,W,3] the loss's gradient, times the pictures' size: of L1, and of -SSIM summed, whose derivatives `spread`
+    [3,3,H,W] have been blurred."""
+    by_mean, by_square, by_product = (part.permute(1, 2, 0) for part in spread)
+    similar = by_mean + 2 * image * by_square + target * by_product
+    total = (1 - weight) * (image - target).sign() - weight * similar
+    return total if inside is None else total * inside
+
+
+_SIMILARITY, _SLOPE = Compiled(_similarity), Compiled(_slope)
+
+
+class _Planes(torch.autograd.Function):
+    """The gradient is made together with the value, since it needs the same blurs."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, image: Tensor, target: Tensor, weight: float, inside: Tensor | None, near: Tensor | None
+    ) -> Tensor:
+        size = image.numel()
+        ssim, slopes = _SIMILARITY(_blurred(_moments(image, target)))
+        difference, dissimilarity = (image - target).abs(), 1 - ssim
+        if inside is not None and near is not None:
+            around = near.permute(2, 0, 1)
+            difference, dissimilarity, slopes = difference * inside, dissimilarity * around, slopes * around
+        if ctx.needs_input_grad[0]:
+            ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, weight) / size
+        loss: Tensor = ((1 - weight) * difference.sum() + weight * dissimilarity.sum()) / size
+        return loss
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        return ctx.gradient * upstream, None, None, None, None  # asking what it is would make the host wait
 
 
 class _Fused(torch.autograd.Function):

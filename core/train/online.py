@@ -13,10 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.anchors import FEATURE_LATENTS, LATENTS, AnchorLevel, Scene, empty_level
+from core.anchors import LATENTS, AnchorLevel, Scene, empty_level
 from core.arrays import Bool, Float32, Int16, Int32, Int64
 from core.render.backends import Backend
 from core.residual import LevelResidual, Residual
+from core.train.applying import Quantum, applied
 from core.train.budget import Pace, StepPace
 from core.train.config import PredictConfig
 from core.train.convert import level_starts
@@ -29,7 +30,7 @@ from core.train.newcomers import added_levels, newcomers, strongest
 from core.train.optimiser import RowAdam
 from core.train.partition import Parts
 from core.train.rate import residual_bits
-from core.train.rounding import dead_zone, dead_zone_through
+from core.train.rounding import dead_zone
 from core.train.schedule import ViewOrder
 from core.train.stage import Stage, make_stage
 from core.train.state import State
@@ -98,9 +99,8 @@ class ResidualTrainer:
         device = field.feature.device
         self._background = torch.zeros(3, device=device)
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
-        self._feature_decoder = torch.from_numpy(scene.weights.feature_decoder).to(device)
-        self._offset_decoder = torch.from_numpy(scene.weights.offset_decoder).to(device)
-        self._position_steps = torch.from_numpy(scene.header.position_steps).to(device)
+        steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
+        self._quantum = Quantum(*(torch.from_numpy(part).to(device) for part in steps))
         rest = torch.zeros(len(field), LATENTS + 3, device=device) if state.rest is None else state.rest
         begin = {"latent": rest[rows, :LATENTS], "position": rest[rows, LATENTS:]}
         self._optimiser = RowAdam({name: value.clone().requires_grad_() for name, value in begin.items()})
@@ -178,15 +178,8 @@ class ResidualTrainer:
 
     def _dynamic_field(self) -> Field:
         """The dynamic anchors with their residuals, rounded as they will be sent."""
-        base, parameters = self._base, self._optimiser.parameters
-        latent, position = dead_zone_through(parameters["latent"]), dead_zone_through(parameters["position"])
-        offset = latent[:, FEATURE_LATENTS:] @ self._offset_decoder
-        return replace(
-            base,
-            feature=base.feature + latent[:, :FEATURE_LATENTS] @ self._feature_decoder,
-            offset=base.offset + offset.reshape(base.offset.shape),
-            position=base.position + position * self._position_steps[base.level][:, None],
-        )
+        parameters = self._optimiser.parameters
+        return applied(self._base, parameters["latent"], parameters["position"], self._quantum)
 
     def _dynamic_splats(self, number: int) -> Splats:
         return self._dynamic_field().decode(self._centres[number])

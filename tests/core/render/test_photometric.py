@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.render.tiles import Box
-from core.train.losses import photometric_loss, photometric_reference, ssim_map
+from core.train.losses import photometric_loss, photometric_planes, photometric_reference, ssim_map
 from core.train.region import loss_boxes
 from tests.core.render.scenes import make_camera
 
@@ -55,6 +55,32 @@ def test_fused_equals_convolutions(height: int, width: int, region: tuple[Box, .
     assert leaf.grad is not None
     assert value == pytest.approx(float(wanted.detach()), abs=1e-6)
     assert float((gradient - leaf.grad).norm() / leaf.grad.norm()) < 2e-6
+
+
+@pytest.mark.parametrize(("height", "width", "region", "weight"), CASES)
+def test_planes_equal_convolutions(height: int, width: int, region: tuple[Box, ...] | None, weight: float) -> None:
+    image, target = (picture.double() for picture in pictures(height, width))
+    outcomes = []
+    for function in (photometric_planes, photometric_reference):
+        leaf = image.clone().requires_grad_()
+        loss = function(leaf, target, weight, region)
+        outcomes.append((loss.detach(), *torch.autograd.grad(3 * loss, leaf)))
+    torch.testing.assert_close(outcomes[0], outcomes[1], rtol=1e-10, atol=1e-14)
+
+
+def test_planes_agree_with_finite_differences() -> None:
+    image, target = (picture.double() for picture in pictures(6, 7))
+    assert torch.autograd.gradcheck(lambda x: photometric_planes(x, target), (image.requires_grad_(),), atol=1e-8)
+
+
+def test_planes_hold_float32_to_the_numba_pass() -> None:
+    image, target = pictures(64, 48)
+    leaf = image.clone().requires_grad_()
+    loss = photometric_planes(leaf, target)
+    value, gradient = value_and_gradient(image, target, None, 0.2)
+    assert float(loss.detach()) == pytest.approx(value, rel=1e-5)
+    (mine,) = torch.autograd.grad(loss, leaf)
+    assert float((mine - gradient).norm() / gradient.norm()) < 1e-4
 
 
 def test_convolution_form_agrees_with_finite_differences() -> None:

@@ -100,7 +100,7 @@ def test_gradients_are_the_same_for_any_number_of_threads() -> None:
     "backend", ["eager", *(pytest.param(name, marks=pytest.mark.slow) for name in ("aot_eager", "inductor"))]
 )
 def test_compiled_for_any_number_of_rows_it_equals_the_reference(backend: str) -> None:
-    compiled = Compiled(decode_reference, backend)
+    compiled = Compiled(decode_reference, backend, "cpu")
     for count in (40, 71):
         given = _inputs(count, 4, False)
         found, wanted = (_outcome(function, given, torch.float64) for function in (compiled, decode_reference))
@@ -113,7 +113,7 @@ def test_where_compiling_fails_one_sentence_says_so(caplog: pytest.LogCaptureFix
     def refuses(*_: object) -> None:
         raise RuntimeError("no compiler\nand a long story")
 
-    compiled = Compiled(decode_reference, refuses)  # type: ignore[arg-type]
+    compiled = Compiled(decode_reference, refuses, "cpu")  # type: ignore[arg-type]
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
             found = _outcome(compiled, _inputs(9, 4, False), torch.float64)
