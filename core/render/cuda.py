@@ -64,15 +64,13 @@ def rasterise_cuda(
     )
     image, light = images[0], 1 - alphas[0, ..., 0]
     rows = meta["gaussian_ids"].long()
-    # A mask makes the host wait for its count, so it is used only where it must be.
-    wanted = slice(None) if moving == count else rows < moving
-    probe = Probe(rows[wanted])
+    probe = Probe(rows, None if moving == count else rows < moving)
     projected = meta["means2d"]
     if projected.requires_grad:
 
         def record(gradients: Tensor) -> None:
             absolute = getattr(projected, "absgrad", None)
-            probe.record(gradients[wanted] * half, None if absolute is None else absolute[wanted] * half)
+            probe.record(gradients * half, None if absolute is None else absolute * half)
 
         projected.register_hook(record)
     if tile_mask is not None:

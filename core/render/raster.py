@@ -10,14 +10,21 @@ from torch import Tensor
 class Probe:
     """Which Gaussians were visible, and how the loss pulls at them in the picture: what growth and motion tests ask.
 
-    Attributes:
-        visible: [M] int64 ascending rows of the Gaussians in view (of the first `gradient_rows`, where that was given).
+    Args:
+        visible: [V] int64 ascending rows of the Gaussians in view.
+        wanted: [V] bool, those that the probe is about; all by default. Looked at when somebody asks, since picking
+            rows on a GPU makes the host wait for their number.
     """
 
-    def __init__(self, visible: Tensor) -> None:
-        self.visible = visible
+    def __init__(self, visible: Tensor, wanted: Tensor | None = None) -> None:
+        self._visible, self._wanted = visible, wanted
         self._gradients: Tensor | None = None
         self._absolute: Tensor | None = None
+
+    @property
+    def visible(self) -> Tensor:
+        """[M] int64 ascending rows of the Gaussians in view (of the first `gradient_rows`, where that was given)."""
+        return self._picked(self._visible)
 
     @property
     def gradients(self) -> Tensor:
@@ -30,16 +37,19 @@ class Probe:
         """
         if self._gradients is None:
             raise RuntimeError("a probe has gradients only after backward() of a loss on its picture")
-        return self._gradients
+        return self._picked(self._gradients)
 
     @property
     def absolute(self) -> Tensor | None:
         """[M,2] the same with |gradient| summed over pixels (Ye et al. 2024, AbsGS), from the cuda backend only."""
-        return self._absolute
+        return None if self._absolute is None else self._picked(self._absolute)
 
     def record(self, gradients: Tensor, absolute: Tensor | None = None) -> None:
-        """For backends: put down [M,2] scaled gradients after a backward pass."""
+        """For backends: put down [V,2] scaled gradients after a backward pass."""
         self._gradients, self._absolute = gradients, absolute
+
+    def _picked(self, values: Tensor) -> Tensor:
+        return values if self._wanted is None else values[self._wanted]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -145,7 +145,7 @@ def _slope(image: Tensor, target: Tensor, spread: Tensor, inside: Tensor | None,
     [3,3,H,W] have been blurred."""
     by_mean, by_square, by_product = (part.permute(1, 2, 0) for part in spread)
     similar = by_mean + 2 * image * by_square + target * by_product
-    total = (1 - weight) * (image - target).sign() - weight * similar
+    total: Tensor = (1 - weight) * (image - target).sign() - weight * similar
     return total if inside is None else total * inside
 
 
