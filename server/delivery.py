@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from core.errors import SessionError
+from server.counters import Counters
 from server.hub import Hub
+from server.lanes import Lane
 from server.messages import BUSY
 from server.pacing import Throttle
-from server.packets import Position, StreamPacket
+from server.packets import Position, StreamPacket, payload_bytes
 from server.settings import Limits
-from server.stream import Counters
+
+_ACK_SECONDS = 1.0  # that a viewer may take to acknowledge
 
 
 class Transport(Protocol):
-    """What a session writes to; either call waits until earlier writes have drained."""
+    """What a session writes to; the first two calls wait until earlier writes have drained."""
 
     async def binary(self, frame: bytes) -> None:
         """Send a packet that is framed already."""
@@ -24,8 +28,15 @@ class Transport(Protocol):
     async def text(self, message: str) -> None:
         """Send a control message."""
 
-    def offer(self, frame: bytes) -> bool:
-        """Send a framed packet now, if earlier writes have drained; whether that was so."""
+    def post(self, frame: bytes) -> None:
+        """Send a whole frame at once, while the way is clear."""
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether earlier writes have drained."""
+
+    def on_blocked(self, call: Callable[[], None]) -> None:
+        """Have `call` called whenever the way is clear no more."""
 
 
 class Delivery:
@@ -37,26 +48,33 @@ class Delivery:
         counters: of its stream.
         limits: of the server.
         kilobytes_per_second: the most that it wants, or None.
+        rouse: called when the lane has to be closed.
 
     Attributes:
         counters: where bytes are counted.
-        last: newest packet that was given.
-        sent: bytes of all packets given.
+        lane: the short way, open while the viewer is up to date.
+        last: newest packet that was given while the lane was closed.
         held_seconds: time spent waiting for the viewer since it was last up to date.
-        full: whether acknowledgements are being waited for.
     """
 
     def __init__(
-        self, transport: Transport, hub: Hub, counters: Counters, limits: Limits, kilobytes_per_second: float | None
+        self,
+        transport: Transport,
+        hub: Hub,
+        counters: Counters,
+        limits: Limits,
+        kilobytes_per_second: float | None,
+        rouse: Callable[[], None],
     ) -> None:
         self.counters = counters
         self.last: StreamPacket | None = None
-        self.sent = 0
+        self.lane = Lane(transport.post, rouse)
         self.held_seconds = 0.0
-        self.full = False
         self._transport, self._hub, self._limits = transport, hub, limits
         self._acked = 0
         self._acked_at: float | None = None
+        self._mark: int | None = None  # a number of bytes that had been sent at that time, and not all acknowledged
+        self._mark_at = 0.0
         self.limit_rate(kilobytes_per_second)
 
     def limit_rate(self, kilobytes_per_second: float | None) -> None:
@@ -70,14 +88,28 @@ class Delivery:
         return self.last.position if self.last else None
 
     @property
-    def is_throttled(self) -> bool:
-        """Whether there is a rate to keep to."""
-        return self._throttle.bounded
+    def can_post(self) -> bool:
+        """Whether packets may take the lane."""
+        return self._transport.is_clear and not self._throttle.bounded and not self.is_full
+
+    @property
+    def is_full(self) -> bool:
+        """Whether acknowledgements have to come first; a viewer that never sends any is not asked."""
+        return self.lane.sent > self.lane.ceiling
 
     def acknowledge(self, received: int, now: float) -> None:
-        """The viewer has received that many bytes of packets."""
-        self._acked = max(self._acked, min(received, self.sent))
-        self._acked_at = now
+        """The viewer has received that many bytes of packets.
+
+        What it may leave unacknowledged is bounded, and little if its packets take long: they wait somewhere between.
+        """
+        lane = self.lane
+        self._acked, self._acked_at = max(self._acked, min(received, lane.sent)), now
+        late = self._mark is not None and now - self._mark_at > _ACK_SECONDS + 2 * self._limits.viewer_lag_seconds
+        if self._mark is None or self._acked >= self._mark:
+            self._mark, self._mark_at = lane.sent if lane.sent > self._acked else None, now
+        key = self._hub.keyframe
+        allowed = self._limits.flight_bytes + (len(key.data) if key else 0)
+        lane.ceiling = self._acked + (0 if late else allowed)
 
     def must_wait(self, now: float) -> bool:
         """Whether nothing may be sent yet.
@@ -87,8 +119,7 @@ class Delivery:
         """
         if now < self.free_at:
             return True
-        self.full = self._is_flight_full()
-        if not self.full:
+        if not self.is_full:
             return False
         if self._acked_at is not None and now - self._acked_at > self._limits.stuck_seconds:
             raise SessionError(BUSY, f"nothing was acknowledged for {self._limits.stuck_seconds:g} s")
@@ -103,33 +134,13 @@ class Delivery:
         self.held_seconds += now - begin
         self.free_at = now + self._throttle.spend(self._account(frame), now)
 
-    def offer(self, frame: bytes, packet: StreamPacket) -> bool:
-        """Send a framed packet if it can go out at once; whether it did."""
-        if self._is_flight_full() or not self._transport.offer(frame):
-            return False
-        self.last = packet
-        self._account(frame)
-        return True
-
     async def event(self, message: dict[str, Any]) -> None:
         """Send a control message."""
         await self._transport.text(json.dumps(message))
 
-    def _is_flight_full(self) -> bool:
-        """Whether more is unacknowledged than a viewer may leave so; one that never acknowledges is not asked."""
-        if self._acked_at is None or self.sent - self._acked <= self._limits.flight_bytes:
-            return False
-        key = self._hub.keyframe
-        return self.sent - self._acked > self._limits.flight_bytes + (len(key.data) if key else 0)
-
     def _account(self, frame: bytes) -> int:
         """Count a frame that was sent; the size of its packet."""
-        size = len(frame) - _overhead(len(frame))
-        self.sent += size
+        size = payload_bytes(frame)
+        self.lane.sent += size
         self.counters.sent_bytes += size
         return size
-
-
-def _overhead(frame_bytes: int) -> int:
-    """Length of the websocket header of a frame of that total length."""
-    return 2 if frame_bytes < 128 else 4 if frame_bytes < (1 << 16) + 4 else 10

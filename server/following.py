@@ -12,17 +12,14 @@ from server.stream import Stream
 class Follower:
     """A place in the hub's window, and what follows from there.
 
-    A viewer that is up to date and whose socket is empty gets a new packet straight from the hub's call, without its
-    task being woken: that is the ordinary case, and makes a packet to a thousand viewers a loop over sockets.
+    A viewer that is up to date and whose socket is empty gets new packets by its lane, without its task being woken:
+    that is the ordinary case.
 
     Args:
         stream: what is followed.
         delivery: the way to the viewer.
         levels: how many it gets.
         limits: of the server.
-
-    Attributes:
-        up_to_date: nothing is to be done but to pass on what comes.
     """
 
     def __init__(self, stream: Stream, delivery: Delivery, levels: LevelControl, limits: Limits) -> None:
@@ -30,7 +27,6 @@ class Follower:
         self._levels, self._limits = levels, limits
         self._number: int | None = None  # of the newest packet sent from the hub
         self._told_caught_up = False
-        self.up_to_date = False
 
     @property
     def shown_levels(self) -> int:
@@ -48,15 +44,21 @@ class Follower:
         same = newest is not None and newest.info.keyframe == last.info.keyframe
         self._number = newest.number if newest is not None and same and newest.position == last.position else None
 
-    def pass_on(self) -> bool:
-        """Send the newest packet at once, if it is the next one and nothing is in the way; whether it went."""
-        newest = self._hub.newest
-        if not self.up_to_date or newest is None or self._number != newest.number - 1:
-            return False
-        if not self._delivery.offer(newest.framed(self._levels.levels), newest):
-            return False
-        self._number = newest.number
-        return True
+    @property
+    def is_content(self) -> bool:
+        """Whether packets take the lane, and there is no level more to be tried after a while."""
+        return self._delivery.lane.levels > 0 and not self._wants_more
+
+    @property
+    def _wants_more(self) -> bool:
+        return self._levels.levels < min(self._levels.wanted, self._stream.levels or 1)
+
+    def leave_lane(self) -> None:
+        """Let nothing more take the lane; what has gone that way is accounted for."""
+        lane, newest = self._delivery.lane, self._hub.newest
+        if lane.levels and newest is not None:
+            self._hub.leave_lane(lane)
+            self._number, self._delivery.last = newest.number, newest
 
     async def step(self, now: float) -> bool:
         """Send the next thing; whether there was anything."""
@@ -81,10 +83,11 @@ class Follower:
         if not self._told_caught_up:
             self._told_caught_up = True
             await self._delivery.event(event("caught_up"))
-        if self._levels.levels < (self._stream.levels or 1) and self._levels.may_raise(now):
+        if self._wants_more and self._levels.may_raise(now):
             await self._raise_level(now)
             return True
-        self.up_to_date = not self._delivery.is_throttled
+        if self._delivery.can_post:
+            self._hub.enter_lane(self._delivery.lane, self._levels.levels)
         return False
 
     async def _join(self) -> None:

@@ -19,6 +19,8 @@ from codec.packet import PacketKind
 from codec.packet_levels import select_levels, split_levels
 from core.anchors import AnchorLevel, Scene
 from core.residual import difference
+from server.counters import Counters
+from server.lanes import Lane, Lanes
 from server.packets import PacketWindow, StreamPacket, binary_frame
 
 _STATE_BYTES = 16_000_000  # decoded states kept, to begin skip packets from
@@ -37,14 +39,16 @@ class Hub:
 
     Args:
         window_bytes: packets kept in memory.
+        counters: of the stream.
         limits: of the decoder.
 
     Attributes:
         window: recent packets.
+        lanes: viewers that are given every new packet at once.
         listeners: called whenever something has changed; they must not raise.
     """
 
-    def __init__(self, window_bytes: int, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, window_bytes: int, counters: Counters, limits: Limits = DEFAULT_LIMITS) -> None:
         self.window = PacketWindow(window_bytes)
         self._decoder = SceneDecoder(limits)
         self._key: _State | None = None
@@ -53,6 +57,7 @@ class Hub:
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
         self._parts: tuple[int, list[bytes]] | None = None
         self._framed: deque[StreamPacket] = deque()
+        self.lanes = Lanes(counters)
         self.listeners: set[Callable[[], None]] = set()
 
     @property
@@ -71,8 +76,8 @@ class Hub:
         newest = self.newest
         return None if newest is None else self._states[newest.number].scene
 
-    async def accept(self, packet: StreamPacket) -> None:
-        """Decode the newest packet, in a thread, and offer it to viewers.
+    async def accept(self, packet: StreamPacket, message: bytes = b"") -> None:
+        """Decode the newest packet, in a thread, and offer it to viewers; a framed control message goes with it.
 
         Raises:
             BitstreamError: it is not valid; nothing has changed.
@@ -93,11 +98,26 @@ class Hub:
         self._state_bytes += _size_bytes(state)
         while len(self._states) > 2 and self._state_bytes > _STATE_BYTES:
             self._state_bytes -= _size_bytes(self._states.popitem(last=False)[1])
-        self.wake()
+        self.lanes.pass_on(packet, message)
+        self._call_listeners()
 
     def wake(self) -> None:
-        """Let every listener look again."""
-        for listener in self.listeners:
+        """Let every viewer look again."""
+        self.lanes.rouse()
+        self._call_listeners()
+
+    def enter_lane(self, lane: Lane, levels: int) -> None:
+        """Give a viewer that is up to date every packet from now on, and call its listener no more."""
+        self.listeners.discard(lane.rouse)
+        self.lanes.enter(lane, levels)
+
+    def leave_lane(self, lane: Lane) -> None:
+        """Undo `enter_lane`."""
+        self.lanes.leave(lane)
+        self.listeners.add(lane.rouse)
+
+    def _call_listeners(self) -> None:
+        for listener in tuple(self.listeners):
             listener()
 
     def can_skip(self, number: int) -> bool:

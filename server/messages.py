@@ -15,7 +15,7 @@ from server.views import Pick, Shown, View, parse_view_message
 SUBPROTOCOL = "streamlod.v1"
 PROTOCOL_VERSION = 1
 LIVE = "live"
-ACK_EVERY = 8  # packets
+ACK_EVERY = 32  # packets
 
 BAD_MESSAGE, UNAUTHORISED, FORBIDDEN, NO_STREAM = 4400, 4401, 4403, 4404
 HELLO_TIMEOUT, BAD_VERSION, FLOOD = 4408, 4415, 4429

@@ -101,6 +101,11 @@ def _frame(first: int, data: bytes) -> bytes:
     return bytes((first, 127)) + size.to_bytes(8, "big") + data
 
 
+def payload_bytes(frame: bytes) -> int:
+    """Length of what a frame made here carries."""
+    return len(frame) - {126: 4, 127: 10}.get(frame[1], 2)
+
+
 class PacketWindow:
     """The most recent packets of a stream, dropped from the front in whole groups of pictures.
 

@@ -31,13 +31,13 @@ class Limits(BaseModel):
     hello_seconds: float = Field(default=5.0, gt=0, description="time a viewer has to say hello")
     stuck_seconds: float = Field(default=30.0, gt=0, description="a viewer that takes no byte for so long is closed")
     viewer_bytes: int = Field(
-        default=256 * 1024, ge=4096, description="socket buffer of a viewer, and how far it may lag"
+        default=128 * 1024, ge=4096, description="socket buffer of a viewer, and how far it may lag"
     )
     viewer_lag_seconds: float = Field(
         default=1.0, gt=0, description="how far a viewer may lag before packets are skipped"
     )
     flight_bytes: int = Field(
-        default=2 * MEGABYTE, ge=65536, description="bytes sent but not acknowledged, above a keyframe"
+        default=16 * MEGABYTE, ge=65536, description="bytes sent but not acknowledged, above a keyframe"
     )
     thin_viewers: int = Field(default=4, ge=0, description="viewers for which the server draws; 0 for none")
     thin_pixels: int = Field(default=921_600, ge=4096, le=2**25, description="largest picture drawn for a viewer")

@@ -6,16 +6,16 @@ import asyncio
 import json
 import logging
 import time
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from server.bus import LocalBus
+from server.counters import Counters
 from server.hub import Hub
 from server.ingest.statistics import complaint
 from server.messages import event
-from server.packets import Position, stream_packet
+from server.packets import Position, stream_packet, text_frame
 from server.settings import Settings
 from server.spec import StreamSpec
 from server.store import Recording
@@ -24,22 +24,7 @@ from server.worker import Resume, Tag
 
 _LOG = logging.getLogger(__name__)
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
-
-
-@dataclass(slots=True)
-class Counters:
-    """Totals of one stream."""
-
-    packets: int = 0
-    packet_bytes: int = 0
-    sent_bytes: int = 0
-    skips: int = 0
-    stuck: int = 0
-    joins: int = 0
-    pictures: int = 0
-    picture_bytes: int = 0
-    picture_seconds: float = 0.0
-    thin_refused: int = 0
+_WINDOW_SECONDS = 1.0  # from one window event to the next
 
 
 class Stream:
@@ -61,8 +46,8 @@ class Stream:
     ) -> None:
         self.spec, self._settings, self.push_socket = spec, settings, push_socket
         self.bus = LocalBus(settings.retention.memory_bytes, recording)
-        self.hub = Hub(_HUB_BYTES)
         self.counters = Counters()
+        self.hub = Hub(_HUB_BYTES, self.counters)
         self.viewers = self.thin_viewers = 0
         self.state, self.detail = "idle", ""
         self.progress: dict[str, Any] | None = None
@@ -73,6 +58,7 @@ class Stream:
         self.live_at = 0.0  # monotonic time of the newest packet
         self._epoch = recording.last_epoch if recording else 0
         self._number = 0
+        self._windowed_at = 0.0
         self._new_epoch = True
         self._frames_done = 0
         self._events: list[asyncio.Queue[dict[str, Any]]] = []
@@ -214,7 +200,7 @@ class Stream:
             self._epoch, self._new_epoch = self._epoch + 1, False
             self._tell(event("epoch", epoch=self._epoch))
         packet = stream_packet(self._number, self._epoch, data)
-        await self.hub.accept(packet)
+        await self.hub.accept(packet, self._window_message())
         self.bus.publish(packet, record=record)
         self._number += 1
         self.counters.packets += 1
@@ -222,6 +208,14 @@ class Stream:
         self.live_at = time.monotonic()
         if record:
             self._enter_live()
+
+    def _window_message(self) -> bytes:
+        """A framed window event, now and then."""
+        now, window = time.monotonic(), self.window
+        if window is None or now - self._windowed_at < _WINDOW_SECONDS:
+            return b""
+        self._windowed_at = now
+        return text_frame(json.dumps(event("window", **window)))
 
     def _on_ingest(self, figures: dict[str, Any]) -> None:
         self.ingest = figures

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import json
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -20,12 +21,13 @@ from core.anchors import Scene
 from core.camera import Camera, pinhole
 from core.errors import SessionError
 from core.splat import Splatter
+from server.counters import Counters
 from server.delivery import Transport
 from server.messages import BUSY, FORBIDDEN, Control, Hello, Pause, Play, Seek, event
 from server.packets import Position, binary_frame
 from server.painting import GRADES, HEADER, Pace, Painter, look_along
 from server.settings import Limits
-from server.stream import Counters, Stream
+from server.stream import Stream
 from server.viewer import ViewerSession
 from server.views import Pick, Shown, View
 
@@ -53,9 +55,16 @@ class _Inlet:
     async def text(self, message: str) -> None:
         await self._outer.text(message)
 
-    def offer(self, frame: bytes) -> bool:
-        """Never at once: decoding takes a while."""
+    def post(self, frame: bytes) -> None:
+        raise AssertionError("decoding takes a while")
+
+    @property
+    def is_clear(self) -> bool:
+        """Never: decoding takes a while."""
         return False
+
+    def on_blocked(self, call: Callable[[], None]) -> None:
+        """Nothing is ever posted."""
 
 
 class ThinSession(ViewerSession):

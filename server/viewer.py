@@ -47,8 +47,10 @@ class ViewerSession:
         now = time.monotonic()
         wanted = hello.levels or _MOST_LEVELS
         self._levels = LevelControl(wanted, wanted, quiet_since=now)
-        self._delivery = Delivery(transport, stream.hub, stream.counters, limits, hello.kilobytes_per_second)
+        rate = hello.kilobytes_per_second
+        self._delivery = Delivery(transport, stream.hub, stream.counters, limits, rate, self._rouse)
         self._follower = Follower(stream, self._delivery, self._levels, limits)
+        transport.on_blocked(self._follower.leave_lane)
         self._replay = Replay(stream.bus, self._delivery, self._levels)
         self._course = Course(hello.start)
         self._tell_levels = False
@@ -65,11 +67,14 @@ class ViewerSession:
         now = time.monotonic()
         if not self._allowance.take(now):
             raise SessionError(FLOOD, f"more than {self._allowance.per_second:g} messages a second")
+        if isinstance(message, Ack):
+            waiting = self._delivery.is_full
+            self._delivery.acknowledge(message.received_bytes, now)
+            if waiting or self._delivery.is_full:
+                self._rouse()
+            return
+        self._rouse()
         match message:
-            case Ack(received):
-                self._delivery.acknowledge(received, now)
-                if not self._delivery.full:
-                    return
             case Set(levels, rate_kilobytes, given):
                 if "levels" in given:
                     self._levels.want(levels or _MOST_LEVELS, now)
@@ -82,17 +87,11 @@ class ViewerSession:
                 self._course.pause()
             case Play():
                 self._course.play(self._delivery.position)
-        self._rouse()
 
     def _rouse(self) -> None:
         """Let the session's task look what is to be done."""
-        self._follower.up_to_date = False
+        self._follower.leave_lane()
         self.wake.set()
-
-    def _on_news(self) -> None:
-        """Something has changed."""
-        if not self._follower.pass_on():
-            self._rouse()
 
     async def run(self) -> None:
         """Feed the viewer until it leaves.
@@ -102,7 +101,7 @@ class ViewerSession:
         """
         stream = self._stream
         events = stream.listen()
-        stream.hub.listeners.add(self._on_news)
+        stream.hub.listeners.add(self._rouse)
         stream.viewers += 1
         stream.counters.joins += 1
         _LOG.info("stream %s: viewer %s (%s) joins", stream.spec.id, self.id, self.client)
@@ -120,26 +119,31 @@ class ViewerSession:
                     await self._idle()
         finally:
             stream.viewers -= 1
-            stream.hub.listeners.discard(self._on_news)
+            self._follower.leave_lane()
+            stream.hub.listeners.discard(self._rouse)
             stream.unlisten(events)
             seconds = time.monotonic() - self._begun
             _LOG.info("stream %s: viewer %s left after %.1f s, %d bytes", stream.spec.id, self.id, seconds,
-                      self._delivery.sent)  # fmt: skip
+                      self._delivery.lane.sent)  # fmt: skip
 
     async def _idle(self) -> None:
+        """Wait until there may be something to do."""
+        if self._follower.is_content:
+            await self.wake.wait()
+            return
         now = time.monotonic()
         wait = _TICK_SECONDS
         if self._delivery.free_at > now:
             wait = min(wait, self._delivery.free_at - now)
         if self._course.mode == "replay" and (due := self._replay.seconds_to_next(now)) is not None:
             wait = min(wait, due)
-        timer = asyncio.get_running_loop().call_later(wait, self.wake.set)
+        full = self._delivery.is_full
+        timer = asyncio.get_running_loop().call_later(wait, self._rouse)
         try:
             await self.wake.wait()
         finally:
             timer.cancel()
-            self._follower.up_to_date = False
-            if self._delivery.full:
+            if full:
                 self._delivery.held_seconds += time.monotonic() - now
 
     async def _step(self) -> bool:

@@ -27,14 +27,17 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
         send_buffer_bytes: size of the kernel's buffer, about.
         turned_away: counts peers that break the websocket protocol, by close code.
         take: offered every text message before the endpoint; whether it took it.
+        blocked: called when frames cannot be written any more, for a while or for good.
     """
 
     send_buffer_bytes: ClassVar[int]
     turned_away: ClassVar[Counter[str]]
     take: Callable[[bytes], bool] | None = None
+    blocked: Callable[[], None] | None = None
 
     def connection_made(self, transport: BaseTransport) -> None:
         super().connection_made(transport)
+        self.transport.set_write_buffer_limits(0)  # whatever the kernel does not take at once shows up
         raw = transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
             # the kernel doubles the value for its bookkeeping
@@ -45,7 +48,28 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
         if self.take is None or not event.fin or not self.take(bytes(event.data)):
             super().handle_text(event)
 
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._block()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._block()
+        super().connection_lost(exc)
+
+    def handle_close(self, event: Frame) -> None:
+        self._block()
+        super().handle_close(event)
+
+    def shutdown(self) -> None:
+        self._block()
+        super().shutdown()
+
+    def _block(self) -> None:
+        if self.blocked is not None:
+            self.blocked()
+
     def handle_parser_exception(self) -> None:
+        self._block()
         if self.conn.close_sent is not None:
             self.turned_away[str(int(self.conn.close_sent.code))] += 1
         super().handle_parser_exception()
@@ -113,13 +137,19 @@ class Connection:
             raise ClientDisconnected
         self._protocol.transport.write(frame)
 
-    def offer(self, frame: bytes) -> bool:
-        """Write a whole websocket frame now, if earlier ones have drained; whether that was so."""
-        protocol, transport = self._protocol, self._protocol.transport
-        if not protocol.writable.is_set() or protocol.close_sent or transport.is_closing():
-            return False
-        transport.write(frame)
-        return True
+    def post(self, frame: bytes) -> None:
+        """Write a whole websocket frame now; only while `is_clear`."""
+        self._protocol.transport.write(frame)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether earlier writes have drained and nobody has left."""
+        protocol = self._protocol
+        return protocol.writable.is_set() and not protocol.close_sent and not protocol.transport.is_closing()
+
+    def on_blocked(self, call: Callable[[], None] | None) -> None:
+        """Have `call` called when the way is clear no more."""
+        self._protocol.blocked = call
 
     def abort(self) -> None:
         """Cut the connection without waiting for the peer."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from collections.abc import Callable
 
 from fastapi import APIRouter
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -44,13 +45,18 @@ class _Transport:
     def __init__(self, websocket: WebSocket, stuck_seconds: float) -> None:
         self._stuck = stuck_seconds
         self.connection: Connection = websocket.scope[CONNECTION]
-        self.offer = self.connection.offer
+        self.post: Callable[[bytes], None] = self.connection.post
+        self.on_blocked = self.connection.on_blocked
 
     async def binary(self, frame: bytes) -> None:
         await self.connection.write(frame, self._stuck)
 
     async def text(self, message: str) -> None:
         await self.connection.write(text_frame(message), self._stuck)
+
+    @property
+    def is_clear(self) -> bool:
+        return self.connection.is_clear
 
 
 @router.websocket("/v1/streams/{stream_id}/live")
@@ -140,6 +146,7 @@ async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello
         done, _ = await asyncio.wait([sending, listening], return_when=asyncio.FIRST_COMPLETED)
     finally:
         transport.connection.listen(None)
+        transport.connection.on_blocked(None)
         registry.sessions.pop(session, None)
         for task in (sending, listening):
             task.cancel()

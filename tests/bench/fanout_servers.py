@@ -119,8 +119,9 @@ async def _serve_hub(pipe: Connection, packets: list[bytes]) -> None:
         await stream.on_message(Tag.PACKET, data)
 
     def busy() -> bool:
-        unsent = any(peer.transport.get_write_buffer_size() for peer in server.server_state.connections)  # type: ignore[union-attr]
-        return unsent or stream.counters.sent_bytes < newest
+        if stream.counters.sent_bytes < newest:
+            return True
+        return any(peer.transport.get_write_buffer_size() for peer in server.server_state.connections)  # type: ignore[union-attr]
 
     feed = _Feed(publish, busy, lambda: stream.counters.sent_bytes, lambda: stream.counters.stuck)
     await asyncio.sleep(0.2)

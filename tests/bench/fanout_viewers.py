@@ -16,7 +16,8 @@ _HANDSHAKE = (
     b"Sec-WebSocket-Protocol: streamlod.v1\r\n\r\n"
 )
 _HELLO = b'{"type":"hello","versions":[1],"client":"bench/1"}'
-_ACK_EVERY = 8
+_ACK_EVERY = 32
+_ACK_SECONDS = 1.0
 _VERSION_AT = 16  # of the packet's field to_version
 _HEAD_BYTES = _VERSION_AT + 4
 _SCRATCH = bytearray(1 << 20)
@@ -30,6 +31,7 @@ class _Viewer:
     waiting: bytearray = field(default_factory=bytearray)
     left: int = 0
     version: int = 0
+    acked_at: float = 0.0
     packets: int = 0
     received: int = 0
     reason: str = ""
@@ -74,7 +76,9 @@ class _Viewer:
 
     def _complete(self) -> int:
         self.packets += 1
-        if self.packets % _ACK_EVERY == 0:
+        now = time.monotonic()
+        if self.packets >= _ACK_EVERY or now - self.acked_at >= _ACK_SECONDS:
+            self.packets, self.acked_at = 0, now
             self.peer.sendall(masked(1, b'{"type":"ack","bytes":%d,"epoch":1,"version":0}' % self.received))
         return self.version
 

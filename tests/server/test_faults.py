@@ -14,6 +14,7 @@ from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
 from core.residual import difference
+from server.counters import Counters
 from server.hub import Hub
 from server.packets import stream_packet
 from server.settings import Limits, Settings
@@ -140,7 +141,7 @@ def test_a_missing_file_fails_at_once_with_one_sentence(tmp_path: Path) -> None:
 
 def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
     async def run(seed: int) -> None:
-        chooser, hub = random.Random(seed), Hub(10**7)
+        chooser, hub = random.Random(seed), Hub(10**7, Counters())
         states = [make_scene((5, 20, 40), seed=seed)]
         await hub.accept(stream_packet(0, 1, encode_keyframe(states[0], time_ns=0, profile=0)))
         decoder, number = SceneDecoder(), None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import random
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -91,14 +92,28 @@ class Link:
         await self.open.wait()
         self.events.append(json.loads(message))
 
-    def offer(self, frame: bytes) -> bool:
-        if self.open.is_set():
-            self._take(frame)
+    def post(self, frame: bytes) -> None:
+        assert self.is_clear
+        self._take(frame)
+
+    @property
+    def is_clear(self) -> bool:
         return self.open.is_set()
 
+    def on_blocked(self, call: Callable[[], None]) -> None:
+        self._blocked = call
+
+    def stall(self) -> None:
+        self.open.clear()
+        self._blocked()
+
     def _take(self, frame: bytes) -> None:
-        size = frame[1]
-        packet = frame[2 if size < 126 else 4 if size == 126 else 10 :]
+        short = frame[1]
+        head = 2 if short < 126 else 4 if short == 126 else 10
+        end = head + (short if head == 2 else int.from_bytes(frame[2:head], "big"))
+        packet = frame[head:end]
+        if frame[end:]:  # a window event that travels with the packet
+            self.events.append(json.loads(frame[end + (2 if frame[end + 1] < 126 else 4) :]))
         self.decoder.push(packet)
         self.received += len(packet)
         self.clip.check(self.decoder)
@@ -140,7 +155,7 @@ class Schedule:
             ["wait", "stall", "resume", "seek", "live", "pause", "play", "levels", "cap", "ack", "again"]
         ):
             case "stall":
-                link.open.clear()
+                link.stall()
             case "resume" | "wait":
                 link.open.set()
             case "seek":

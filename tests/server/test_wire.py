@@ -65,9 +65,10 @@ async def until_cut(connection: Connection, peer: Peer, there: socket.socket, ta
 def test_a_peer_that_takes_nothing_is_given_up_though_pings_are_added() -> None:
     async def run() -> float:
         connection, peer, there = await connected()
-        assert connection.offer(b"small")
-        assert connection.offer(bytes(4_000_000))
-        assert not connection.offer(b"more")
+        connection.post(b"small")
+        assert connection.is_clear
+        connection.post(bytes(4_000_000))
+        assert not connection.is_clear
         seconds = await until_cut(connection, peer, there, 0)
         connection.abort()
         there.close()
@@ -79,7 +80,7 @@ def test_a_peer_that_takes_nothing_is_given_up_though_pings_are_added() -> None:
 def test_a_peer_that_takes_a_little_is_waited_for() -> None:
     async def run() -> float:
         connection, peer, there = await connected()
-        assert connection.offer(bytes(2_000_000))
+        connection.post(bytes(2_000_000))
         seconds = await until_cut(connection, peer, there, 100_000)
         connection.abort()
         there.close()
@@ -88,12 +89,12 @@ def test_a_peer_that_takes_a_little_is_waited_for() -> None:
     assert asyncio.run(run()) > 0.8
 
 
-def test_nothing_is_offered_to_a_connection_that_closes() -> None:
+def test_the_way_to_a_connection_that_closes_is_not_clear() -> None:
     async def run() -> None:
         connection, peer, there = await connected()
         transport: Any = peer.transport
         transport.close()
-        assert not connection.offer(b"late")
+        assert not connection.is_clear
         there.close()
         await asyncio.sleep(0)
 
