@@ -11,10 +11,15 @@ import os
 import sys
 from pathlib import Path
 
-# The rasteriser's kernels and what is compiled into them: numba's cache notices a change of the calling file only, and
-# code that mixes two versions writes where it must not.
-_RENDER = Path(__file__).parent / "render"
-_INLINED = (_RENDER / "tiles.py", *sorted((_RENDER / "cpu" / "kernels").rglob("*.py")))
+# The rasteriser's kernels, the entropy coder, and what is compiled into them: numba's cache notices a change of the
+# calling file only, and code that mixes two versions writes where it must not.
+_CORE = Path(__file__).parent
+_INLINED = (
+    _CORE / "render" / "tiles.py",
+    *sorted((_CORE / "render" / "cpu" / "kernels").rglob("*.py")),
+    _CORE / "entropy_model.py",
+    *(_CORE.parent / "codec" / name for name in ("rans.py", "column_model.py")),
+)
 
 
 def prepare_environment() -> None:
