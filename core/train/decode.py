@@ -168,7 +168,7 @@ class _Fused(torch.autograd.Function):
         found = (to_outputs, to_offset, to_scaling, to_position)
         kernels.differentiate(_workers(count), *_arrays(*known, *by, *found))
         needed = ctx.needs_input_grad
-        to_hidden = (to_outputs @ output_weight.T).masked_fill_(hidden == 0, 0.0)
+        to_hidden = (to_outputs @ output_weight.T).mul_(hidden > 0)
         return (
             to_hidden @ hidden_weight.T if needed[0] else None,
             to_offset.view(offset.shape),

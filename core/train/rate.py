@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
+import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -48,7 +49,9 @@ class _Fused(torch.autograd.Function):
     def forward(ctx: Any, latent: Tensor, position: Tensor) -> Tensor:
         values = [tensor.detach().contiguous().numpy() for tensor in (latent, position)]
         gradients = [np.empty(array.shape, np.float32) for array in values]
-        bits = kernels.residual_bits(*values, _table(latent.device).numpy(), _TYPICAL, SET_BITS, *gradients)
+        sums = np.zeros((max(1, min(numba.get_num_threads(), len(latent))), 3))
+        table, price = _table(latent.device).numpy(), np.float32(SET_BITS)
+        bits = kernels.residual_bits(sums, *values, table, _TYPICAL, price, *gradients)
         ctx.gradients = [torch.from_numpy(gradient) for gradient in gradients]
         return latent.new_tensor(bits)
 

@@ -19,7 +19,8 @@ def warm() -> None:
 
     numbers = tuple(np.float32(number) for number in (0.1, 1.0, 0.1, 0.001, 1e-15))
     adam_step(1, zeros(1), zeros(1), zeros(1), zeros(1), numbers, np.zeros(1, np.int64))
-    residual_bits(zeros(1, 2), zeros(1, 1), zeros(BINS, 3), 0.5, 4.0, zeros(1, 2), zeros(1, 1))
+    sums = np.zeros((1, 3))
+    residual_bits(sums, zeros(1, 2), zeros(1, 1), zeros(BINS, 3), 0.5, np.float32(4), zeros(1, 2), zeros(1, 1))
     parts = [zeros(1, width) for width in (3, 4, 3, 1, 3)]
     activate(1, zeros(1, 11), zeros(1, 3), zeros(1, 6), zeros(1, 3), zeros(1, 6), *parts)
     known = (zeros(1, 3), zeros(1, 6), zeros(1, 6), *parts[2:])
