@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+import logging
 import os
 import re
 import shutil
@@ -27,6 +28,7 @@ from tests.e2e.test_server_process import PROGRAM, get, live, wait_live
 from tests.server.conftest import Clip, Viewer, make_clip
 from tests.server.test_faults import masked, raw
 
+_LOG = logging.getLogger(__name__)
 _CLOCK = """
 import signal, sys, time
 shift = 0
@@ -261,11 +263,13 @@ def test_memory_and_descriptors_stay_flat_while_viewers_come_and_go(clip: Clip, 
         end, number = time.monotonic() + 60 * minutes, 0
         while time.monotonic() < end:
             _churn(port, number)
+            time.sleep(0.5)
             number += 1
             if number % 10 == 0:
                 files = len(list(Path(f"/proc/{process.pid}/fd").iterdir()))
                 status = Path(f"/proc/{process.pid}/status").read_text()
                 samples.append((int(re.search(r"VmRSS:\s+(\d+)", status).group(1)), files))  # type: ignore[union-attr]
+                _LOG.info("after %d rounds of viewers: %d kB, %d descriptors", number, *samples[-1])
         assert stream(port)["restarts"] == 0
     settled, late = samples[len(samples) // 4 : len(samples) // 2], samples[-len(samples) // 4 :]
     memory = [sorted(kilobytes for kilobytes, _ in part)[len(part) // 2] for part in (settled, late)]

@@ -1,0 +1,79 @@
+"""How long a stream stands still when its worker is killed: a real server, one viewer, kill -9 in mid-frame.
+
+    python -m tests.bench.restart_bench [--kills 3]
+
+Prints, for a recorded file and for a stream in training: seconds from the kill to the event that tells of it, to the
+first whole picture of the new epoch in the viewer's decoder, and to the next version that was trained after it; and
+what the processes take. An idle machine is wanted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+from tests.e2e.test_server_process import family, live, serving
+from tests.server.conftest import Viewer, make_clip
+
+_TRAINING = """
+[[streams]]
+id = "main"
+synthetic = {{cameras = 4, frames = 100000, width = {0}, height = {1}}}
+"""
+_LONGEST_SECONDS = 300.0
+
+
+def resident_bytes(pid: int) -> int:
+    """Resident memory of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+def watch(name: str, arguments: list[object], kills: int) -> None:
+    """Kill the largest of the server's processes again and again, and print what its viewer saw."""
+    with serving(*arguments) as (server, port), live(port) as connection:
+        viewer = Viewer(connection).hello()
+        viewer.until("caught_up", _LONGEST_SECONDS)
+        for number in range(kills):
+            at = max(viewer.decoder.versions) + 5
+            while max(viewer.decoder.versions) < at or len(set(viewer.decoder.versions)) > 1:
+                viewer.step(_LONGEST_SECONDS)
+            workers = sorted(family(server.pid)[1:], key=resident_bytes)
+            sizes = ", ".join(f"{resident_bytes(pid) / 1e6:.0f}" for pid in [server.pid, *reversed(workers)])
+            begin = time.monotonic()
+            os.kill(workers[-1], signal.SIGKILL)
+            viewer.until("state", _LONGEST_SECONDS)
+            told = time.monotonic() - begin
+            viewer.until("epoch", _LONGEST_SECONDS)
+            viewer.step()
+            while len(set(viewer.decoder.versions)) > 1:
+                viewer.step(_LONGEST_SECONDS)
+            shown, version = time.monotonic() - begin, viewer.decoder.versions[0]
+            while max(viewer.decoder.versions) <= version:
+                viewer.step(_LONGEST_SECONDS)
+            going = time.monotonic() - begin
+            print(f"{name} {number + 1}: told after {told:.2f} s, a picture after {shown:.2f} s, the next version "
+                  f"after {going:.2f} s; server and its processes {sizes} MB")  # fmt: skip
+
+
+def main() -> None:
+    """Both kinds of stream."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--kills", type=int, default=3)
+    parser.add_argument("--width", type=int, default=160)
+    parser.add_argument("--height", type=int, default=90)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        clip = make_clip(folder / "scene.slod", 60, counts=(50, 500, 4000), key_every=30)
+        watch("recorded file", ["--play", clip.path], options.kills)
+        config = folder / "server.toml"
+        config.write_text(_TRAINING.format(options.width, options.height))
+        watch("in training", ["--config", config], options.kills)
+
+
+if __name__ == "__main__":
+    main()
