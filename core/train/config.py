@@ -50,7 +50,8 @@ class KeyframeConfig:
     square root). Fractions are of the run.
     """
 
-    steps: int = 1000
+    steps: int = 1000  # or fewer:
+    least_gain: float = 0.0  # of the loss over a fortieth of the run; where it falls by less, the run moves on faster
     half_size_until: float = 0.4  # until then pictures of half the width and height: a third of the time a step
     feature_rate: float = 0.02
     offset_rate: float = 0.04

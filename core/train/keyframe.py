@@ -9,6 +9,7 @@ from torch import Tensor
 
 from core.render.backends import Backend
 from core.train.config import TrainConfig
+from core.train.convergence import Run
 from core.train.decode import Network, Splats, decode
 from core.train.easel import Easel
 from core.train.exposure import Exposure, neutral
@@ -52,7 +53,10 @@ class KeyframeTrainer:
         self._statistics = _no_statistics(field)
         self._highest = field.octree.levels - 1
         self._precision: Precision | None = None
-        self._done = 0
+        self._steps = 0
+        keyframe = self._config
+        marks = (keyframe.half_size_until, keyframe.growth_until, keyframe.rounding_from)
+        self._run = Run(keyframe.steps, keyframe.least_gain, marks)
 
     @property
     def field(self) -> Field:
@@ -73,13 +77,18 @@ class KeyframeTrainer:
         return self._exposure.frozen()
 
     @property
+    def progress(self) -> float:
+        """How much of the run is done, in [0, 1]; steps count more where the loss hardly falls any more."""
+        return self._run.progress
+
+    @property
     def broken(self) -> int:
         """Gradient entries that were not finite and were taken as zero."""
         return self._learned.broken
 
     def step(self) -> Tensor:
         """One view, one update; returns its loss, detached."""
-        config, progress = self._config, self._done / self._config.steps
+        config, progress = self._config, self._run.progress
         field = self._learned.live
         self._highest = unlocked_level(field.octree.levels, config, progress)
         if progress >= config.half_size_until:
@@ -100,14 +109,15 @@ class KeyframeTrainer:
         self._exposure.centre()
         if cap is None:  # a coarse picture pulls hard wherever detail is missing, which says nothing about growing
             count(self._statistics, raster, splats, rows, field.slots)
-        self._done += 1
+        self._steps += 1
+        self._run.advance(number, loss if cap is None else None)
         if progress >= config.average_from:
             self._learned.average()
-        if self._done % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
+        if self._steps % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             limits = self._highest, self._model.max_anchors
             refine(self._learned, self._statistics, config, *limits, self._generator)
             self._statistics = _no_statistics(self._learned.live)
-        if progress < config.growth_until <= self._done / config.steps:
+        if progress < config.growth_until <= self._run.progress:
             self._drop_idle_levels()
         return loss.detach()
 
@@ -144,7 +154,7 @@ class KeyframeTrainer:
             return raster.image
 
         leaves = tuple(getattr(field, name) for name in ROW_PARAMETERS)
-        found = sensitivity(signed_gradients(leaves, draw, self._whole.usable, seed=self._done))
+        found = sensitivity(signed_gradients(leaves, draw, self._whole.usable, seed=self._steps))
         return measured_precision(field, found, self._config.rounding_share * error)
 
     def _drop_idle_levels(self) -> None:

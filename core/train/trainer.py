@@ -104,20 +104,20 @@ class Trainer:
         def preview() -> Scene:
             return self._scene_of(trainer.field, frames.index, trainer.precision)
 
-        steps, losses = self._config.keyframe.steps, list[Tensor]()
+        losses = list[Tensor]()
         with watch.stage("train"):
-            for step in range(steps):
+            while trainer.progress < 1:
                 losses.append(trainer.step())
-                if on_progress is not None and (step + 1) % _REPORT_EVERY == 0:
+                if on_progress is not None and len(losses) % _REPORT_EVERY == 0:
                     mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
-                    on_progress(Progress("first frame", (step + 1) / steps, mean, len(trainer.field), preview))
+                    on_progress(Progress("first frame", trainer.progress, mean, len(trainer.field), preview))
         with watch.stage("round"):
             scene = preview()
             self._exposure = trainer.exposure
             self._adopt(scene, views)
         report = FrameReport(
             watch.seconds,
-            steps,
+            len(losses),
             scene.anchor_count,
             scene.anchor_count,
             float(torch.stack(losses[-50:]).mean()),

@@ -1,0 +1,64 @@
+"""A first frame trains for as long as that pays: where its loss hardly falls, the run moves on faster."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+_WINDOW, _SHORTEST = 0.025, 25  # share of the run, and steps, over whose length losses are compared
+_HASTE = 4  # steps that one step of a run in haste stands for
+
+
+class Run:
+    """Where a run of `steps` steps or fewer stands.
+
+    Losses are compared over windows a fortieth of the run long or longer, view by view, as views differ more than
+    windows do.
+
+    Args:
+        steps: of a run whose loss falls all the time.
+        least_gain: share by which the loss must fall from one window to the next; 0 for runs of exactly `steps`.
+        marks: places in the run where losses change for other reasons, and are not compared across.
+    """
+
+    def __init__(self, steps: int, least_gain: float, marks: tuple[float, ...]) -> None:
+        self._steps, self._least_gain, self._marks = steps, least_gain, marks
+        self._length = max(round(_WINDOW * steps), _SHORTEST)
+        self._done, self._pace = 0, 1
+        self._phase = -1
+        self._window: list[tuple[int, Tensor]] = []
+        self._before: dict[int, float] = {}
+
+    @property
+    def progress(self) -> float:
+        """In [0, 1]; 1 when the run is over."""
+        return min(self._done / self._steps, 1.0)
+
+    def advance(self, view: int, loss: Tensor | None) -> None:
+        """One step is done.
+
+        Args:
+            loss: of `view`'s picture; None where it says nothing about the others.
+        """
+        phase = sum(self.progress >= mark for mark in self._marks)
+        if phase != self._phase:
+            self._phase, self._pace, self._window, self._before = phase, 1, [], {}
+        self._done += self._pace
+        if self._least_gain <= 0 or loss is None:
+            return
+        self._window.append((view, loss.detach()))
+        views = {seen for seen, _ in self._window}
+        if len(self._window) >= max(self._length, 2 * len(views)):
+            self._judge()
+
+    def _judge(self) -> None:
+        """Compare the window that is full with the one before it, and begin another."""
+        losses = torch.stack([loss for _, loss in self._window]).tolist()
+        seen: dict[int, list[float]] = {}
+        for (view, _), loss in zip(self._window, losses, strict=True):
+            seen.setdefault(view, []).append(loss)
+        now = {view: sum(values) / len(values) for view, values in seen.items()}
+        ratios = [now[view] / max(self._before[view], 1e-12) for view in now.keys() & self._before.keys()]
+        fell = not ratios or sum(ratios) / len(ratios) < 1 - self._least_gain
+        self._pace = 1 if fell else _HASTE
+        self._window, self._before = [], now
