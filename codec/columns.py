@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from codec import class_model
 from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
 from codec.rans import VALUE_LIMIT
+from codec.trend import add_trend, trend_errors
 from core.arrays import Int64
 from core.errors import BitstreamError
 from core.quantise import trailing_zeros
 
-_AS_IS, _CENTRED, _PREVIOUS = 0, 1, 2
+_AS_IS, _CENTRED, _PREVIOUS, _TREND = 0, 1, 2, 3
 _COUNT = struct.Struct("<I")
 _FEWEST = 16  # rows that are worth a class of their own
 
@@ -23,14 +24,18 @@ def encode(matrix: Int64, shifted: slice, *, with_count: bool = False) -> bytes 
     """The chunk of `matrix` [n,C], or None if a number is too large for it.
 
     Rows whose channels `shifted` are all multiples of a power of two are sent without those zeros at the end, in a
-    class of their own. Each channel is sent as it is, around a centre, or as difference to the row before, whichever
-    is smallest.
+    class of their own. Each channel is sent as it is, around a centre, or as difference to the row before or to the
+    mean of the last ones, whichever is smallest.
     """
     shifts = _shifts(matrix[:, shifted])
     used = np.unique(shifts) if len(shifts) else np.zeros(1, np.int64)
     scaled = _in_range(matrix.shape[1], shifted)
     modes, centre, values = _formed(matrix, int(used[-1]), scaled)
     values = values >> (shifts[:, None] * scaled)
+    for c in range(matrix.shape[1]):
+        errors = trend_errors(matrix[:, c].copy(), shifts * scaled[c])
+        if np.log2(1.0 + np.abs(errors)).sum() < np.log2(1.0 + np.abs(values[:, c])).sum():
+            modes[c], values[:, c] = _TREND, errors
     if np.abs(values).max(initial=0) >= VALUE_LIMIT:
         return None
     classes = np.searchsorted(used, shifts)
@@ -93,7 +98,10 @@ def decode(data: bytes, at: int, rows: int, channels: int, shifted: slice) -> In
     values, classes = np.zeros((rows, channels), np.int64), np.zeros(rows, np.int64)
     if not class_model.decode_rows(words_of(data, at), lanes, values, classes, scales):
         raise corrupt("an entropy-coded chunk does not end as it must")
-    values[:, shifted] <<= used[classes][:, None]
+    shifts = used[classes][:, None] * _in_range(channels, shifted)
+    for c in np.flatnonzero(modes == _TREND):
+        values[:, c] = add_trend(values[:, c].copy(), shifts[:, c].copy())
+    values[:, modes != _TREND] <<= shifts[:, modes != _TREND]
     values[:, centred] += centres
     following = modes == _PREVIOUS
     values[:, following] = np.cumsum(values[:, following], axis=0)
@@ -128,6 +136,6 @@ def _unpack_modes(data: bytes, at: int, channels: int) -> tuple[Int64, int]:
         raise corrupt("a chunk ends inside its channel modes")
     packed = np.frombuffer(data, np.uint8, end - at, at)
     modes = (packed[:, None] >> np.array([0, 2, 4, 6], np.uint8) & 3).reshape(-1).astype(np.int64)
-    if (modes > _PREVIOUS).any() or modes[channels:].any():
-        raise corrupt("a channel mode is not known")
+    if modes[channels:].any():
+        raise corrupt("unused bits of the channel modes are not zero")
     return modes[:channels], end

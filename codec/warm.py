@@ -9,6 +9,7 @@ import numpy as np
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
+from codec.trend import add_trend
 from core.anchors import (
     FEATURE_LATENTS,
     HIDDEN,
@@ -32,6 +33,7 @@ def warm_up() -> None:
     after = replace(before, levels=(moved,), version=1)
     decoder = SceneDecoder()
     decoder.push(encode_keyframe(before, time_ns=0))
+    add_trend(np.zeros(1, np.int64), np.zeros(1, np.int64))  # which these few anchors do not call for
     decoder.push(encode_residual(before, difference(before, after), kind=PacketKind.PREDICTED, time_ns=0))
 
 

@@ -80,12 +80,16 @@ function decodeRows(chunk, channels, count, most, first, end) {
   must(rows <= most, "limit_exceeded", `a chunk announces ${rows} rows`);
   const packed = reader.take(Math.ceil(channels / 4));
   const modes = Array.from({ length: channels }, (_, c) => (packed[c >> 2] >> (2 * (c & 3))) & 3);
-  must(!modes.includes(3), "corrupt_chunk", "a channel has an unknown mode");
+  must(channels % 4 === 0 || packed[channels >> 2] >> (2 * (channels & 3)) === 0, "corrupt_chunk", "an unused field is not 0");
   const centres = modes.map((mode) => (mode === 1 ? reader.i32() : 0));
   const { values, shifts } = decodeClasses(reader, coding, rows, channels);
   for (let c = 0; c < channels; c++) {
     const shifted = c >= first && c < end;
     if (modes[c] === 0 && !shifted) continue;
+    if (modes[c] === 3) {
+      addTrend(values, c, channels, shifted ? shifts : null);
+      continue;
+    }
     for (let i = 0, at = c; i < rows; i++, at += channels) {
       const value = shifted ? values[at] * (1 << shifts[i]) : values[at];
       const sum = value + (modes[c] === 1 ? centres[c] : modes[c] === 2 && i ? values[at - channels] : 0);
@@ -94,6 +98,18 @@ function decodeRows(chunk, channels, count, most, first, end) {
     }
   }
   return { rows, values, rowStep: channels, channelStep: 1 };
+}
+
+/** Mode 3: channel c holds differences to a running mean. @type {(values: Int32Array, c: number, channels: number, shifts: Uint8Array | null) => void} */
+function addTrend(values, c, channels, shifts) {
+  let total = 0;
+  for (let i = 0, at = c; at < values.length; i++, at += channels) {
+    const shift = shifts ? shifts[i] : 0, unit = 1 << shift;
+    const value = values[at] * unit + Math.floor((Math.floor(total / 8) + (unit >> 1)) / unit) * unit;
+    must(value === (value | 0), "overflow", "a number leaves its column's type");
+    values[at] = value;
+    total += value - Math.floor(total / 8);
+  }
 }
 
 /** Rows in classes of precision, section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import change_model, class_model, column_model, octree_model, oracle, rans
+from codec import change_model, class_model, column_model, octree_model, oracle, rans, trend
 from codec.entropy import encode_items
 from core.arrays import Int64
 from core.entropy_model import FREQUENCIES, SCALES
@@ -64,6 +64,17 @@ def test_classes_of_rows(seed: int, rows: int, channels: int, count: int) -> Non
     assert class_model.decode_rows(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, classes, scales)
     np.testing.assert_array_equal(found, values)
     np.testing.assert_array_equal(classes, of_row)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, rows=st.integers(0, 40))
+def test_trends(seed: int, rows: int) -> None:
+    rng = np.random.default_rng(seed)
+    shifts = rng.integers(0, 8, rows)
+    values = rng.integers(-(2 ** rng.integers(1, 31)), 2**12, rows) >> shifts << shifts
+    errors = trend.trend_errors(values, shifts)
+    assert oracle.trend(errors.tolist(), shifts.tolist()) == values.tolist()
+    np.testing.assert_array_equal(trend.add_trend(errors, shifts), values)
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from codec import change_model, column_model, octree_model, rans
+from codec import change_model, column_model, octree_model, rans, trend
 from codec.decoder import SceneDecoder
 from codec.warm import warm_up
 from tests.codec.scenes import grow, move
 from tests.vectors.make import FOLDER, read_stream
 from tests.vectors.valid import key, packet, small
 
-MODULES = (change_model, column_model, octree_model, rans)
+MODULES = (change_model, column_model, octree_model, rans, trend)
 
 
 def _signatures() -> dict[str, int]:

@@ -140,7 +140,7 @@ def _key_levels(good: bytes, plain: bytes) -> Iterator[tuple[str, bytes, str]]:
     yield "empty-base", base(lambda _: b""), "corrupt_chunk"
     yield "no-class", base(lambda d: _with_classes(d, 0)), "corrupt_chunk"
     yield "class-without-scales", base(lambda d: _with_classes(d, 255)), "corrupt_chunk"
-    yield "channel-mode-3", base(lambda d: d[:1] + b"\3" + d[2:]), "corrupt_chunk"
+    yield "channel-modes-beyond", base(lambda d: d[:4] + bytes([d[4] | 0xC0]) + d[5:]), "corrupt_chunk"
     yield "coding-4-in-profile-0", patch(good, 5, b"\0"), "unsupported_profile"
     rows = struct.pack("<I", 1)
     yield "plain-rows", edit(plain, 1, ChunkKind.BASE, lambda d: d[:1] + rows + d[5:]), "corrupt_chunk"
