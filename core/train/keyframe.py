@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from core.render.backends import Backend
+from core.render.raster import Raster
 from core.train.config import TrainConfig
 from core.train.convergence import Run
 from core.train.decode import Network, Splats, decode
@@ -17,7 +19,7 @@ from core.train.field import Field, visible_levels
 from core.train.growth import GrowthStatistics
 from core.train.learned import ROW_PARAMETERS, LearnedField
 from core.train.levels import needed_levels
-from core.train.precision import measured_precision, sensitivity, signed_gradients
+from core.train.precision import sensitivity, signed_gradients, tuned_precision
 from core.train.refine import count, refine
 from core.train.rounding import Precision, usual_precision
 from core.train.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
@@ -141,21 +143,29 @@ class KeyframeTrainer:
         return decode(feature, offset, scaling, position, field.network, field.view(self._centres[number]))
 
     def _measured_precision(self, field: Field) -> Precision:
-        """Precision that costs as much of the squared error as configured."""
+        """Precision that costs as much of the squared error of every camera, on average, as configured."""
         network = Network(*(value.detach() for value in field.network.parameters()))
-        error = 0.0
+        leaves, usable = tuple(getattr(field, name) for name in ROW_PARAMETERS), self._whole.usable
+        exact: dict[int, float] = {}
 
-        def draw(number: int, leaves: tuple[Tensor, ...]) -> Tensor:
-            nonlocal error
+        def picture(number: int, leaves: tuple[Tensor, ...]) -> Raster:
             feature, offset, scaling = leaves
             view = field.view(self._centres[number])
-            raster = self._easel.draw(decode(feature, offset, scaling, field.position, network, view), number)
-            error += self._easel.squared_error(raster, number)
-            return raster.image
+            return self._easel.draw(decode(feature, offset, scaling, field.position, network, view), number)
 
-        leaves = tuple(getattr(field, name) for name in ROW_PARAMETERS)
-        found = sensitivity(signed_gradients(leaves, draw, self._whole.usable, seed=self._steps))
-        return measured_precision(field, found, self._config.rounding_share * error)
+        def draw(number: int, leaves: tuple[Tensor, ...]) -> Tensor:
+            raster = picture(number, leaves)
+            exact[number] = max(self._easel.squared_error(raster, number), 1e-9)
+            return raster.image / math.sqrt(exact[number])  # so that no camera counts more than another
+
+        @torch.no_grad()
+        def added(precision: Precision) -> float:
+            rounded = precision.rounded(*leaves)
+            errors = {number: self._easel.squared_error(picture(number, rounded), number) for number in usable}
+            return sum(errors[number] / exact[number] for number in usable) - len(usable)
+
+        found = sensitivity(signed_gradients(leaves, draw, usable, seed=self._steps))
+        return tuned_precision(field, found, self._config.rounding_share * len(usable), added)
 
     def _drop_idle_levels(self) -> None:
         """Give up fine levels that carry nothing, while there are steps left to settle; the paper keeps all."""
