@@ -68,15 +68,18 @@ class OpenJob:
     dataset: Dataset | LiveDataset
     rig: tuple[Camera, ...]
 
-    def frames(self, start: int) -> Generator[tuple[FrameSet, Span], None, None]:
+    def frames(self, start: int, announce: Callable[[FrameSet], None]) -> Generator[tuple[FrameSet, Span], None, None]:
         """The job's frames from `start` with the time that reading took: ahead of training, but live ones the newest.
 
         A live frame read ahead would be an old one by the time that training wants it.
+
+        Args:
+            announce: told each frame as soon as it is read, on the thread that reads.
         """
         stop, count = self.job.frames, self.dataset.frame_count
         if count is not None:
             stop = count if stop is None else min(stop, count)
-        frames = timed(self.dataset.frames(start, stop), "read")
+        frames = timed(_announced(self.dataset.frames(start, stop), announce), "read")
         return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
 
     def statistics(self) -> Statistics | None:
@@ -231,7 +234,7 @@ class _Training:
         if resume is not None:
             self._trainer.resume(resume)
             shift = resume.version + 1 - start
-        with closing(self._opened.frames(start)) as frames:
+        with closing(self._opened.frames(start, self._trainer.prepare)) as frames:
             for filmed, read in frames:
                 captured, frame = self._captured(read), replace(filmed, index=filmed.index + shift)
                 if self._trainer.has_state:
@@ -299,6 +302,12 @@ class _Training:
         packet, span = timing("encode", state.changing)
         self._trainer.sent(trained, len(packet), span.end - span.begin)
         return replace(state, packet=packet)
+
+
+def _announced(frames: Iterator[FrameSet], announce: Callable[[FrameSet], None]) -> Generator[FrameSet, None, None]:
+    for frame in frames:
+        announce(frame)
+        yield frame
 
 
 def _encoded(state: _Trained) -> EncodedFrame:

@@ -30,6 +30,7 @@ from core.train.rounding import Precision
 from core.train.seeding import seed_field
 from core.train.showing import rendered
 from core.train.state import State, fresh_state
+from core.train.uploading import Uploader
 from core.train.views import Views
 
 _REPORT_EVERY = 25
@@ -76,6 +77,7 @@ class Trainer:
         self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
         self._label = label_motion or target_kbps is not None
+        self._uploader = Uploader(self._device)
         self._state: State | None = None
 
     @property
@@ -142,6 +144,11 @@ class Trainer:
         else:
             self._refit_exposure = self._state is None  # after a crash: exposures do not travel with the scene
             self._state = self._fresh(scene)
+
+    def prepare(self, frames: FrameSet) -> None:
+        """Begin to send the pictures of a frame that will be trained soon to a GPU; from any thread, without waiting."""
+        if self._device != "cpu":
+            self._uploader.begin(frames)
 
     def predict(self, frames: FrameSet) -> TrainedFrame:
         """Train a later frame; its residual leads from the state before.
@@ -244,8 +251,7 @@ class Trainer:
         usable = np.flatnonzero(frames.present).tolist()
         if not usable:
             raise ModelError(f"frame {frames.index} has no picture from any camera")
-        targets = torch.from_numpy(frames.images).to(self._device).float().div_(255)
-        return Views(self._cameras, targets, usable)
+        return Views(self._cameras, self._uploader.take(frames), usable)
 
     def _scene_of(self, field: Field, version: int, precision: Precision) -> Scene:
         return scene_of(field, self._config.predict, self._rig, self._fps, version, precision)

@@ -46,6 +46,21 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Encode
     return folder, seen
 
 
+def test_frames_are_announced_where_they_are_read_ahead_of_training() -> None:
+    seen, two = list[tuple[int, str]](), threading.Event()
+
+    def announce(frame: FrameSet) -> None:
+        seen.append((frame.index, threading.current_thread().name))
+        if len(seen) == 2:
+            two.set()
+
+    frames = open_job(JOB).frames(0, announce)
+    assert next(frames)[0].index == 0
+    assert two.wait(30)  # though nobody has asked for the second one
+    assert [frame.index for frame, _ in frames] == [1, 2, 3]
+    assert seen == [(index, "prefetch") for index in range(4)]
+
+
 def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame]]) -> None:
     folder, seen = trained
     assert [frame.version for frame in seen] == [0, 1, 2, 3]
