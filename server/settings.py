@@ -71,6 +71,9 @@ class WorkerSettings(BaseModel):
         default=0.25, gt=0, description="pause before the first restart; doubles each time"
     )
     longest_delay_seconds: float = Field(default=15.0, gt=0, description="longest pause between restarts")
+    spare: bool = Field(
+        default=True, description="keep a second process waiting beside one that trains, which takes over at once"
+    )
     attempts: int = Field(
         default=8, ge=1, description="restarts in a row without a packet before the stream has failed"
     )

@@ -35,6 +35,19 @@ class Ending:
     fatal: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class _Worker:
+    """A process, and our end of its pipe. It does nothing until it is told where to go on."""
+
+    process: SpawnProcess
+    pipe: Connection
+
+    def end(self) -> None:
+        """Kill it, whatever it does."""
+        if self.process.is_alive():
+            self.process.kill()
+
+
 class Owner(Protocol):
     """What a supervisor serves."""
 
@@ -72,7 +85,8 @@ class Supervisor:
     ) -> None:
         self._spec, self._settings, self._owner = spec, settings, owner
         self._limit, self._push_socket = packet_bytes + 1, push_socket
-        self._process: SpawnProcess | None = None
+        self._worker: _Worker | None = None
+        self._spare: _Worker | None = None  # waits, with everything loaded that showing the last state again takes
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
         self._handling = False
@@ -81,7 +95,7 @@ class Supervisor:
     @property
     def pid(self) -> int | None:
         """Process id of the worker, while there is one."""
-        return self._process.pid if self._process is not None else None
+        return self._worker.process.pid if self._worker is not None else None
 
     async def run(self) -> None:
         """Start workers until the source ends, another try is pointless, or this task is cancelled."""
@@ -105,27 +119,24 @@ class Supervisor:
                 await asyncio.sleep(delay)
         finally:
             self._kill()
+            if self._spare is not None:
+                self._spare.end()
 
     async def _run_once(self) -> Ending:
-        context = multiprocessing.get_context("spawn")
         resume = await self._owner.resume_point()
-        ours, theirs = context.Pipe()
         self._ending, self._heard = None, time.monotonic()
-        self._process = context.Process(
-            target=run_worker,
-            args=(self._spec, theirs, self._push_socket),
-            name=f"streamlod-{self._spec.id}",
-            daemon=True,
-        )
-        self._process.start()  # in the loop, so that a cancellation cannot come between start and kill
-        theirs.close()
+        spare, self._spare = self._spare, None
+        worker = self._worker = spare if spare is not None and spare.process.is_alive() else self._start()
+        begun = self._heard
         loop = asyncio.get_running_loop()
         thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool could run dry
-        pump = loop.run_in_executor(thread, self._pump, ours, resume, loop)
+        pump = loop.run_in_executor(thread, self._pump, worker.pipe, resume, loop)
         reason = None
         try:
             while not pump.done():
                 await asyncio.wait([pump], timeout=_WATCH_SECONDS)
+                if self._spare is None and self._wants_spare and self._progressed > begun:
+                    self._spare = self._start(spare=True)
                 reason = reason or self._complaint()
                 if reason is not None:
                     self._kill()
@@ -134,11 +145,26 @@ class Supervisor:
             self._kill()
             with contextlib.suppress(asyncio.CancelledError):
                 await asyncio.shield(asyncio.wait([pump], timeout=2))
-            ours.close()
+            worker.pipe.close()
             thread.shutdown(wait=False)
-        process = self._process
-        await asyncio.to_thread(process.join, 5)
-        return self._last_words() or Ending(reason or f"the worker ended by {_cause(process.exitcode)}")
+        await asyncio.to_thread(worker.process.join, 5)
+        return self._last_words() or Ending(reason or f"the worker ended by {_cause(worker.process.exitcode)}")
+
+    @property
+    def _wants_spare(self) -> bool:
+        """Whether another process is to wait: one that plays a file loads nothing that takes long."""
+        return self._settings.spare and self._spec.job is not None
+
+    def _start(self, *, spare: bool = False) -> _Worker:
+        """A new process; not on a thread, so that a cancellation cannot come between start and kill."""
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        name = f"streamlod-{self._spec.id}"
+        arguments = (self._spec, theirs, self._push_socket, spare)
+        process = context.Process(target=run_worker, args=arguments, name=name, daemon=True)
+        process.start()
+        theirs.close()
+        return _Worker(process, ours)
 
     def _last_words(self) -> Ending | None:
         """What the worker said about its end; the pump's thread has noted it."""
@@ -191,8 +217,8 @@ class Supervisor:
         return None
 
     def _kill(self) -> None:
-        if self._process is not None and self._process.is_alive():
-            self._process.kill()
+        if self._worker is not None:
+            self._worker.end()
 
 
 async def _await(handled: Awaitable[None]) -> None:

@@ -88,18 +88,23 @@ class Sender:
             self._pipe.send_bytes(bytes((tag,)) + data)
 
 
-def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = None) -> None:
+def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = None, spare: bool = False) -> None:
     """Entry of the process; returns when the source ends, and never raises.
 
     Args:
         pipe: to the supervisor, which first sends where to go on.
         push_socket: where to take pictures that capture nodes push to the serving process.
+        spare: load what `show_again` takes before it is needed.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
     sender = Sender(pipe)
-    threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
     try:
+        if spare:  # not what training takes: its libraries want several times the memory
+            from server.warming import warm_codec
+
+            warm_codec()
         resume = receive_resume(pipe)
+        threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
         if spec.job is None:
             play(spec, resume, sender)
         else:
