@@ -142,7 +142,9 @@ class _Fused(torch.autograd.Function):
         size = torch.empty(count, 6)
         widths = (3, 4, 3, 1, 3)  # of means, quaternions, scales, opacities, colours
         found = tuple(torch.empty(count, width * slots) for width in widths)
-        kernels.activate(_workers(count), *_arrays(outputs, offset.reshape(count, -1), scaling, position, size, *found))
+        kernels.activate(
+            _workers(count), *_arrays(outputs, offset.reshape(count, 3 * slots), scaling, position, size, *found)
+        )
         means, quaternions, scales, opacities, colours = found
         parts = (
             means.view(-1, 3),
@@ -160,8 +162,9 @@ class _Fused(torch.autograd.Function):
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         inputs, offset, scaling, hidden_weight, output_weight, hidden, size, *parts = ctx.saved_tensors
         count, slots = offset.shape[:2]
-        known = (offset.reshape(count, -1), scaling, size, *(part.reshape(count, -1) for part in parts))
-        by = (gradient.reshape(count, -1) for gradient in upstream)
+        # widths in numbers: of no rows, torch cannot tell them
+        known = (offset.reshape(count, 3 * slots), scaling, size, *(_rows(part, count, slots) for part in parts))
+        by = (_rows(gradient, count, slots) for gradient in upstream)
         to_outputs, to_offset, to_scaling, to_position = (
             torch.empty(count, width) for width in (11 * slots, 3 * slots, 6, 3)
         )
@@ -179,6 +182,11 @@ class _Fused(torch.autograd.Function):
             hidden.T @ to_outputs if needed[6] else None,
             to_outputs.sum(dim=0) if needed[7] else None,
         )
+
+
+def _rows(values: Tensor, count: int, slots: int) -> Tensor:
+    """[N,K*C] of values [N*K,C] or [N*K]."""
+    return values.reshape(count, slots * values.shape[1:].numel())
 
 
 def _workers(count: int) -> int:

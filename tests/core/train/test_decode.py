@@ -59,12 +59,13 @@ def test_level_starts_follow_the_levels() -> None:
 
 
 @pytest.mark.parametrize("view_dependent", [False, True])
-@pytest.mark.parametrize(("count", "slots"), [(1, 4), (37, 1), (300, 4), (101, 10)])
+@pytest.mark.parametrize(("count", "slots"), [(0, 4), (1, 4), (37, 1), (300, 4), (101, 10)])
 def test_values_and_gradients_equal_the_reference(count: int, slots: int, view_dependent: bool) -> None:
     given = _inputs(count, slots, view_dependent)
     found, wanted = _outcome(_fused, given, torch.float32), _outcome(decode_reference, given, torch.float64)
     for name, mine, reference in zip(_PARTS + _GIVEN, found, wanted, strict=True):
-        assert float((mine - reference).norm() / reference.norm()) < 1e-5, name
+        assert mine.shape == reference.shape
+        assert float((mine - reference).norm()) <= 1e-5 * float(reference.norm()), name
 
 
 def test_log_scales_beyond_their_limit_get_no_gradient() -> None:
@@ -129,7 +130,7 @@ _GIVEN = ("inputs", "offset", "scaling", "position", "hidden weight", "hidden bi
 
 
 def _inputs(count: int, slots: int, view_dependent: bool) -> list[Tensor]:
-    field = random_field(count, slots, view_dependent=view_dependent, seed=count)
+    field = random_field(max(count, 1), slots, view_dependent=view_dependent, seed=count).with_rows(torch.arange(count))
     generator = torch.Generator().manual_seed(slots)
     inputs = torch.cat([field.feature, torch.randn(count, 4 * view_dependent, generator=generator)], dim=1)
     network = [value + 0.3 * torch.randn(value.shape, generator=generator) for value in field.network.parameters()]
