@@ -69,7 +69,7 @@ class KeyframeConfig:
     growth_interval: int = 50
     growth_from: float = 0.05
     growth_until: float = 0.65
-    growth_threshold: float = 2e-4
+    growth_threshold: float = 4e-4  # of the view-space gradient norm (paper: 2e-4)
     prune_opacity: float = 0.005
     extra_level_gain: float = 0.01
     rounding_from: float = 0.75  # from here on the parameters are rounded as they will be sent
@@ -165,6 +165,7 @@ def preset(name: str) -> TrainConfig:
             keyframe=replace(
                 default.keyframe,
                 steps=1500,
+                growth_threshold=2e-4,
                 half_size_until=0.0,
                 growth_interval=100,
                 dropout_base=0.1,
