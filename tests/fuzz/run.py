@@ -15,7 +15,7 @@ def main() -> None:
     """Run one target until it fails or the options say stop."""
     import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
-    for compiled in ("change_model", "class_model", "octree_model"):
+    for compiled in ("change_model", "class_model", "octree_model", "trend"):
         import_module(f"codec.{compiled}")  # before, so that they stay as they are
     with atheris.instrument_imports(include=["codec", "core", "client.playback", "server.messages", "server.views"]):
         from tests.fuzz.corpus import SEEDS
