@@ -20,6 +20,7 @@ const STALL_MS = 2500;
  * @typedef {object} Status
  * @property {Phase} phase
  * @property {string} detail - the other side's words, may be empty
+ * @property {string} trouble - what a degraded stream suffers from, else empty
  * @property {number | null} fraction - of training the first frame
  * @property {{ oldest: Position, newest: Position } | null} window
  * @property {Position | null} position - newest applied
@@ -40,7 +41,7 @@ export class Session {
   constructor(now) {
     /** @type {Status} */
     this.status = {
-      phase: "connecting", detail: "", fraction: null, window: null, position: null, mode: "live", levels: null,
+      phase: "connecting", detail: "", trouble: "", fraction: null, window: null, position: null, mode: "live", levels: null,
       sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0,
     };
     this.attempts = 0;
@@ -124,6 +125,7 @@ export class Session {
   #streamState(state, detail) {
     this.streamState = state;
     this.status.detail = detail ?? "";
+    this.status.trouble = state === "degraded" ? this.status.detail : "";
     this.#settle();
   }
 

@@ -9,6 +9,8 @@
  * @property {{ title: string, text: string, spinner: boolean, fraction?: number | null, button?: string } | null} card - null: nothing in the way
  */
 
+const LONGEST = 60; // characters of the server's words in the chip
+
 /** @type {(chip: string, tone: Words["tone"], title: string, text: string, more?: object) => Words} */
 const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { title, text, spinner: false, ...more } });
 
@@ -19,7 +21,7 @@ const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { titl
  * @returns {Words}
  */
 export function words(status, picture, waitMs) {
-  const { phase, detail } = status;
+  const { phase, detail, trouble } = status;
   const seconds = Math.ceil(waitMs / 1000);
   switch (phase) {
     case "connecting":
@@ -29,7 +31,8 @@ export function words(status, picture, waitMs) {
       return full("Waiting", "busy", status.fraction === null ? "Waiting for the first frame" : "Training the first frame",
         detail || "The picture appears as soon as there is one.", { spinner: true, fraction: status.fraction });
     case "live":
-      return { chip: "Live", tone: "live", card: null };
+      if (!trouble) return { chip: "Live", tone: "live", card: null };
+      return { chip: `Live, but ${trouble.length > LONGEST ? `${trouble.slice(0, LONGEST)}…` : trouble}`, tone: "busy", card: null };
     case "behind":
       return { chip: "Playing", tone: "good", card: null };
     case "paused":

@@ -48,11 +48,11 @@ def watch(name: str, arguments: list[object], kills: int) -> None:
             viewer.until("state", _LONGEST_SECONDS)
             told = time.monotonic() - begin
             viewer.until("epoch", _LONGEST_SECONDS)
-            viewer.step()
+            viewer.next_packet()
             while len(set(viewer.decoder.versions)) > 1:
                 viewer.step(_LONGEST_SECONDS)
             shown, version = time.monotonic() - begin, viewer.decoder.versions[0]
-            while max(viewer.decoder.versions) <= version:
+            while min(viewer.decoder.versions) == version:
                 viewer.step(_LONGEST_SECONDS)
             going = time.monotonic() - begin
             print(f"{name} {number + 1}: told after {told:.2f} s, a picture after {shown:.2f} s, the next version "

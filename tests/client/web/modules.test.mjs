@@ -212,6 +212,8 @@ test("every phase has words, and none stands in the way of a picture without nee
     assert.equal(shown.card !== null, ["failed", "version", "denied", "missing"].includes(phase), phase);
   }
   assert.match(words({ ...status, phase: "reconnecting" }, true, 2500).chip, /3 s/);
+  assert.equal(words({ ...status, phase: "live", trouble: "camera cam01 is lost" }, true, 0).chip, "Live, but camera cam01 is lost");
+  assert.ok(words({ ...status, phase: "live", trouble: "x".repeat(500) }, true, 0).chip.length < 80);
   assert.equal(clock(3690, 30), "2:03");
   assert.equal(clock(12, null), "12");
 });
