@@ -23,7 +23,7 @@ _OPACITY_MAX = 2.0
 _LARGEST = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
 _LARGEST_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
 _NEAR = 0.01
-_NEEDED = {*_RULES, "backgrounds", "absgrad"}
+_NEEDED = {*_RULES, "absgrad"}
 
 
 def rasterise_cuda(
@@ -58,11 +58,12 @@ def rasterise_cuda(
         Ks=intrinsics[None],
         width=camera.width,
         height=camera.height,
-        backgrounds=background[None],
         absgrad=True,
         **_RULES,
     )
-    image, light = images[0], 1 - alphas[0, ..., 0]
+    light = 1 - alphas[0, ..., 0]
+    # not by gsplat, whose packed mode refuses a background a camera (1.5.3: it looks for the cameras in `means2d`)
+    image = images[0] + light[..., None] * background
     rows = meta["gaussian_ids"].long()
     probe = Probe(rows, None if moving == count else rows < moving)
     projected = meta["means2d"]

@@ -6,7 +6,6 @@ that mixes devices. gsplat's kernels need a GPU, so that what they return is mad
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
@@ -127,10 +126,9 @@ def splat(
     pose, width, height = options["viewmats"][0], options["width"], options["height"]
     assert options["packed"]
     assert options["absgrad"]
-    assert math.prod(options["backgrounds"].shape) == 3
     points = (means @ pose[:3, :3].T + pose[:3, 3])[:, :2]
     weight = opacities * (points.square().sum(dim=1) + scales.sum(dim=1) + quats.sum(dim=1))
-    colour = (weight[:, None] * colors).sum(dim=0) + options["backgrounds"][0]
+    colour = (weight[:, None] * colors).sum(dim=0)
     light = weight.sum().sigmoid().expand(1, height, width, 1)
     ids = torch.arange(len(means), device=means.device)
     return colour.expand(1, height, width, 3), light, {"means2d": points, "gaussian_ids": ids}
