@@ -85,6 +85,9 @@ class PredictConfig:
         epochs: passes over the training cameras (paper: 10).
         minimum_steps: at least so many steps, however few the cameras.
         latent_rate, position_rate: Adam rates in quanta.
+        memory: Adam's beta_1 (usual: 0.9). A few dozen steps are too few for a long one.
+        continuation: share of the latest change that an anchor's training begins with, where the one before it pointed
+            the same way (paper: 0): what moves mostly goes on.
         final_rate: both decay to this share over the frame.
         feature_step, offset_step: size of a latent quantum in feature and offset units.
         rate_weight: weight in the loss of the bits of the residual, divided by the numbers of a picture.
@@ -102,8 +105,10 @@ class PredictConfig:
 
     epochs: int = 15
     minimum_steps: int = 60
-    latent_rate: float = 0.2
-    position_rate: float = 1.0
+    latent_rate: float = 0.3
+    position_rate: float = 0.7
+    memory: float = 0.6
+    continuation: float = 0.9
     final_rate: float = 0.1
     feature_step: float = 0.2
     offset_step: float = 0.2
@@ -181,6 +186,10 @@ def preset(name: str) -> TrainConfig:
                 changed_posterior=1.0,
                 growth_share=0.01,
                 rate_weight=0.0,
+                latent_rate=0.2,
+                position_rate=1.0,
+                memory=0.9,
+                continuation=0.0,
                 minimum_steps=0,
             ),
         ),

@@ -38,6 +38,7 @@ from core.train.views import Views
 
 _PREPARATION = 0.3  # of a frame's training time, after which no further camera's picture is planned
 _LARGEST_REST = 2.0  # quanta; more is no rest but a change that could not be sent
+_FURTHEST = 64.0  # quanta that a change may be continued by: a wild one must not throw an anchor out of the scene
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -65,12 +66,29 @@ class Quanta:
     wanted: Float32 | None = None
 
     @property
+    def sent(self) -> Float32:
+        """[n,27] the integers of latents and positions."""
+        return np.concatenate([self.latent, self.position], axis=1).astype(np.float32)
+
+    @property
     def rest(self) -> Float32:
-        """[n,27] what rounding, and what held changes back, left undone; the next frame's training begins there."""
-        sent = np.concatenate([self.latent, self.position], axis=1).astype(np.float32)
-        return (
-            np.zeros_like(sent) if self.wanted is None else np.clip(self.wanted - sent, -_LARGEST_REST, _LARGEST_REST)
-        )
+        """[n,27] what rounding, and what held changes back, left undone."""
+        sent = self.sent
+        if self.wanted is None:
+            return np.zeros_like(sent)
+        return np.asarray(np.clip(self.wanted - sent, -_LARGEST_REST, _LARGEST_REST))
+
+    def continued(self, share: float, before: Float32, *, done: bool) -> Float32:
+        """[n,27] where the next frame's training begins: `share` of this change, for what moves mostly goes on.
+
+        Only where the change `before` [n,27] pointed the same way: a flash is over in the next frame.
+
+        Args:
+            done: nothing was cut short; otherwise the rest is added.
+        """
+        sent = self.sent
+        onwards = np.clip(np.float32(share) * sent * (sent * before > 0), -_FURTHEST, _FURTHEST)
+        return np.asarray(onwards if done else onwards + self.rest)
 
 
 def no_quanta(anchors: int) -> Quanta:
@@ -87,9 +105,18 @@ class ResidualTrainer:
         views: pictures of the instant.
         exposure: of the cameras, or None.
         useful: cameras to train on, the most important first.
+        memory: share of the mean gradient that each of Adam's steps keeps.
     """
 
-    def __init__(self, state: State, parts: Parts, views: Views, exposure: Exposure | None, useful: list[int]) -> None:
+    def __init__(
+        self,
+        state: State,
+        parts: Parts,
+        views: Views,
+        exposure: Exposure | None,
+        useful: list[int],
+        memory: float = 0.9,
+    ) -> None:
         scene, field = state.scene, state.field
         trained = torch.from_numpy(parts.trained).to(field.feature.device)
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
@@ -101,9 +128,10 @@ class ResidualTrainer:
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
         self._quantum = Quantum(*(torch.from_numpy(part).to(device) for part in steps))
-        rest = torch.zeros(len(field), LATENTS + 3, device=device) if state.rest is None else state.rest
-        begin = {"latent": rest[rows, :LATENTS], "position": rest[rows, LATENTS:]}
-        self._optimiser = RowAdam({name: value.clone().requires_grad_() for name, value in begin.items()})
+        start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
+        begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
+        leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
+        self._optimiser = RowAdam(leaves, memory)
         self._static = _static_splats(field, static, self._centres)
         self._shown = state.shown
         self._stages: dict[int, Stage] = {}
@@ -174,7 +202,8 @@ class ResidualTrainer:
     def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
         camera = self._views.cameras[number]
         known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
-        return make_stage(camera, dynamic, self._static[number], self._background, backend, known)
+        before = dynamic if known is None else self._base.decode(self._centres[number])
+        return make_stage(camera, dynamic, self._static[number], self._background, backend, known, before)
 
     def _dynamic_field(self) -> Field:
         """The dynamic anchors with their residuals, rounded as they will be sent."""

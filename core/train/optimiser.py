@@ -22,12 +22,13 @@ class RowAdam:
 
     Args:
         parameters: by name; leaf tensors that require gradients.
+        memory: beta_1, the share of the mean gradient that each step keeps.
     """
 
-    def __init__(self, parameters: dict[str, Tensor]) -> None:
+    def __init__(self, parameters: dict[str, Tensor], memory: float = _BETA1) -> None:
         self.parameters = dict(parameters)
         self._moments = {name: _zeros(value) for name, value in parameters.items()}
-        self._steps = 0
+        self._steps, self._memory = 0, memory
         self._broken: list[Tensor] = []
 
     @property
@@ -38,7 +39,7 @@ class RowAdam:
     def step(self, rates: dict[str, float]) -> None:
         """Apply the gradients and clear them."""
         self._steps += 1
-        correction1, correction2 = 1 - _BETA1**self._steps, 1 - _BETA2**self._steps
+        correction1, correction2 = 1 - self._memory**self._steps, 1 - _BETA2**self._steps
         with torch.no_grad():
             for name, value in self.parameters.items():
                 gradient, value.grad = value.grad, None
@@ -46,7 +47,8 @@ class RowAdam:
                     continue
                 first, second = self._moments[name]
                 # counted on the device and read at the end: asking here would stall a GPU at every step
-                self._count_broken(update(value, gradient, first, second, rates[name] / correction1, correction2))
+                rate = rates[name] / correction1
+                self._count_broken(update(value, gradient, first, second, rate, correction2, self._memory))
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
         """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments."""
@@ -62,28 +64,43 @@ class RowAdam:
             self._broken.append(count)
 
 
-def update(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, correction2: float) -> Tensor:
+def update(
+    value: Tensor,
+    gradient: Tensor,
+    first: Tensor,
+    second: Tensor,
+    rate: float,
+    correction2: float,
+    memory: float = _BETA1,
+) -> Tensor:
     """Change `value` and its moments, of one shape, in place; returns how many entries of the gradient were broken.
 
     Args:
         rate: learning rate over the correction of the first moment. correction2: that of the second.
+        memory: beta_1.
     """
     parts = (value, gradient.contiguous(), first, second)
     if all(part.device.type == "cpu" and part.dtype == torch.float32 and part.is_contiguous() for part in parts):
-        numbers = tuple(np.float32(number) for number in (rate, 1 / correction2, 1 - _BETA1, 1 - _BETA2, _EPSILON))
+        numbers = tuple(np.float32(number) for number in (rate, 1 / correction2, 1 - memory, 1 - _BETA2, _EPSILON))
         broken = np.zeros(min(numba.get_num_threads(), value.numel()), np.int64)
         adam_step(len(broken), *(part.detach().view(-1).numpy() for part in parts), numbers, broken)
         return torch.from_numpy(broken).sum()
-    return update_reference(value, gradient, first, second, rate, correction2)
+    return update_reference(value, gradient, first, second, rate, correction2, memory)
 
 
 def update_reference(
-    value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, correction2: float
+    value: Tensor,
+    gradient: Tensor,
+    first: Tensor,
+    second: Tensor,
+    rate: float,
+    correction2: float,
+    memory: float = _BETA1,
 ) -> Tensor:
     """`update` by torch, on any device."""
     broken = gradient.numel() - torch.isfinite(gradient).sum()
     gradient = gradient.nan_to_num(0.0, 0.0, 0.0)
-    first.lerp_(gradient, 1 - _BETA1)
+    first.lerp_(gradient, 1 - memory)
     second.mul_(_BETA2).addcmul_(gradient, gradient, value=1 - _BETA2)
     spread = (second / correction2).sqrt_().add_(_EPSILON)
     value.addcdiv_(first, spread, value=-rate)

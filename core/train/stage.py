@@ -77,12 +77,19 @@ class Stage:
 
 
 def make_stage(
-    camera: Camera, dynamic: Splats, static: Splats, background: Tensor, backend: Backend, base: Tensor | None = None
+    camera: Camera,
+    dynamic: Splats,
+    static: Splats,
+    background: Tensor,
+    backend: Backend,
+    base: Tensor | None = None,
+    before: Splats | None = None,
 ) -> Stage:
     """Plan `camera`'s picture for `dynamic` Gaussians before `static` ones.
 
     Args:
         base: [H,W,3] the picture of both, where it is at hand; rendered otherwise.
+        before: the dynamic ones as `base` shows them, where they have moved since.
     """
     stage = Stage(camera, static, background, backend)
     if backend != "cpu":
@@ -90,7 +97,7 @@ def make_stage(
     if base is None:
         with torch.no_grad():
             base = stage.render(dynamic)[0].image
-    stale = touched_tiles(camera, dynamic.cloud())
+    stale = touched_tiles(camera, (dynamic if before is None else before).cloud())
     return _planned(stage, _room(camera, dynamic) | stale, stale, base.numpy())
 
 

@@ -27,7 +27,8 @@ class State:
         references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
         shown: [C,H,W,3] what the state shows, NaN where that is not known; None likewise.
         parts: what the latest frame trained.
-        rest: [N,27] what rounding has left of latents and positions, in quanta; None for nothing.
+        change: [N,27] of the latest frame, latents and positions in quanta; None for zeros.
+        start: [N,27] likewise, where training of the next frame begins.
     """
 
     scene: Scene
@@ -36,7 +37,8 @@ class State:
     references: Tensor | None
     shown: Tensor | None
     parts: Parts
-    rest: Tensor | None = None
+    change: Tensor | None = None
+    start: Tensor | None = None
 
     @property
     def alive(self) -> Tensor:
@@ -44,11 +46,13 @@ class State:
         alive = np.concatenate([level.alive for level in self.scene.levels])
         return torch.from_numpy(alive).to(self.field.feature.device)
 
-    def after(self, residual: Residual, scene: Scene, parts: Parts, rows: Tensor, rest: Float32) -> State:
+    def after(
+        self, residual: Residual, scene: Scene, parts: Parts, rows: Tensor, change: Float32, start: Float32
+    ) -> State:
         """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
 
         Args:
-            rows: [n] trained rows, with `rest` [n,27].
+            rows: [n] trained rows, with their `change` [n,27] and where to `start` [n,27] in the next frame.
         """
         if any(len(part.added) for part in residual.levels):
             return self._relaid(residual, scene, parts)
@@ -64,9 +68,9 @@ class State:
             offset[changed] = torch.from_numpy(new_offset).to(device)
             position[changed] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
         field = replace(field, feature=feature, offset=offset, position=position)
-        left = torch.zeros(len(field), rest.shape[1], device=device)
-        left[rows] = torch.from_numpy(rest).to(device)
-        return replace(self, scene=scene, field=field, parts=parts, rest=left)
+        changes, starts_at = torch.zeros(2, len(field), start.shape[1], device=device)
+        changes[rows], starts_at[rows] = torch.from_numpy(change).to(device), torch.from_numpy(start).to(device)
+        return replace(self, scene=scene, field=field, parts=parts, change=changes, start=starts_at)
 
     def _relaid(self, residual: Residual, scene: Scene, parts: Parts) -> State:
         """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
@@ -79,7 +83,9 @@ class State:
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         canonical = self.canonical.with_rows(known).with_values(new, field)
-        return replace(self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin), rest=None)
+        return replace(
+            self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin), change=None, start=None
+        )
 
 
 def fresh_state(

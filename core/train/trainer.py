@@ -174,7 +174,8 @@ class Trainer:
         if len(rows):
             with watch.stage("train"):
                 exposure = self._exposure if self._config.model.exposure else None
-                trainer = ResidualTrainer(state, parts, views, exposure, _by_news(views, references, masks, config))
+                useful = _by_news(views, references, masks, config)
+                trainer = ResidualTrainer(state, parts, views, exposure, useful, config.memory)
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
@@ -185,7 +186,9 @@ class Trainer:
             done = quanta.complete and (plan is None or not plan.strained)
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
-            after = state.after(residual, scene, parts, rows, 0 * quanta.rest if done else quanta.rest)
+            before = quanta.sent * 0 if state.change is None else state.change[rows].cpu().numpy()
+            start = quanta.continued(config.continuation, before, done=done)
+            after = state.after(residual, scene, parts, rows, quanta.sent, start)
         with watch.stage("settle"):
             if trainer is not None:
                 alive = after.alive

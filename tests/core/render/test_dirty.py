@@ -196,6 +196,17 @@ def test_only_what_reaches_the_mask_is_listed() -> None:
     assert 0 < int((part.probe.gradients.abs().sum(dim=1) > 0).sum()) <= near
 
 
+@pytest.mark.usefixtures("one_thread")
+def test_what_has_moved_since_the_known_picture_is_not_left_standing_in_it() -> None:
+    dynamic, static = scene()
+    known = full(tensors(dynamic), static).image
+    now = Splats(*tensors(moved(dynamic, (30.0 * PER_PIXEL, 0.0, 0.0))))
+    before, still = Splats(*tensors(dynamic)), Splats(*tensors(static))
+    stage = make_stage(CAMERA, now, still, BACKGROUND, "cpu", known, before)
+    raster, _ = stage.render(now)
+    assert torch.equal(raster.image, full(now.astuple(), static).image)
+
+
 def test_nothing_dynamic_means_nothing_dirty() -> None:
     static = make_cloud(50)
     base = torch.rand(150, 200, 3)
