@@ -23,6 +23,7 @@ import torch
 from core.errors import BackendUnavailable
 from core.render import select
 from core.train import PredictConfig, TrainConfig
+from tests.bench.frame_gpu import gpu_report
 from tests.bench.frame_subjects import Naive, Streaming, make_case, trained_clip
 from tests.bench.growth_plot import growth_plot
 from tests.bench.kernel_time import KernelTime
@@ -60,9 +61,10 @@ def describe(streaming: Streaming) -> dict[str, Any]:
     """Figures of the frame just trained."""
     assert streaming.result is not None
     report = streaming.result.report
-    shares = {"moving": report.dynamic / report.anchors, "changed": report.changed / report.anchors}
-    numbers = {"steps": report.steps, "bytes": len(streaming.packet)} | shares
-    return numbers | {f"{stage} wall s": seconds for stage, seconds in report.seconds.items()}
+    share = (report.dynamic + report.changed) / report.anchors
+    numbers = {"steps": report.steps, "bytes": len(streaming.packet), "trained": share}
+    seconds = report.seconds | {"encode": streaming.encode_seconds}
+    return numbers | {f"{stage} wall s": taken for stage, taken in seconds.items()}
 
 
 def clip(frames: int = 4) -> dict[str, Any]:
@@ -123,24 +125,13 @@ def _exponent(sizes: tuple[int, ...], seconds: dict[str, float]) -> float:
 
 
 def cuda() -> dict[str, Any]:
-    """Wall seconds of a frame by stage on a GPU: 1280x720, 3 and 5 views, 20k, 60k and 200k anchors.
+    """Frames on a GPU: 1280x720, 3 and 5 views, 20k, 60k and 200k anchors; and how their time grows.
 
     Raises:
         BackendUnavailable: there is no GPU, or gsplat does not work here.
     """
     select("cuda")
-    found = {}
-    for views in (3, 5):
-        for anchors in (20_000, 60_000, 200_000):
-            streaming = Streaming(make_case(anchors, views, HD, MOVING, "cuda"), CONFIG, "cuda")
-            streaming.run()  # kernels load, memory is reserved
-            streaming.reset()
-            torch.cuda.synchronize()
-            seconds = measured(streaming.run, time.perf_counter)
-            pictures = measured(lambda s=streaming: s.draw(100), time.perf_counter)  # type: ignore[misc]
-            numbers = {"wall s": seconds, "pictures a second": 100 / pictures}
-            found[f"{anchors} anchors, {views} views"] = numbers | describe(streaming)
-    return found
+    return gpu_report("cuda", CONFIG, (20_000, 60_000, 200_000), (3, 5), HD)
 
 
 REPORTS: dict[str, Callable[[], dict[str, Any]]] = {"whole": whole, "clip": clip, "growth": growth, "cuda": cuda}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,10 +61,10 @@ class Streaming:
 
     def __init__(self, case: FrameCase, config: TrainConfig, device: str = "cpu") -> None:
         self._case = case
-        self._trainer = Trainer(case.cameras, config, 30.0, device)
+        self._trainer = Trainer(case.cameras, config, 30.0, device, label_motion=False)
         self._device = device
         self.result: TrainedFrame | None = None
-        self.packet = b""
+        self.packet, self.encode_seconds = b"", 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -76,8 +77,9 @@ class Streaming:
         before, frames = self._trainer.scene, self._case.after
         self.result = self._trainer.predict(frames)
         assert self.result.residual is not None
-        kind = PacketKind.PREDICTED
+        kind, begin = PacketKind.PREDICTED, time.perf_counter()
         self.packet = encode_residual(before, self.result.residual, kind=kind, time_ns=frames.time_ns)
+        self.encode_seconds = time.perf_counter() - begin
 
     def draw(self, pictures: int) -> None:
         """Decode and draw the state: every picture chooses its levels by distance, as a viewer does."""
@@ -136,7 +138,7 @@ def trained_clip(
         predict=replace(live.predict, epochs=epochs, minimum_steps=0),
     )
     filmed = [FrameSet(f.index, f.time_ns, f.images[rows], f.present[rows]) for f in made.frames()]
-    trainer = Trainer(cameras, config, made.fps, "cpu")
+    trainer = Trainer(cameras, config, made.fps, "cpu", label_motion=False)
     trainer.keyframe(filmed[0], first_points(filmed[0], cameras, depth_bounds=made.depth_bounds))
     return trainer, filmed
 
