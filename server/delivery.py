@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 from collections.abc import Callable
@@ -13,9 +14,10 @@ from server.hub import Hub
 from server.lanes import Lane
 from server.messages import BUSY
 from server.pacing import Throttle
-from server.packets import Position, StreamPacket, payload_bytes
+from server.packets import Position, StreamPacket, binary_fragments, payload_bytes
 from server.settings import Limits
 
+_PIECE_BYTES = 32_768  # of a keyframe in one frame's time, for viewers that have a picture already
 _ACK_SECONDS = 1.0  # that a viewer may take to acknowledge
 
 
@@ -133,6 +135,16 @@ class Delivery:
         now = time.monotonic()
         self.held_seconds += now - begin
         self.free_at = now + self._throttle.spend(self._account(frame), now)
+
+    async def trickle(self, packet: StreamPacket, levels: int, interval_seconds: float) -> None:
+        """Send a large packet as one message in pieces, one an interval: the picture goes on until it is complete."""
+        whole = packet.framed(levels)
+        content = memoryview(whole)[len(whole) - payload_bytes(whole) :]
+        for number, frame in enumerate(binary_fragments(content, _PIECE_BYTES)):
+            if number:
+                await asyncio.sleep(interval_seconds)
+            await self.frame(frame)
+        self.last = packet
 
     async def event(self, message: dict[str, Any]) -> None:
         """Send a control message."""

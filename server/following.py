@@ -5,6 +5,7 @@ from __future__ import annotations
 from server.delivery import Delivery
 from server.messages import event
 from server.pacing import LevelControl
+from server.packets import StreamPacket
 from server.settings import Limits
 from server.stream import Stream
 
@@ -70,6 +71,9 @@ class Follower:
         if self._number == newest.number:
             return await self._rest(now)
         following = self._hub.window.after(self._number)
+        if following is not None and following.is_key:
+            await self._renew(following)
+            return True
         if following is not None and now - following.arrived <= self._limits.viewer_lag_seconds:
             self._number = following.number
             await self._delivery.frame(following.framed(self._levels.levels), following)
@@ -98,6 +102,18 @@ class Follower:
         self._number = newest.number
         self._delivery.last = newest
         await self._give(parts, residual)
+
+    async def _renew(self, keyframe: StreamPacket) -> None:
+        """A new keyframe while an older one is shown: a piece a frame, then one residual over what has come since."""
+        scene, levels = self._hub.scene, self.shown_levels
+        assert scene is not None
+        await self._delivery.trickle(keyframe, levels, 1 / scene.header.fps)
+        self._number = keyframe.number
+        if self._hub.keyframe is keyframe:
+            newest, residual = await self._hub.catch_up(0, levels - 1)
+            if residual is not None:
+                self._number = newest.number
+                await self._delivery.frame(residual, newest)
 
     async def _overtake(self, now: float) -> None:
         """The viewer fell behind: fewer levels, and one residual over all that it missed."""

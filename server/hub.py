@@ -87,6 +87,8 @@ class Hub:
         scene = self._decoder.scene
         assert scene is not None
         packet = replace(packet, arrived=time.monotonic())
+        if packet.is_key:
+            self.lanes.rouse()  # keyframes are large: each viewer gets them at its own pace
         self.window.append(packet)
         self._framed.append(packet)
         while packet.arrived - self._framed[0].arrived > _FRAMES_SECONDS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 from codec.packet import PacketKind
@@ -87,12 +87,19 @@ def binary_frame(data: bytes) -> bytes:
     return _frame(0x82, data)
 
 
+def binary_fragments(data: bytes | memoryview, size_bytes: int) -> Iterator[bytes]:
+    """`data` as one message in frames that carry at most `size_bytes` each (RFC 6455 section 5.4)."""
+    for at in range(0, max(len(data), 1), size_bytes):
+        first = (0x02 if at == 0 else 0x00) | (0x80 if at + size_bytes >= len(data) else 0x00)
+        yield _frame(first, data[at : at + size_bytes])
+
+
 def text_frame(message: str) -> bytes:
     """An unmasked, final websocket frame of opcode 1."""
     return _frame(0x81, message.encode())
 
 
-def _frame(first: int, data: bytes) -> bytes:
+def _frame(first: int, data: bytes | memoryview) -> bytes:
     size = len(data)
     if size < 126:
         return bytes((first, size)) + data

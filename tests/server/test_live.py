@@ -13,11 +13,14 @@ from pathlib import Path
 import pytest
 from websockets.exceptions import ConnectionClosed
 
+from codec.packet import PacketKind
+from codec.packet_info import peek
 from server.settings import Limits, Settings
 from server.spec import StreamSpec
 from tests.codec.scenes import assert_same_level, assert_same_state
-from tests.server.conftest import Clip, Running, Viewer, running, viewing
+from tests.server.conftest import Clip, Running, Viewer, make_clip, running, viewing
 
+PIECE = 32_768  # bytes of a keyframe in one frame's time
 LIMITS = Limits(hello_seconds=0.4, messages_per_second=20, viewer_lag_seconds=30)
 
 
@@ -51,6 +54,28 @@ def test_joins_coarse_first_and_follows_every_frame(server: Running, clip: Clip)
                 check(viewer, clip)
         assert len(seen) > 15
         assert all(later in {earlier + 1, 0, 60} for earlier, later in itertools.pairwise(seen))
+
+
+def test_a_new_keyframe_comes_in_pieces_while_the_old_picture_stays(tmp_path: Path) -> None:
+    """No burst at the live edge: one message of many frames, then one residual over what has come since."""
+    clip = make_clip(tmp_path / "scene.slod", 60, counts=(200, 600, 2500), key_every=20)
+    with running(Settings(limits=LIMITS), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
+        viewer.hello().until("caught_up")
+        renewed = 0
+        while renewed < 2:
+            parts = [part for part in viewer.connection.recv_streaming() if isinstance(part, bytes)]
+            if not parts:  # an event
+                continue
+            packet = b"".join(parts)
+            key = peek(packet).kind is PacketKind.KEY
+            viewer.decoder.push(packet)
+            if key:
+                assert len(packet) > 3 * PIECE
+                assert [len(part) for part in parts] == [PIECE] * (len(packet) // PIECE) + [len(packet) % PIECE]
+            else:
+                assert len(set(viewer.decoder.versions)) == 1
+                check(viewer, clip)
+            renewed += key
 
 
 def test_fewer_levels_are_sent_on_request_and_come_back(server: Running, clip: Clip) -> None:
