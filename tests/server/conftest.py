@@ -125,7 +125,8 @@ class Viewer:
         self.decoder = SceneDecoder()
         self.events: list[dict[str, Any]] = []
         self.welcome: dict[str, Any] = {}
-        self.received = self.packets = 0
+        self.received = self.packets = self._acknowledged = 0
+        self._acked_at = 0.0
         self.epoch = 0
 
     def send(self, **message: Any) -> None:
@@ -139,7 +140,7 @@ class Viewer:
 
     def step(self, seconds: float = 10) -> bytes | dict[str, Any]:
         """Take the next message; a packet is decoded."""
-        message = self.connection.recv(seconds)
+        message = self._receive(seconds)
         if isinstance(message, str):
             event: dict[str, Any] = json.loads(message)
             self.events.append(event)
@@ -147,9 +148,27 @@ class Viewer:
         self.decoder.push(message)
         self.received += len(message)
         self.packets += 1
-        if self.acknowledge and self.packets % self.welcome["ack_every"] == 0:
-            self.send(type="ack", bytes=self.received, epoch=1, version=0)
+        if self.packets - self._acknowledged >= self.welcome["ack_every"] or time.monotonic() - self._acked_at > 0.9:
+            self._acknowledge()
         return message
+
+    def _receive(self, seconds: float) -> bytes | str:
+        """The next message; while there is none, what came is acknowledged within a second."""
+        limit = time.monotonic() + seconds
+        while True:
+            left = limit - time.monotonic()
+            try:
+                return self.connection.recv(min(left, 0.5))
+            except TimeoutError:
+                if left <= 0.5:
+                    raise
+                if self.packets > self._acknowledged:
+                    self._acknowledge()
+
+    def _acknowledge(self) -> None:
+        self._acknowledged, self._acked_at = self.packets, time.monotonic()
+        if self.acknowledge:
+            self.send(type="ack", bytes=self.received, epoch=1, version=0)
 
     def until(self, name: str, seconds: float = 10) -> dict[str, Any]:
         """Step to the next event of that name."""

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import random
 import socket
+import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -88,6 +91,58 @@ def test_a_slow_viewer_skips_and_its_frames_stay_exact(heavy: Clip) -> None:
             scene = viewer.decoder.scene
             assert scene is not None
             assert_same_level(heavy.states[-1].levels[0], scene.levels[0])
+
+
+class Hoarder:
+    """A proxy that takes whatever the server gives at once, and passes it on at its own pace."""
+
+    def __init__(self, port: int, bytes_per_second: int) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self._server = socket.create_connection(("127.0.0.1", port))
+        self._rate, self.held = bytes_per_second, bytearray()
+        for run in (self._up, self._take, self._pass_on):
+            threading.Thread(target=run, daemon=True).start()
+
+    def _up(self) -> None:
+        self._viewer, _ = self._listener.accept()
+        with contextlib.suppress(OSError):
+            while data := self._viewer.recv(65536):
+                self._server.sendall(data)
+        self._server.close()
+        self._listener.close()
+
+    def _take(self) -> None:
+        with contextlib.suppress(OSError):
+            while data := self._server.recv(1 << 20):
+                self.held += data
+
+    def _pass_on(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                time.sleep(0.02)
+                data = bytes(self.held[: self._rate // 50])
+                if data:
+                    self._viewer.sendall(data)
+                    del self.held[: len(data)]
+
+
+@pytest.mark.slow
+def test_packets_do_not_pile_up_in_a_proxy_on_the_way(heavy: Clip) -> None:
+    with running(Settings(limits=Limits(viewer_lag_seconds=0.3)), StreamSpec(play=heavy.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        proxy, piled = Hoarder(server.port, 100_000), 0  # a quarter of the stream
+        with viewing(replace(server, port=proxy.port)) as viewer:
+            viewer.hello()
+            end = time.monotonic() + 25
+            while time.monotonic() < end:
+                viewer.step(30)
+                piled = max(piled, len(proxy.held))
+            assert piled < 3_000_000  # of about eight
+            assert viewer.named("levels")[0]["reason"] == "congestion"
+            scene = viewer.decoder.scene
+            assert scene is not None
+            assert_same_level(heavy.states[viewer.decoder.versions[0]].levels[0], scene.levels[0])
 
 
 def test_connections_that_never_speak_websocket_properly_do_no_harm(clip: Clip) -> None:
