@@ -22,9 +22,10 @@ from core.train.convert import scene_of
 from core.train.exposure import fitted, neutral
 from core.train.field import Field
 from core.train.keyframe import KeyframeTrainer
-from core.train.online import ResidualTrainer, no_quanta, residual_of, strongest_changes
+from core.train.online import ResidualTrainer
 from core.train.partition import Parts, change_masks, partition
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
+from core.train.quanta import no_quanta, residual_of, strongest_changes
 from core.train.rate_control import RateControl
 from core.train.rounding import Precision
 from core.train.seeding import seed_field
@@ -146,7 +147,7 @@ class Trainer:
             self._state = self._fresh(scene)
 
     def prepare(self, frames: FrameSet) -> None:
-        """Begin to send the pictures of a frame that will be trained soon to a GPU; from any thread, without waiting."""
+        """Begin to send the pictures of a frame that is trained soon to a GPU; from any thread, without waiting."""
         if self._device != "cpu":
             self._uploader.begin(frames)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.train.online import Quanta, strongest_changes
+from core.train.quanta import Quanta, strongest_changes
 
 
 def quanta(sizes: list[int]) -> Quanta:
