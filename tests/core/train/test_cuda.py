@@ -1,0 +1,103 @@
+"""Training on a GPU against the CPU. Needs a CUDA device and gsplat."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from core.anchors import LATENTS, OFFSET_LATENTS
+from core.data.synthetic import SyntheticSpec, open_synthetic
+from core.expand import expand
+from core.initialise import first_points
+from core.metrics import psnr
+from core.render.backends import cuda_fault
+from core.render.cpu import render
+from core.train import PredictConfig, TrainConfig, Trainer
+from core.train.applying import Quantum, applied
+from core.train.config import KeyframeConfig
+from core.train.decode import Network, decode, decode_reference
+from core.train.losses import photometric_loss, photometric_reference
+from core.train.optimiser import RowAdam
+from core.train.rate import residual_bits, residual_bits_reference
+from tests.core.train.fields import random_field
+
+fault = cuda_fault()
+pytestmark = [pytest.mark.cuda, pytest.mark.skipif(fault is not None, reason=f"no CUDA backend here: {fault}")]
+
+
+def test_loss_equals_the_reference() -> None:
+    image, target = torch.rand(90, 70, 3), torch.rand(90, 70, 3)
+    there, here = image.cuda().requires_grad_(), image.double().requires_grad_()
+    found, wanted = photometric_loss(there, target.cuda()), photometric_reference(here, target.double())
+    (by_there,), (by_here,) = torch.autograd.grad(found, there), torch.autograd.grad(wanted, here)
+    assert float(found.detach()) == pytest.approx(float(wanted.detach()), rel=1e-5)
+    assert float((by_there.cpu() - by_here).norm() / by_here.norm()) < 1e-4
+
+
+@pytest.mark.parametrize("count", [3, 500, 700])  # compiled once for all
+def test_decode_equals_the_reference(count: int) -> None:
+    field = random_field(min(count, 500))
+    given = [field.feature, field.offset, field.scaling, field.position, *field.network.parameters()]
+    there = [value.cuda().requires_grad_() for value in given]
+    here = [value.double().requires_grad_() for value in given]
+    found = decode(*there[:4], Network(*there[4:]), None).astuple()
+    wanted = decode_reference(*here)
+    _agree(found, wanted, there, here)
+
+
+def test_residuals_are_applied_as_on_the_cpu() -> None:
+    field, found = random_field(90), list[list[Tensor]]()
+    values = [3 * torch.randn(90, LATENTS), 3 * torch.randn(90, 3)]
+    parts = [torch.randn(LATENTS - OFFSET_LATENTS, 8), torch.randn(OFFSET_LATENTS, 12), torch.rand(3)]
+    for device in ("cpu", "cuda"):
+        leaves = [value.to(device).requires_grad_() for value in values]
+        after = applied(field.to(device), *leaves, Quantum(*(part.to(device) for part in parts)))
+        total = after.feature.sum() + after.offset.square().sum() + after.position.sum()
+        found.append([after.feature, after.offset, *torch.autograd.grad(total, leaves)])
+    for mine, theirs in zip(*found, strict=True):
+        torch.testing.assert_close(mine, theirs.cpu(), rtol=1e-4, atol=1e-4)
+
+
+def test_rate_and_adam_equal_the_cpu() -> None:
+    latent, position = 2 * torch.randn(50, LATENTS), 2 * torch.randn(50, 3)
+    bits = residual_bits(latent.cuda(), position.cuda())
+    assert float(bits) == pytest.approx(float(residual_bits_reference(latent.double(), position.double())), rel=1e-3)
+    ended = []
+    for device in ("cpu", "cuda"):
+        adam = RowAdam({"latent": latent.to(device).clone().requires_grad_()})
+        for step in range(5):
+            adam.parameters["latent"].grad = (latent * (step + 1)).to(device)
+            adam.step({"latent": 0.1})
+        ended.append(adam.parameters["latent"].detach().cpu())
+    torch.testing.assert_close(*ended, rtol=1e-5, atol=1e-5)
+
+
+def test_frames_train_as_well_as_on_the_cpu() -> None:
+    clip = open_synthetic(SyntheticSpec(cameras=4, frames=3, width=96, height=54, seed=2))
+    config = TrainConfig(keyframe=KeyframeConfig(steps=60), predict=PredictConfig(epochs=6, minimum_steps=0))
+    filmed, scores = list(clip.frames()), list[float]()
+    points = first_points(filmed[0], clip.cameras, depth_bounds=clip.depth_bounds)
+    for device in ("cpu", "cuda"):
+        trainer = Trainer(clip.cameras, config, clip.fps, device)
+        trainer.keyframe(filmed[0], points)
+        for frame in filmed[1:]:
+            trainer.prepare(frame)
+            trainer.predict(frame)
+        camera = clip.cameras[0]
+        image = render(expand(trainer.scene, camera.centre), camera, np.zeros(3, np.float32)).image
+        scores.append(psnr(image.clip(0, 1), filmed[-1].images[0].astype(np.float32) / 255))
+    assert scores[1] > scores[0] - 0.5
+
+
+def _agree(found: tuple[Tensor, ...], wanted: tuple[Tensor, ...], there: list[Tensor], here: list[Tensor]) -> None:
+    weights = [torch.randn(part.shape) for part in wanted]
+    totals = [
+        torch.stack([(part * weight.to(part)).sum() for part, weight in zip(parts, weights, strict=True)]).sum()
+        for parts in (found, wanted)
+    ]
+    mine = (*found, *torch.autograd.grad(totals[0], there))
+    theirs = (*wanted, *torch.autograd.grad(totals[1], here))
+    for one, other in zip(mine, theirs, strict=True):
+        assert float((one.detach().cpu() - other.detach()).norm() / other.detach().norm()) < 1e-3
