@@ -15,7 +15,7 @@ from core.errors import InputError
 from core.evaluate.footage import Footage
 from core.evaluate.truth import dynamic_precision_recall, read_spec, shown_motion
 from core.train import TrainConfig, Trainer
-from tests.core.evaluate.conftest import SPEC, shortened
+from tests.core.evaluate.conftest import SPEC
 
 QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pictures show
 
@@ -23,9 +23,9 @@ QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pi
 @pytest.fixture(scope="module")
 def scene(footage: Footage) -> Scene:
     training, _ = next(footage.pairs())
-    return (
-        Trainer(footage.training.cameras, shortened(TrainConfig()), 30, "cpu").keyframe(training, footage.points).scene
-    )
+    config = TrainConfig()
+    config = replace(config, keyframe=replace(config.keyframe, steps=120, growth_interval=8))
+    return Trainer(footage.training.cameras, config, 30, "cpu").keyframe(training, footage.points).scene
 
 
 @pytest.fixture(scope="module")
