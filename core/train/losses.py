@@ -164,7 +164,7 @@ class _Planes(torch.autograd.Function):
         difference, dissimilarity = (image - target).abs(), 1 - ssim
         if inside is not None and near is not None:
             around = near.permute(2, 0, 1)
-            difference, dissimilarity, slopes = difference * inside, dissimilarity * around, slopes * around
+            difference, dissimilarity = difference * inside, dissimilarity * around
         if ctx.needs_input_grad[0]:
             ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, weight) / size
         loss: Tensor = ((1 - weight) * difference.sum() + weight * dissimilarity.sum()) / size
