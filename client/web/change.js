@@ -31,7 +31,8 @@ export function decodeChange(chunk, level) {
   const start = scale(first & 127), predict = first < 128;
   const scales = readScales(reader, LATENTS);
   const coder = new RansDecoder(reader.rest(), coding);
-  const used = rowsWithAny(level.latent, LATENTS);
+  const pairs = new Int32Array(level.latent.buffer, level.latent.byteOffset, level.latent.length / 2); // two latents at once
+  const used = rowsWithAny(pairs, LATENTS / 2);
   const rows = decodeRowSet(coder, level, used);
   const position = decodePositions(coder, rows, level.voxel, start, predict);
   const latent = decodeLatents(coder, rows, used, scales);
@@ -56,10 +57,14 @@ function ascending(gaps, count, limit) {
   return rows;
 }
 
-/** @type {(values: Int32Array | Int16Array, width: number) => Uint8Array} which rows are not all 0 */
+/** @type {(values: Int32Array, width: number) => Uint8Array} which rows are not all 0 */
 function rowsWithAny(values, width) {
   const found = new Uint8Array(values.length / width);
-  for (let i = 0; i < values.length; i++) if (values[i]) found[Math.trunc(i / width)] = 1;
+  for (let row = 0, at = 0; row < found.length; row++) {
+    let any = 0;
+    for (let c = 0; c < width; c++) any |= values[at++];
+    if (any) found[row] = 1;
+  }
   return found;
 }
 

@@ -26,8 +26,9 @@ from codec.packet_info import PacketInfo, peek
 from core.anchors import AnchorLevel, Scene
 from core.arrays import Float64
 from core.entropy_model import SCALES
+from core.quantise import trailing_zeros
 from core.residual import LevelResidual, Residual, difference
-from tests.bench.codec_bounds import columns_bits, item_bits, latents_report
+from tests.bench.codec_bounds import item_bits, latents_bits, latents_report
 from tests.bench.codec_timing import javascript_speed, python_speed
 from tests.codec.scenes import make_scene, steps
 
@@ -82,6 +83,16 @@ def keyframe_report(scene: Scene) -> None:
     print("  order-0 entropy: " + ", ".join(f"{name} {bits:.1f} bit/anchor" for name, bits in groups.items()))
     shares = [100 * size / len(packet) for size in info.level_bytes]
     print(f"  levels {info.level_bytes}; levels 0-2: {sum(shares[:3]):.0f} %, level 0: {shares[0]:.0f} %")
+    print("  rows by precision: " + ", ".join(f"{100 * share:.1f} %" for share in _precisions(scene)))
+
+
+def _precisions(scene: Scene) -> Float64:
+    """[8] share of the anchors whose numbers are multiples of 2^k of the finest quantum."""
+    shifts = [
+        trailing_zeros(np.concatenate([level.feature, level.offset, level.scaling], axis=1), 7)
+        for level in scene.levels
+    ]
+    return np.bincount(np.concatenate(shifts), minlength=8) / max(scene.anchor_count, 1)
 
 
 def _column_entropy(scene: Scene, name: str) -> float:
@@ -171,11 +182,15 @@ def reach_report(clip: Clip) -> None:
 def joint_report(clip: Clip) -> None:
     """What independent levels cost against one level that holds everything, in latents."""
     apart = joint = 0.0
-    for residual in clip.residuals:
-        latents = [level.latent.astype(np.int64) for level in residual.levels if len(level.rows)]
-        if latents:
-            apart += sum(columns_bits(latent) + 16 for latent in latents)
-            joint += columns_bits(np.concatenate(latents)) + 64
+    for state, residual in zip(clip.states, clip.residuals, strict=False):
+        parts = [
+            (level.latent.astype(np.int64), history(before)[1][level.rows])
+            for before, level in zip(state.levels, residual.levels, strict=True)
+            if len(level.rows)
+        ]
+        if parts:
+            apart += sum(latents_bits(*part)[0] + 16 for part in parts)
+            joint += latents_bits(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]))[0] + 64
     print(f"levels coded apart: latents {100 * (apart / max(joint, 1) - 1):+.1f} % against joint coding")
 
 
@@ -197,7 +212,7 @@ def main() -> None:
     clip = load(Path(sys.argv[1])) if len(sys.argv) > 1 else invent()
     keyframe_report(clip.states[0])
     predicted_report(clip)
-    latents_report(clip.residuals)
+    latents_report(clip.states, clip.residuals)
     joint_report(clip)
     reach_report(clip)
     python_speed(clip.states, clip.residuals)

@@ -6,12 +6,14 @@ import lzma
 import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 
-from codec import column_model, rans
+from codec import change_model, column_model, rans
+from codec.change import history
 from codec.compiled import compiled
 from codec.entropy import encode_scales
-from core.anchors import LATENTS
-from core.arrays import Float64, Int64
+from core.anchors import LATENTS, Scene
+from core.arrays import Float64, Int32, Int64
 from core.entropy_model import BINS
 from core.residual import Residual
 
@@ -24,32 +26,38 @@ def item_bits(items: Int64) -> float:
     return float(-np.log2((items & 0xFFFF) / 4096).sum())
 
 
-def columns_bits(values: Int64) -> float:
-    """Bits of rows of integers, side fields included."""
-    side, scale = encode_scales(values)
-    items = np.empty(200 + 20 * values.size, np.uint32)
-    return item_bits(items[: column_model.columns_items(values, scale, items, 0)].astype(np.int64)) + 8 * len(side)
+def latents_bits(latent: Int64, used: NDArray[np.uint8]) -> tuple[float, float]:
+    """Bits of the latent differences [n,24] of changed rows, and of side fields alone; `used` [n] as in `history`."""
+    side, scale = encode_scales(latent[latent.any(axis=1)])
+    items = np.empty(200 + 20 * latent.size, np.uint32)
+    count = change_model.latents_items(latent, used, scale, items, 0)
+    return item_bits(items[:count].astype(np.int64)) + 8 * len(side), 8 * len(side)
 
 
-def latents_report(residuals: list[Residual]) -> None:
+def latents_report(states: list[Scene], residuals: list[Residual]) -> None:
     """Latents alone: our bits, entropy bounds, general compressors."""
-    ours = count = 0.0
+    ours = side = count = 0.0
     general = {"zstd -19, a level and frame": 0, "lzma -9e": 0, "deflate -9": 0}
     histogram = np.zeros((LATENTS, 2 * _CLIP + 1))
+    flags = np.zeros((2, _FLAG_CONTEXTS, 2))
     by_bin = np.zeros((2, BINS + 1, 2 * _CLIP + 1))
     by_context = np.zeros((2, _CONTEXTS, 2 * _CLIP + 1))
-    for frame, residual in enumerate(residuals):
-        for level in residual.levels:
+    for frame, (state, residual) in enumerate(zip(states, residuals, strict=False)):
+        for before, level in zip(state.levels, residual.levels, strict=True):
             latent = np.clip(level.latent.astype(np.int64), -_CLIP, _CLIP)
             if len(latent) == 0:
                 continue
-            ours += columns_bits(latent)
-            bins = np.empty_like(latent)
-            _context_bins(latent, encode_scales(latent)[1], bins)
-            np.add.at(by_bin[frame % 2], (np.minimum(bins, BINS - 1), latent + _CLIP), 1)
-            np.add.at(
-                by_context[frame % 2], (_rich_contexts(latent, level.position.astype(np.int64)), latent + _CLIP), 1
-            )
+            used, half = history(before)[1][level.rows], frame % 2
+            bits, fields = latents_bits(latent, used)
+            ours, side = ours + bits, side + fields
+            some = np.asarray(latent.any(axis=1), np.bool_)
+            np.add.at(flags[half], (_flag_contexts(some, used, level.position), some.astype(np.int64)), 1)
+            values, position = latent[some], level.position[some].astype(np.int64)
+            bins = np.empty_like(values)
+            _context_bins(values, encode_scales(values)[1], bins)
+            np.add.at(by_bin[half], (np.minimum(bins, BINS - 1), values + _CLIP), 1)
+            if len(values):
+                np.add.at(by_context[half], (_rich_contexts(values, position), values + _CLIP), 1)
             np.add.at(histogram, (np.broadcast_to(np.arange(LATENTS), latent.shape), latent + _CLIP), 1)
             count += latent.size
             columns = latent.astype(np.int8).T.tobytes()
@@ -58,14 +66,15 @@ def latents_report(residuals: list[Residual]) -> None:
             general["zstd -19, a level and frame"] += len(_zstd(columns))
     rows = {
         "ours, side fields included": ours,
-        "best bound: richer contexts, tables learned on other frames": _held_out(by_context),
-        "our contexts, tables learned on other frames": _held_out(by_bin),
+        "ours, contexts and tables alone": ours - side,
+        "bound: richer contexts, tables learned on other frames": _held_out(flags) + _held_out(by_context),
+        "bound: our contexts, tables learned on other frames": _held_out(flags) + _held_out(by_bin),
         "order-0 a channel, no side information": _entropy(histogram),
         **{name: 8.0 * size for name, size in general.items()},
     }
     print(f"latents: {count / len(residuals):.0f} symbols a frame")
-    for name, bits in rows.items():
-        print(f"  {bits / max(count, 1):.4f} bit/symbol, {100 * (bits / ours - 1):+6.1f} %  {name}")
+    for name, total in rows.items():
+        print(f"  {total / max(count, 1):.4f} bit/symbol, {100 * (total / max(ours, 1) - 1):+6.1f} %  {name}")
 
 
 @compiled
@@ -85,6 +94,14 @@ def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
 
 
 _CONTEXTS = 7 * 8 * 3 * 2
+_FLAG_CONTEXTS = 2 * 2 * 4
+
+
+def _flag_contexts(some: NDArray[np.bool_], used: NDArray[np.uint8], position: Int32) -> Int64:
+    """[n] a context of whether a row has latents: the row before, its past, its motion."""
+    before = np.concatenate([[False], some[:-1]]).astype(np.int64)
+    motion = np.minimum(np.ceil(np.log2(1 + np.abs(position).sum(axis=1))).astype(np.int64), 3)
+    return np.asarray((2 * before + used) * 4 + motion, np.int64)
 
 
 def _rich_contexts(latent: Int64, position: Int64) -> Int64:
