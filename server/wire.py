@@ -37,7 +37,8 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
 
     def connection_made(self, transport: BaseTransport) -> None:
         super().connection_made(transport)
-        self.transport.set_write_buffer_limits(0)  # whatever the kernel does not take at once shows up
+        # whatever the kernel does not take at once shows up; TLS transports would always count as full at 0
+        self.transport.set_write_buffer_limits(high=1, low=0)
         raw = transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
             # the kernel doubles the value for its bookkeeping
