@@ -65,8 +65,11 @@ class _Rasterise(torch.autograd.Function):
         by_light = None if light_gradient is None else _array(light_gradient)
         gradients = backward(call.workspace, frame, cloud, by_image, by_light, call.gradient_rows)
         half = np.array([call.camera.width / 2, call.camera.height / 2], np.float32)
-        screen = np.zeros((len(call.probe.visible), 2), np.float32)
-        screen[np.searchsorted(call.probe.visible.numpy(), gradients.rows)] = gradients.screen * half
+        visible, screen = call.probe.visible.numpy(), gradients.screen * half
+        if len(gradients.rows) < len(visible):  # some are in view, but not in the tiles of the mask
+            everywhere = np.zeros((len(visible), 2), np.float32)
+            everywhere[np.searchsorted(visible, gradients.rows)] = screen
+            screen = everywhere
         call.probe.record(torch.from_numpy(screen))
         call.frame = None
         call.release()
