@@ -30,7 +30,8 @@ export class Viewer extends EventTarget {
     this.renderer = thin?.renderer ?? new Renderer(canvas);
     this.software = /swiftshader|llvmpipe|software|basic render/i.test(this.renderer.hardware);
     this.worker = thin?.worker ?? new Worker(new URL("worker.js", import.meta.url), { type: "module" });
-    this.worker.onmessage = (/** @type {{ data: FromWorker }} */ { data }) => this.#hear(data);
+    // What the worker said before it heard of the end may still arrive: nothing may be drawn with what was freed.
+    this.worker.onmessage = (/** @type {{ data: FromWorker }} */ { data }) => this.running && this.#hear(data);
     /** @type {Pose} */
     this.pose = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, stretch: 1, shift: [0, 0] };
     /** @type {Vec3} */
@@ -251,6 +252,7 @@ export class Viewer extends EventTarget {
 
   #restore() {
     const { background } = this.renderer;
+    if (!this.running) return;
     this.renderer = new Renderer(this.canvas);
     this.renderer.background = background;
     this.generation = -1;
