@@ -1,15 +1,18 @@
 """Gain and offset a camera and channel: cameras of a real rig do not agree on brightness and white.
 
 The picture of camera c is modelled as gain_c * render + offset_c. A common factor would be invisible, so the mean over
-the cameras is held at gain 1 and offset 0.
+the cameras is held at gain 1 and offset 0. At every pixel the weights of the Gaussians and the light that they leave to
+the background sum to one, so that gain and offset of the colours and of the background make the same picture.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+
+from core.train.decode import Splats
 
 _FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
 _GAINS = (0.25, 4.0)
@@ -27,6 +30,14 @@ class Exposure:
         gain, offset = (values[camera].repeat(image.shape[1]) for values in (self.gain, self.offset))
         # row by row: passes over an innermost axis of three take five times as long
         return torch.addcmul(offset, image.flatten(1), gain).view(image.shape)
+
+    def before(self, splats: Splats, camera: int) -> Splats:
+        """`splats` whose picture is the one that `apply` makes of that of `splats`; over `behind`."""
+        return replace(splats, colours=torch.addcmul(self.offset[camera], splats.colours, self.gain[camera]))
+
+    def behind(self, background: Tensor, camera: int) -> Tensor:
+        """The background [3] of such a picture."""
+        return torch.addcmul(self.offset[camera], background, self.gain[camera])
 
     def centre(self) -> None:
         """Bring the mean over the cameras back to gain 1 and offset 0."""

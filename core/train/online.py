@@ -46,7 +46,7 @@ class ResidualTrainer:
         state: the state before.
         parts: which anchors to train.
         views: pictures of the instant.
-        exposure: of the cameras, or None.
+        exposure: of the cameras.
         useful: cameras to train on, the most important first.
         memory: share of the mean gradient that each of Adam's steps keeps.
     """
@@ -56,7 +56,7 @@ class ResidualTrainer:
         state: State,
         parts: Parts,
         views: Views,
-        exposure: Exposure | None,
+        exposure: Exposure,
         useful: list[int],
         memory: float = 0.9,
     ) -> None:
@@ -67,7 +67,8 @@ class ResidualTrainer:
         self._known, self._useful = len(rows), useful
         self._header = scene.header
         device = field.feature.device
-        self._background = torch.zeros(3, device=device)
+        black = torch.zeros(3, device=device)
+        self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
         self._quantum = Quantum(*(torch.from_numpy(part).to(device) for part in steps))
@@ -75,7 +76,8 @@ class ResidualTrainer:
         begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
         self._optimiser = RowAdam(leaves, memory)
-        self._static = _static_splats(field, static, self._centres)
+        static_splats = _static_splats(field, static, self._centres)
+        self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
         self._shown = state.shown
         self._stages: dict[int, Stage] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
@@ -120,22 +122,22 @@ class ResidualTrainer:
         return views
 
     def show(self, field: Field, rows: Tensor) -> Tensor:
-        """[C,H,W,3] what the usable cameras see once `field` has taken over at `rows`; NaN for the others."""
+        """[C,H,W,3] what the usable cameras film once `field` has taken over at `rows`; NaN for the others."""
         pictures = torch.full_like(self._views.targets, torch.nan)
         with torch.no_grad():
             for number, stage in self._stages.items():
-                pictures[number] = stage.render(field.decode(self._centres[number], rows))[0].image
+                splats = field.decode(self._centres[number], rows)
+                pictures[number] = stage.render(self._exposure.before(splats, number))[0].image
         return pictures
 
     def _step(self, number: int, config: PredictConfig, decay: float) -> Tensor:
         """One view, one update; returns the detached loss."""
         raster, stage = self._stages[number].render(self._dynamic_splats(number))
         self._stages[number] = stage
-        image = raster.image if self._exposure is None else self._exposure.apply(raster.image, number)
-        loss = photometric_loss(image, self._views.targets[number], config.dssim_weight, stage.region)
+        loss = photometric_loss(raster.image, self._views.targets[number], config.dssim_weight, stage.region)
         if config.rate_weight:
             bits = residual_bits(self._optimiser.parameters["latent"], self._optimiser.parameters["position"])
-            loss = loss + config.rate_weight * bits / image.numel()
+            loss = loss + config.rate_weight * bits / raster.image.numel()
         loss.backward()  # type: ignore[no-untyped-call]
         if config.growth_share:
             self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
@@ -146,7 +148,7 @@ class ResidualTrainer:
         camera = self._views.cameras[number]
         known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
         before = dynamic if known is None else self._base.decode(self._centres[number])
-        return make_stage(camera, dynamic, self._static[number], self._background, backend, known, before)
+        return make_stage(camera, dynamic, self._static[number], self._backgrounds[number], backend, known, before)
 
     def _dynamic_field(self) -> Field:
         """The dynamic anchors with their residuals, rounded as they will be sent."""
@@ -154,7 +156,7 @@ class ResidualTrainer:
         return applied(self._base, parameters["latent"], parameters["position"], self._quantum)
 
     def _dynamic_splats(self, number: int) -> Splats:
-        return self._dynamic_field().decode(self._centres[number])
+        return self._exposure.before(self._dynamic_field().decode(self._centres[number]), number)
 
     def _grow(self, config: PredictConfig) -> None:
         """Add anchors where the dynamic Gaussians pull hardest: what has just come into view has none yet."""

@@ -12,8 +12,8 @@ from core.train.views import Views
 
 
 def rendered(field: Field, alive: Tensor, views: Views, backend: Backend) -> Tensor:
-    """[C,H,W,3] what `field` shows the usable cameras now; black for the others."""
-    pictures = torch.zeros_like(views.targets)
+    """[C,H,W,3] what `field` shows the usable cameras now; NaN for the others."""
+    pictures = torch.full_like(views.targets, torch.nan)
     rows = torch.nonzero(alive)[:, 0]
     background = torch.zeros(3, device=rows.device)
     with torch.no_grad():

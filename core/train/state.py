@@ -25,7 +25,7 @@ class State:
         scene: the decoder's integer state; field: the same, dequantised.
         canonical: the keyframe's field, for the paper's motion cue.
         references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
-        shown: [C,H,W,3] what the state shows, NaN where that is not known; None likewise.
+        shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
         parts: what the latest frame trained.
         change: [N,27] of the latest frame, latents and positions in quanta; None for zeros.
         start: [N,27] likewise, where training of the next frame begins.

@@ -174,9 +174,8 @@ class Trainer:
         quanta, trainer = no_quanta(0), None
         if len(rows):
             with watch.stage("train"):
-                exposure = self._exposure if self._config.model.exposure else None
                 useful = _by_news(views, references, masks, config)
-                trainer = ResidualTrainer(state, parts, views, exposure, useful, config.memory)
+                trainer = ResidualTrainer(state, parts, views, self._exposure, useful, config.memory)
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
@@ -196,9 +195,9 @@ class Trainer:
                 if len(alive) == len(state.field):
                     shown = trainer.show(after.field, rows[alive[rows]])
                 else:  # anchors were added, and rows are numbered anew
-                    shown = rendered(after.field, alive, views, self._backend)
+                    shown = self._as_filmed(rendered(after.field, alive, views, self._backend))
             if renewed:
-                reached = views.targets if done else self._as_filmed(shown, references)
+                reached = views.targets if done else _where_known(shown, references)
                 references = torch.where(masks[..., None], reached, references)
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
@@ -280,26 +279,28 @@ class Trainer:
         unknown = [number for number in views.usable if bool(references[number, 0, 0, 0].isnan())]
         if unknown:
             pictures = rendered(state.field, state.alive, replace(views, usable=unknown), self._backend)
-            shown, references = shown.clone(), references.clone()
-            shown[unknown] = pictures[unknown]
             if self._config.model.exposure and self._refit_exposure:
-                self._exposure = fitted(shown, views.targets, unknown)
+                self._exposure = fitted(pictures, views.targets, unknown)
                 self._refit_exposure = False
-            references = torch.where(references.isnan(), self._as_filmed(shown, references), references)
+            pictures = self._as_filmed(pictures)
+            shown, references = _where_known(pictures, shown), _where_known(pictures, references)
         return replace(state, references=references, shown=shown), unknown
 
-    def _as_filmed(self, shown: Tensor, otherwise: Tensor) -> Tensor:
-        """[C,H,W,3] pictures `shown` with the cameras' exposures; those of `otherwise` for cameras without one."""
-        pictures = otherwise.clone()
-        for number in range(len(shown)):
-            if not shown[number, 0, 0, 0].isnan():
-                pictures[number] = self._exposure.apply(shown[number], number).clamp(0, 1)
-        return pictures
+    def _as_filmed(self, pictures: Tensor) -> Tensor:
+        """`pictures` [C,H,W,3] with the cameras' exposures."""
+        return torch.stack([self._exposure.apply(picture, number) for number, picture in enumerate(pictures)])
 
     def _require(self) -> State:
         if self._state is None:
             raise ModelError("there is no state to go on from: train a keyframe or resume a scene first")
         return self._state
+
+
+def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:
+    """[C,H,W,3] `pictures` in [0, 1]; those of `otherwise` for cameras without one."""
+    return torch.stack(
+        [other if one[0, 0, 0].isnan() else one.clamp(0, 1) for one, other in zip(pictures, otherwise, strict=True)]
+    )
 
 
 def _by_news(views: Views, references: Tensor, masks: Tensor, config: PredictConfig) -> list[int]:

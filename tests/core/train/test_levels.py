@@ -10,9 +10,10 @@ import torch
 
 from core.camera import look_at, pinhole
 from core.train.coverage import coverage
-from core.train.exposure import fitted, neutral
 from core.train.field import Field, visible_levels
 from core.train.partition import tiles_of
+from core.train.showing import rendered
+from core.train.views import Views
 from tests.core.train.fields import random_field
 
 POSE = look_at(np.array([0.0, -3.0, 0.5]), np.zeros(3), np.array([0.0, 0.0, 1.0]))
@@ -58,15 +59,9 @@ def test_tiles_hold_every_pixel_of_a_mask() -> None:
     assert tiles_of(mask, room=1).sum() == 6 + 4 - 1
 
 
-def test_exposures_are_found_again_from_pictures() -> None:
-    shown = torch.rand(2, 20, 30, 3, generator=torch.Generator().manual_seed(0))
-    truth = neutral(2)
-    truth.gain[0] = torch.tensor([0.8, 1.1, 1.3])
-    truth.offset[0] = torch.tensor([0.05, -0.02, 0.0])
-    targets = torch.stack([truth.apply(shown[0], 0), shown[1]])
-    found = fitted(shown, targets, [0])
-    torch.testing.assert_close(found.gain, truth.gain, atol=1e-4, rtol=1e-4)
-    torch.testing.assert_close(found.offset, truth.offset, atol=1e-4, rtol=1e-4)
-    flat = fitted(torch.full((1, 4, 4, 3), 0.5), torch.full((1, 4, 4, 3), 0.7), [0])
-    assert (flat.gain == 1).all()
-    torch.testing.assert_close(flat.offset, torch.full((1, 3), 0.2))
+def test_a_camera_without_a_picture_is_shown_nothing_known(field: Field) -> None:
+    views = Views((CAMERA, CAMERA), torch.zeros(2, CAMERA.height, CAMERA.width, 3), usable=[1])
+    pictures = rendered(field, torch.ones(len(field), dtype=torch.bool), views, "cpu")
+    assert pictures[0].isnan().all()
+    assert not pictures[1].isnan().any()
+    assert pictures[1].max() > 0.1
