@@ -23,6 +23,7 @@ from server.worker import Resume, Tag, run_worker, send_resume
 
 _LOG = logging.getLogger(__name__)
 _WATCH_SECONDS = 0.25
+_SPARE_AFTER_SECONDS = 3.0  # of progress: starting takes the worker all the processor it can get
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
@@ -86,7 +87,7 @@ class Supervisor:
         self._spec, self._settings, self._owner = spec, settings, owner
         self._limit, self._push_socket = packet_bytes + 1, push_socket
         self._worker: _Worker | None = None
-        self._spare: _Worker | None = None  # waits, with everything loaded that showing the last state again takes
+        self._spare: _Worker | None = None  # waits, with everything loaded
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
         self._handling = False
@@ -121,6 +122,8 @@ class Supervisor:
             self._kill()
             if self._spare is not None:
                 self._spare.end()
+                self._spare.pipe.close()
+                await asyncio.shield(asyncio.to_thread(self._spare.process.join, 5))
 
     async def _run_once(self) -> Ending:
         resume = await self._owner.resume_point()
@@ -135,7 +138,7 @@ class Supervisor:
         try:
             while not pump.done():
                 await asyncio.wait([pump], timeout=_WATCH_SECONDS)
-                if self._spare is None and self._wants_spare and self._progressed > begun:
+                if self._spare is None and self._wants_spare and self._progressed > begun + _SPARE_AFTER_SECONDS:
                     self._spare = self._start(spare=True)
                 reason = reason or self._complaint()
                 if reason is not None:

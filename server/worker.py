@@ -6,11 +6,13 @@ Nothing else of the server is here, so that a crash, a leak or a kill costs view
 
 from __future__ import annotations
 
+import importlib
 import json
 import logging
 import math
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -33,6 +35,7 @@ _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
 _INGEST_SECONDS = 0.5
 _NICENESS = 5  # of training: serving comes first, and so does showing the last state again
+_LOADING_NICENESS = 19  # of importing what may never be needed
 
 
 class Tag(IntEnum):
@@ -94,15 +97,15 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
     Args:
         pipe: to the supervisor, which first sends where to go on.
         push_socket: where to take pictures that capture nodes push to the serving process.
-        spare: load what `show_again` takes before it is needed.
+        spare: load everything before it is needed.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
     sender = Sender(pipe)
     try:
-        if spare:  # not what training takes: its libraries want several times the memory
-            from server.warming import warm_codec
-
-            warm_codec()
+        loading = None
+        if spare and spec.job is not None:
+            loading = threading.Thread(target=_load, args=(spec.job,), daemon=True, name="loading")
+            loading.start()
         resume = receive_resume(pipe)
         threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
         if spec.job is None:
@@ -110,6 +113,8 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
         else:
             scene = show_again(resume, sender) if resume.packets else None
             os.nice(_NICENESS)
+            if loading is not None:
+                loading.join()
             train(spec.job, scene, resume.frames, sender, push_socket)
         sender.send(Tag.END)
     except StreamlodError as error:
@@ -119,6 +124,30 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
     except Exception as error:
         _LOG.exception("worker of stream %s", spec.id)
         sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
+
+
+def _load(job: TrainJob) -> None:
+    """Load what showing the last state takes, then what training takes, out of the way of the worker that trains."""
+    from server.warming import warm_codec
+
+    os.nice(_NICENESS)
+    try:
+        warm_codec()
+        # most of the work, and it starts no thread that would stay at such a niceness
+        importing = threading.Thread(target=_import_training, daemon=True, name="importing")
+        importing.start()
+        importing.join()
+        from server.rehearsal import rehearse
+
+        rehearse(job.preset, job.device)
+    except Exception:  # training tells better what is wrong, if it is
+        _LOG.warning("a spare worker could not rehearse", exc_info=True)
+
+
+def _import_training() -> None:
+    if sys.platform == "linux":  # elsewhere it would hold for the whole process, for good
+        os.nice(_LOADING_NICENESS)
+    importlib.import_module("server.rehearsal")
 
 
 def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_socket: Path | None = None) -> None:

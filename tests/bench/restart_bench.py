@@ -1,10 +1,10 @@
 """How long a stream stands still when its worker is killed: a real server, one viewer, kill -9 in mid-frame.
 
-    python -m tests.bench.restart_bench [--kills 3]
+    python -m tests.bench.restart_bench [--kills 3 --pause 20 --no-spare]
 
 Prints, for a recorded file and for a stream in training: seconds from the kill to the event that tells of it, to the
 first whole picture of the new epoch in the viewer's decoder, and to the next version that was trained after it; and
-what the processes take. An idle machine is wanted.
+what the processes take, the worker first. Between kills the next spare process gets ready. An idle machine is wanted.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def resident_bytes(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
-def watch(name: str, arguments: list[object], kills: int) -> None:
+def watch(name: str, arguments: list[object], kills: int, pause_seconds: float) -> None:
     """Kill the largest of the server's processes again and again, and print what its viewer saw."""
     with serving(*arguments) as (server, port), live(port) as connection:
         viewer = Viewer(connection).hello()
         viewer.until("caught_up", _LONGEST_SECONDS)
         for number in range(kills):
-            at = max(viewer.decoder.versions) + 5
-            while max(viewer.decoder.versions) < at or len(set(viewer.decoder.versions)) > 1:
+            at, ready = max(viewer.decoder.versions) + 5, time.monotonic() + pause_seconds
+            while time.monotonic() < ready or not at <= min(viewer.decoder.versions) == max(viewer.decoder.versions):
                 viewer.step(_LONGEST_SECONDS)
             workers = sorted(family(server.pid)[1:], key=resident_bytes)
             sizes = ", ".join(f"{resident_bytes(pid) / 1e6:.0f}" for pid in [server.pid, *reversed(workers)])
@@ -63,16 +63,19 @@ def main() -> None:
     """Both kinds of stream."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--kills", type=int, default=3)
+    parser.add_argument("--pause", type=float, default=20.0)
+    parser.add_argument("--no-spare", action="store_true")
     parser.add_argument("--width", type=int, default=160)
     parser.add_argument("--height", type=int, default=90)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         clip = make_clip(folder / "scene.slod", 60, counts=(50, 500, 4000), key_every=30)
-        watch("recorded file", ["--play", clip.path], options.kills)
+        watch("recorded file", ["--play", clip.path], options.kills, 0.0)
         config = folder / "server.toml"
-        config.write_text(_TRAINING.format(options.width, options.height))
-        watch("in training", ["--config", config], options.kills)
+        spare = "[worker]\nspare = false\n" if options.no_spare else ""
+        config.write_text(spare + _TRAINING.format(options.width, options.height))
+        watch("in training", ["--config", config], options.kills, options.pause)
 
 
 if __name__ == "__main__":
