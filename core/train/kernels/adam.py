@@ -9,9 +9,24 @@ import numba
 import numpy as np
 
 from core.arrays import Float32, Int64
-from core.render.cpu.kernels.inline.constants import KERNEL, ZERO
+from core.render.cpu.kernels.inline.constants import KERNEL, SERIAL, ZERO
 
 _LARGEST = np.finfo(np.float32).max
+
+
+@numba.njit(**SERIAL)
+def _update(value: Float32, gradient: Float32, first: Float32, second: Float32, numbers: Any) -> int:
+    """One worker's share; from index zero on, since LLVM vectorises only what cannot count from the end."""
+    rate, inverse, news1, news2, epsilon = numbers
+    lost = np.int64(0)
+    for i in range(value.shape[0]):
+        good = abs(gradient[i]) <= _LARGEST  # false for NaN too
+        g = gradient[i] if good else ZERO
+        lost += np.int64(0) if good else np.int64(1)
+        first[i] += news1 * (g - first[i])
+        second[i] += news2 * (g * g - second[i])
+        value[i] -= rate * first[i] / (math.sqrt(second[i] * inverse) + epsilon)
+    return lost
 
 
 @numba.njit(**KERNEL)
@@ -25,15 +40,7 @@ def adam_step(
             float32; the complements, since 1 - beta2 loses four digits in float32.
         broken: out, [workers] entries of the gradient that were not finite and counted as zero.
     """
-    rate, inverse, news1, news2, epsilon = numbers
     count = value.shape[0]
     for w in numba.prange(workers):
-        lost = np.int64(0)
-        for i in range(count * w // workers, count * (w + 1) // workers):
-            good = abs(gradient[i]) <= _LARGEST  # false for NaN too
-            g = gradient[i] if good else ZERO
-            lost += 0 if good else 1
-            first[i] += news1 * (g - first[i])
-            second[i] += news2 * (g * g - second[i])
-            value[i] -= rate * first[i] / (math.sqrt(second[i] * inverse) + epsilon)
-        broken[w] = lost
+        own = slice(count * w // workers, count * (w + 1) // workers)
+        broken[w] = _update(value[own], gradient[own], first[own], second[own], numbers)

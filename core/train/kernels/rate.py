@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numba
 import numpy as np
 
-from core.arrays import Float32, Float64
+from core.arrays import Float32, Float64, Int64
 from core.entropy_model import BINS, UNIT_BIN
 from core.quantise import DEFAULT_OFFSET
 from core.render.cpu.kernels.inline.constants import KERNEL, ONE, SERIAL, ZERO
@@ -24,46 +23,61 @@ def _size(value: Any, limit: Any) -> Any:
 
 @numba.njit(**SERIAL)
 def _rounded(value: Any, limit: Any) -> Any:
-    return np.float32(math.floor(_size(value, limit) + _OFFSET))
+    return np.floor(_size(value, limit) + _OFFSET)
 
 
 @numba.njit(**SERIAL)
-def _bin(expected: Any) -> int:
-    nearest = int(np.rint(np.float32(UNIT_BIN) + np.float32(4) * np.log2(max(expected, np.float32(1e-3)))))
-    return min(max(nearest, 0), BINS - 1)
-
-
-@numba.njit(**SERIAL)
-def _total(values: Float32, first: int, end: int, limit: Any) -> float:
-    """Sum of what rows `first` to `end` round to."""
+def _total(values: Float32, first: int, end: int, limit: Any, rows: Float32) -> float:
+    """Sum of what rows `first` to `end` round to, and that of each into `rows`."""
     total = 0.0
     for i in range(first, end):
+        whole = ZERO
         for c in range(values.shape[1]):
-            total += _rounded(values[i, c], limit)
+            whole += _rounded(values[i, c], limit)
+        rows[i] = whole
+        total += whole
     return total
 
 
 @numba.njit(**SERIAL)
-def _row_bits(values: Float32, i: int, table: Float32, limit: Any, average: Any, share: Any, gradient: Float32) -> Any:
-    """Bits of row `i`, and their derivatives into that of `gradient`."""
-    whole = ZERO
-    for c in range(values.shape[1]):
-        whole += _rounded(values[i, c], limit)
-    usual = _bin((average + whole) * share)  # of the many values that round to zero
-    start, first_slope = table[usual, 0], table[usual, 1] - table[usual, 0]
-    bits = ZERO
+def _bins(rounded: Float32, total: float, channels: int, typical: float) -> Int64:
+    """Bin of a value by what the other values of its row round to in all, from 0 to the largest of `rounded` [n]."""
+    weight, rows = typical * channels, len(rounded)
+    average = np.float32(weight * total / max(1, rows * channels))  # what the average row adds
+    share = np.float32(1 / (weight + channels - 1))
+    most = ZERO
+    for i in range(rows):
+        most = max(most, rounded[i])
+    bins = np.empty(int(most) + 1, np.int64)
+    for rest in range(len(bins)):
+        expected = max((average + np.float32(rest)) * share, np.float32(1e-3))
+        nearest = int(np.rint(np.float32(UNIT_BIN) + np.float32(4) * np.log2(expected)))
+        bins[rest] = min(max(nearest, 0), BINS - 1)
+    return bins
+
+
+@numba.njit(**SERIAL)
+def _row_bits(values: Float32, i: int, whole: Any, table: Float32, limit: Any, bins: Int64, gradient: Float32) -> Any:
+    """Bits of row `i`, which rounds to `whole` in all, and their derivatives into that of `gradient`."""
+    usual = bins[int(whole)]  # of the many values that round to zero
+    start, slope = table[usual, 0], table[usual, 1] - table[usual, 0]
+    sizes = ZERO
+    for c in range(values.shape[1]):  # as though all did: without branches, so that it vectorises
+        value = values[i, c]
+        sizes += _size(value, limit)
+        gradient[i, c] = slope if value > ZERO else (-slope if value < ZERO else ZERO)
+    bits = np.float32(values.shape[1]) * start + sizes * slope
+    if whole == ZERO:
+        return bits
     for c in range(values.shape[1]):
         value = values[i, c]
         size, own = _size(value, limit), _rounded(value, limit)
-        if own == ZERO:  # and so the size is below one
-            bits += start + size * first_slope
-            slope = first_slope
-        else:
-            k, lower = _bin((average + whole - own) * share), int(size)
-            slope = table[k, lower + 1] - table[k, lower]
-            bits += table[k, lower] + (size - np.float32(lower)) * slope
-        held = slope if size < limit else ZERO
-        gradient[i, c] = held if value > ZERO else (-held if value < ZERO else ZERO)
+        if own != ZERO:
+            k, lower = bins[int(whole - own)], int(size)
+            steeper = table[k, lower + 1] - table[k, lower]
+            bits += table[k, lower] + (size - np.float32(lower)) * steeper - (start + size * slope)
+            held = steeper if size < limit else ZERO
+            gradient[i, c] = held if value > ZERO else (-held if value < ZERO else ZERO)
     return bits
 
 
@@ -71,24 +85,24 @@ def _row_bits(values: Float32, i: int, table: Float32, limit: Any, average: Any,
 def _largest(values: Float32, i: int) -> Any:
     largest = ZERO
     for c in range(values.shape[1]):
-        largest = max(largest, abs(values[i, c]))
+        size = abs(values[i, c])
+        largest = size if size > largest else largest
     return largest
 
 
 @numba.njit(**SERIAL)
 def _count(values: Float32, i: int, size: Any) -> int:
-    count = 0
+    count = np.int32(0)
     for c in range(values.shape[1]):
-        if abs(values[i, c]) == size:
-            count += 1
+        count += np.int32(1) if abs(values[i, c]) == size else np.int32(0)
     return count
 
 
 @numba.njit(**SERIAL)
 def _add(values: Float32, i: int, size: Any, slope: Any, gradient: Float32) -> None:
     for c in range(values.shape[1]):
-        if abs(values[i, c]) == size:
-            gradient[i, c] += slope * np.sign(values[i, c])
+        value = values[i, c]
+        gradient[i, c] += (slope if value == size else ZERO) - (slope if value == -size else ZERO)
 
 
 @numba.njit(**SERIAL)
@@ -100,14 +114,6 @@ def _set_bits(latent: Float32, position: Float32, i: int, price: Any, to_latent:
         _add(latent, i, size, slope, to_latent)
         _add(position, i, size, slope, to_position)
     return price * min(size, ONE)
-
-
-@numba.njit(**SERIAL)
-def _factors(values: Float32, total: float, typical: float) -> Any:
-    """What the average row adds to an expectation, and the factor of an expectation's sum."""
-    rows, channels = values.shape
-    weight = typical * channels
-    return np.float32(weight * total / max(1, rows * channels)), np.float32(1 / (weight + channels - 1))
 
 
 @numba.njit(**KERNEL)
@@ -130,17 +136,19 @@ def residual_bits(
         to_latent, to_position: out, of the shapes of `latent` and `position`.
     """
     workers, count = sums.shape[0], latent.shape[0]
+    rows = np.empty((2, count), np.float32)
     limit = np.float32(table.shape[1] - 1) - np.float32(0.01)
     for w in numba.prange(workers):
         first, end = count * w // workers, count * (w + 1) // workers
-        sums[w, 0], sums[w, 1] = _total(latent, first, end, limit), _total(position, first, end, limit)
-    of_latents = _factors(latent, sums[:, 0].sum(), typical)
-    of_positions = _factors(position, sums[:, 1].sum(), typical)
+        sums[w, 0] = _total(latent, first, end, limit, rows[0])
+        sums[w, 1] = _total(position, first, end, limit, rows[1])
+    of_latents = _bins(rows[0], sums[:, 0].sum(), latent.shape[1], typical)
+    of_positions = _bins(rows[1], sums[:, 1].sum(), position.shape[1], typical)
     for w in numba.prange(workers):
         bits = 0.0
         for i in range(count * w // workers, count * (w + 1) // workers):
-            bits += _row_bits(latent, i, table, limit, of_latents[0], of_latents[1], to_latent)
-            bits += _row_bits(position, i, table, limit, of_positions[0], of_positions[1], to_position)
+            bits += _row_bits(latent, i, rows[0, i], table, limit, of_latents, to_latent)
+            bits += _row_bits(position, i, rows[1, i], table, limit, of_positions, to_position)
             bits += _set_bits(latent, position, i, set_bits, to_latent, to_position)
         sums[w, 2] = bits
     return float(sums[:, 2].sum())

@@ -10,12 +10,12 @@ import pytest
 from core import runtime
 from core.render import cpu
 
-NAMES = ("OMP_WAIT_POLICY", "NUMBA_THREADING_LAYER", "NUMBA_CACHE_DIR")
+NAMES = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "NUMBA_THREADING_LAYER", "NUMBA_CACHE_DIR")
 
 
 def settings_after_import(**given: str) -> dict[str, str]:
     clean = {key: value for key, value in os.environ.items() if key not in NAMES}
-    code = f"import core, os; print('\\n'.join(os.environ[n] for n in {NAMES!r}))"
+    code = f"import core, os; print('\\n'.join(os.environ.get(n, '') for n in {NAMES!r}))"
     answer = subprocess.run(
         [sys.executable, "-c", code], env={**clean, **given}, check=True, capture_output=True, text=True
     ).stdout
@@ -25,12 +25,15 @@ def settings_after_import(**given: str) -> dict[str, str]:
 def test_importing_core_sets_them(tmp_path: Path) -> None:
     found = settings_after_import(XDG_CACHE_HOME=str(tmp_path))
     assert found["OMP_WAIT_POLICY"] == "PASSIVE"
+    assert found["GOMP_SPINCOUNT"] == "1000"
     assert found["NUMBA_THREADING_LAYER"] == "omp"
     assert Path(found["NUMBA_CACHE_DIR"]).parent == tmp_path / "streamlod" / "numba"
 
 
 def test_what_the_user_set_stays() -> None:
     given = {"OMP_WAIT_POLICY": "ACTIVE", "NUMBA_THREADING_LAYER": "tbb", "NUMBA_CACHE_DIR": "/elsewhere"}
+    assert settings_after_import(**given) == given | {"GOMP_SPINCOUNT": ""}
+    given |= {"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "7"}
     assert settings_after_import(**given) == given
 
 

@@ -64,4 +64,4 @@ def test_a_camera_without_a_picture_is_shown_nothing_known(field: Field) -> None
     pictures = rendered(field, torch.ones(len(field), dtype=torch.bool), views, "cpu")
     assert pictures[0].isnan().all()
     assert not pictures[1].isnan().any()
-    assert pictures[1].max() > 0.1
+    assert pictures[1].max() > 0
