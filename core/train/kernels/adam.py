@@ -15,7 +15,7 @@ _LARGEST = np.finfo(np.float32).max
 
 
 @numba.njit(**SERIAL)
-def _update(value: Float32, gradient: Float32, first: Float32, second: Float32, numbers: Any) -> int:
+def _update(value: Float32, gradient: Float32, first: Float32, second: Float32, numbers: Any) -> Any:
     """One worker's share; from index zero on, since LLVM vectorises only what cannot count from the end."""
     rate, inverse, news1, news2, epsilon = numbers
     lost = np.int64(0)

@@ -31,7 +31,7 @@ def _total(values: Float32, first: int, end: int, limit: Any, rows: Float32) -> 
     """Sum of what rows `first` to `end` round to, and that of each into `rows`."""
     total = 0.0
     for i in range(first, end):
-        whole = ZERO
+        whole: Any = ZERO
         for c in range(values.shape[1]):
             whole += _rounded(values[i, c], limit)
         rows[i] = whole
@@ -45,7 +45,7 @@ def _bins(rounded: Float32, total: float, channels: int, typical: float) -> Int6
     weight, rows = typical * channels, len(rounded)
     average = np.float32(weight * total / max(1, rows * channels))  # what the average row adds
     share = np.float32(1 / (weight + channels - 1))
-    most = ZERO
+    most: Any = ZERO
     for i in range(rows):
         most = max(most, rounded[i])
     bins = np.empty(int(most) + 1, np.int64)
@@ -91,7 +91,7 @@ def _largest(values: Float32, i: int) -> Any:
 
 
 @numba.njit(**SERIAL)
-def _count(values: Float32, i: int, size: Any) -> int:
+def _count(values: Float32, i: int, size: Any) -> Any:
     count = np.int32(0)
     for c in range(values.shape[1]):
         count += np.int32(1) if abs(values[i, c]) == size else np.int32(0)
