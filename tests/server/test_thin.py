@@ -65,12 +65,18 @@ class ThinViewer:
         return self.until("scene")
 
     def until(self, name: str) -> dict[str, Any]:
+        """The next event of that name; pictures that come before it are acknowledged."""
         while True:
             message = self.connection.recv(20)
-            if isinstance(message, str):
-                self.events.append(json.loads(message))
-                if self.events[-1].get("event") == name:
-                    return self.events[-1]
+            if isinstance(message, bytes):
+                self._acknowledge(message)
+                continue
+            self.events.append(json.loads(message))
+            if self.events[-1].get("event") == name:
+                return self.events[-1]
+
+    def _acknowledge(self, message: bytes) -> None:
+        self.send(type="ack", picture=HEADER.unpack_from(message)[0])
 
     def picture(self) -> Picture:
         """The next picture, acknowledged."""
@@ -79,7 +85,7 @@ class ThinViewer:
         number, _, version, width, height, quality, _, _, _ = HEADER.unpack_from(message)
         image = cv2.imdecode(np.frombuffer(message, np.uint8, offset=HEADER.size), cv2.IMREAD_COLOR_RGB)
         assert image.shape == (height, width, 3)
-        self.send(type="ack", picture=number)
+        self._acknowledge(message)
         return Picture(number, version, quality, image)
 
     def best(self, version: int) -> Picture:
