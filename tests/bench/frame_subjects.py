@@ -44,9 +44,7 @@ def make_case(
     anchors: int, views: int, size: tuple[int, int], share: float, backend: Backend = "cpu", depth: float = 5.0
 ) -> FrameCase:
     """`anchors` of ten Gaussians each, filling the view; the `share` of them nearest to a point `depth` away moves."""
-    cameras = _rig(views, *size)
-    field = _field(anchors, size[0])
-    scene = scene_of(field, PredictConfig(), cameras, 30.0, 0)
+    cameras, scene = make_state(anchors, views, size)
     field = field_of(scene)
     order = np.argsort(np.linalg.norm(field.position.numpy() - [0, 0, depth], axis=1))
     moving = torch.from_numpy(order[: round(share * anchors)])
@@ -54,6 +52,12 @@ def make_case(
     position[moving] += torch.from_numpy(_SHIFT)
     moved = replace(field, position=position)
     return FrameCase(cameras, scene, _filmed(field, cameras, 0, backend), _filmed(moved, cameras, 1, backend))
+
+
+def make_state(anchors: int, views: int, size: tuple[int, int]) -> tuple[tuple[Camera, ...], Scene]:
+    """The cameras and the state of such a case."""
+    cameras = _rig(views, *size)
+    return cameras, scene_of(_field(anchors, size[0]), PredictConfig(), cameras, 30.0, 0)
 
 
 class Streaming:
@@ -83,17 +87,21 @@ class Streaming:
 
     def draw(self, pictures: int) -> None:
         """Decode and draw the state: every picture chooses its levels by distance, as a viewer does."""
-        field, background = field_of(self._trainer.scene).to(self._device), torch.zeros(3, device=self._device)
-        with torch.no_grad():
-            for i in range(pictures):
-                camera = self._case.cameras[i % len(self._case.cameras)]
-                centre = torch.from_numpy(camera.centre).float().to(self._device)
-                rows = torch.nonzero(visible_levels(field, centre, field.octree.levels - 1))[:, 0]
-                splats = field.decode(centre, rows)
-                backend = select(self._device)
-                rasterise(*splats.astuple(), camera=camera, background=background, backend=backend)
-        if self._device == "cuda":
-            torch.cuda.synchronize()
+        draw_pictures(field_of(self._trainer.scene).to(self._device), self._case.cameras, self._device, pictures)
+
+
+def draw_pictures(field: Field, cameras: tuple[Camera, ...], device: str, pictures: int) -> None:
+    """Draw `field`, which is on `device`: levels chosen by distance and anchors decoded for every picture anew."""
+    background, backend = torch.zeros(3, device=device), select(device)
+    with torch.no_grad():
+        for i in range(pictures):
+            camera = cameras[i % len(cameras)]
+            centre = torch.from_numpy(camera.centre).float().to(device)
+            rows = torch.nonzero(visible_levels(field, centre, field.octree.levels - 1))[:, 0]
+            splats = field.decode(centre, rows)
+            rasterise(*splats.astuple(), camera=camera, background=background, backend=backend)
+    if device == "cuda":
+        torch.cuda.synchronize()
 
 
 class Naive:

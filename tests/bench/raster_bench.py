@@ -2,6 +2,7 @@
 
 Subjects alternate within every round, so that both meet the same neighbours. Times are of the process's CPU on one
 thread unless said otherwise. With STREAMLOD_SPIKES naming a folder that holds ``nbw.py``, that kernel is a subject too.
+The part ``cuda`` needs a GPU: wall times of the CUDA backend, and pictures a second with levels and decoding.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ import numba
 import numpy as np
 import torch
 
+from core.errors import BackendUnavailable
 from core.gaussians import GaussianCloud
-from core.render import rasterise
+from core.render import rasterise, select
 from core.render.cpu.frame import backward, forward
 from core.render.cpu.listing import pack_camera
 from core.render.cpu.workspace import Workspace
@@ -30,6 +32,7 @@ from core.train.decode import Splats
 from core.train.losses import photometric_loss
 from core.train.stage import Stage, make_stage
 from tests.bench.growth_plot import growth_plot
+from tests.bench.raster_gpu import gpu_report
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles
 
 Subjects = dict[str, Callable[[], object]]
@@ -228,6 +231,16 @@ def measure_memory() -> dict[str, Any]:
     return grown | {"visible": len(gradients.rows)}
 
 
+def cuda() -> dict[str, Any]:
+    """The CUDA backend at 1280x720.
+
+    Raises:
+        BackendUnavailable: there is no GPU, or gsplat does not work here.
+    """
+    select("cuda")
+    return gpu_report("cuda", (50_000, 200_000), (20_000, 60_000, 200_000), HD)
+
+
 def _peak_kib() -> int:
     return int(re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())[1])  # type: ignore[index]
 
@@ -240,17 +253,23 @@ REPORTS: dict[str, Callable[[], dict[str, Any]]] = {
     "threads": threads,
     "growth": growth,
     "memory": memory,
+    "cuda": cuda,
 }
 
 
 def run(report: Callable[[str], None], wanted: list[str] | None = None) -> dict[str, Any]:
-    """Measure all or `wanted` parts, report each line as it comes, and return every number."""
+    """Measure the `wanted` parts, or all that can work here; report each line as it comes; return every number."""
     numba.set_num_threads(1)
     torch.set_num_threads(1)
     found: dict[str, Any] = {}
     for name in wanted or REPORTS:
-        found[name] = REPORTS[name]()
         report(name)
+        try:
+            found[name] = REPORTS[name]()
+        except BackendUnavailable as error:
+            if wanted:
+                raise
+            found[name] = {"skipped": str(error)}
         for case, numbers in found[name].items():
             shown = numbers if isinstance(numbers, dict) else {"": numbers}
             texts = [f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in shown.items()]
@@ -271,7 +290,10 @@ def main() -> None:
         return
     if set(options.parts) - set(REPORTS):
         parser.error(f"parts are: {', '.join(REPORTS)}")
-    found = run(print, options.parts)
+    try:
+        found = run(print, options.parts)
+    except BackendUnavailable as error:
+        sys.exit(str(error))
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
     if options.svg and "growth" in found:
