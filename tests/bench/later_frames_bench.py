@@ -3,7 +3,7 @@
     python -m tests.bench.later_frames_bench [--frames 16 --views 5 --steps 500] [--set posterior=0.8 ...]
 
 Every `--set` is a run of its own, with that field of `PredictConfig` changed, or several between commas; all start from
-the same first frame. Each tells the held-out PSNR of every tenth frame, its slope a hundred frames, and recall and
+the same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first and its slope a hundred frames, and recall and
 precision of the dynamic set.
 """
 
@@ -20,6 +20,7 @@ from codec.packet import PacketKind
 from core.anchors import Scene
 from core.data import linspace_split
 from core.data.synthetic import SyntheticSpec, open_synthetic
+from core.evaluate.systems import with_steps
 from core.evaluate.truth import dynamic_precision_recall
 from core.expand import expand
 from core.frames import FrameSet
@@ -57,7 +58,7 @@ def main() -> None:
 
     def run(label: str, predict: PredictConfig) -> None:
         trainer = Trainer(cameras, TrainConfig(config.model, config.keyframe, predict), clip.fps, "cpu")
-        trainer.resume(first)
+        trainer.resume(with_steps(first, config.predict, predict))
         trainer.predict(training[0])  # tells the trainer what the state was shown
         scores, sizes, motions, seconds = [quality(first, 0)], list[int](), list[tuple[int, ...]](), 0.0
         for frame in training[1:]:
@@ -75,7 +76,7 @@ def main() -> None:
         slope = 100 * np.polyfit(np.arange(len(scores)), scores, 1)[0]
         found, moving, right, dynamic = np.sum(motions, axis=0) if motions else (0, 0, 0, 0)
         print(
-            f"{label:24s} {line} | {slope:+.2f} dB in 100 frames, {np.mean(sizes):.0f} bytes, at most {max(sizes)}, "
+            f"{label:24s} {line} | mean {np.mean(scores[1:]):.3f}, {slope:+.2f} dB in 100 frames, {np.mean(sizes):.0f} bytes, at most {max(sizes)}, "
             f"{seconds / len(sizes):.3f} CPU s a frame, recall {found / max(moving, 1):.2f} of {moving}, "
             f"precision {right / max(dynamic, 1):.2f} of {dynamic}",
             flush=True,
