@@ -2,9 +2,9 @@
 
     python -m tests.bench.later_frames_bench [--frames 16 --views 5 --steps 500] [--set posterior=0.8 ...]
 
-Every `--set` is a run of its own, with that field of `PredictConfig` changed, or several between commas; all start from
-the same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first and its slope a hundred frames, and recall and
-precision of the dynamic set.
+Every `--set` is a run of its own, with that field of `PredictConfig` changed, or several between commas; all start from the
+same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first, its slope a hundred
+frames, and recall and precision of the dynamic set.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ def main() -> None:
         slope = 100 * np.polyfit(np.arange(len(scores)), scores, 1)[0]
         found, moving, right, dynamic = np.sum(motions, axis=0) if motions else (0, 0, 0, 0)
         print(
-            f"{label:24s} {line} | mean {np.mean(scores[1:]):.3f}, {slope:+.2f} dB in 100 frames, {np.mean(sizes):.0f} bytes, at most {max(sizes)}, "
+            f"{label:24s} {line} | mean {np.mean(scores[1:]):.3f}, {slope:+.2f} dB in 100 frames, "
+            f"{np.mean(sizes):.0f} bytes, at most {max(sizes)}, "
             f"{seconds / len(sizes):.3f} CPU s a frame, recall {found / max(moving, 1):.2f} of {moving}, "
             f"precision {right / max(dynamic, 1):.2f} of {dynamic}",
             flush=True,
