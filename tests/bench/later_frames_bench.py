@@ -2,9 +2,9 @@
 
     python -m tests.bench.later_frames_bench [--frames 16 --views 5 --steps 500] [--set posterior=0.8 ...]
 
-Every `--set` is a run of its own, with that field of `PredictConfig` changed, or several between commas; all start from the
-same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first, its slope a hundred
-frames, and recall and precision of the dynamic set.
+Every `--set` is a run of its own, with that field of `PredictConfig` changed, or several between commas; all start from
+the same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first, its slope a
+hundred frames, and recall and precision of the dynamic set.
 """
 
 from __future__ import annotations
