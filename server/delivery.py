@@ -14,10 +14,9 @@ from server.hub import Hub
 from server.lanes import Lane
 from server.messages import BUSY
 from server.pacing import Throttle
-from server.packets import Position, StreamPacket, binary_fragments, payload_bytes
+from server.packets import Position, StreamPacket, payload_bytes
 from server.settings import Limits
 
-_PIECE_BYTES = 32_768  # of a keyframe in one frame's time, for viewers that have a picture already
 _ACK_SECONDS = 1.0  # that a viewer may take to acknowledge
 
 
@@ -138,9 +137,7 @@ class Delivery:
 
     async def trickle(self, packet: StreamPacket, levels: int, interval_seconds: float) -> None:
         """Send a large packet as one message in pieces, one an interval: the picture goes on until it is complete."""
-        whole = packet.framed(levels)
-        content = memoryview(whole)[len(whole) - payload_bytes(whole) :]
-        for number, frame in enumerate(binary_fragments(content, _PIECE_BYTES)):
+        for number, frame in enumerate(packet.pieces(levels)):
             if number:
                 await asyncio.sleep(interval_seconds)
             await self.frame(frame)

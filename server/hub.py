@@ -21,7 +21,7 @@ from core.anchors import AnchorLevel, Scene
 from core.residual import difference
 from server.counters import Counters
 from server.lanes import Lane, Lanes
-from server.packets import PacketWindow, StreamPacket, binary_frame
+from server.packets import PIECE_BYTES, PacketWindow, StreamPacket, binary_frame
 
 _STATE_BYTES = 16_000_000  # decoded states kept, to begin skip packets from
 _FRAMES_SECONDS = 2.0  # after which a viewer that lags gets a residual rather than old packets one by one
@@ -87,8 +87,8 @@ class Hub:
         scene = self._decoder.scene
         assert scene is not None
         packet = replace(packet, arrived=time.monotonic())
-        if packet.is_key:
-            self.lanes.rouse()  # keyframes are large: each viewer gets them at its own pace
+        if packet.is_key and len(packet.data) > PIECE_BYTES:
+            self.lanes.rouse()  # each viewer gets a large keyframe at its own pace
         self.window.append(packet)
         self._framed.append(packet)
         while packet.arrived - self._framed[0].arrived > _FRAMES_SECONDS:

@@ -11,6 +11,8 @@ from codec.packet import PacketKind
 from codec.packet_info import PacketInfo, peek
 from codec.packet_levels import drop_levels
 
+PIECE_BYTES = 32_768  # of a keyframe in one frame's time, for viewers that have a picture already
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Position:
@@ -43,6 +45,7 @@ class StreamPacket:
     data: bytes
     arrived: float
     _framed: dict[int, bytes] = field(default_factory=dict, repr=False)
+    _pieces: dict[int, tuple[bytes, ...]] = field(default_factory=dict, repr=False)
 
     @property
     def is_key(self) -> bool:
@@ -67,13 +70,21 @@ class StreamPacket:
             frame = self._framed[levels] = self._framed[held]
         return frame
 
+    def pieces(self, levels: int) -> tuple[bytes, ...]:
+        """`restricted` as one websocket message in frames of `PIECE_BYTES`, made once and shared by all viewers."""
+        pieces = self._pieces.get(levels)
+        if pieces is None:
+            pieces = self._pieces[levels] = tuple(binary_fragments(memoryview(self.restricted(levels)), PIECE_BYTES))
+        return pieces
+
     def forget_frames(self) -> None:
         """Let go of what viewers shared; it is made again if one asks."""
         self._framed.clear()
+        self._pieces.clear()
 
     def without_frames(self) -> StreamPacket:
         """The same packet for keeping: what viewers share stays with the original."""
-        return replace(self, _framed={})
+        return replace(self, _framed={}, _pieces={})
 
 
 def stream_packet(number: int, epoch: int, data: bytes) -> StreamPacket:

@@ -88,10 +88,15 @@ def websocket_class(send_buffer_bytes: int, turned_away: Counter[str]) -> type[V
 
 
 class Connection:
-    """What a viewer session needs of its transport."""
+    """What a viewer session needs of its transport.
+
+    Attributes:
+        post: writes a whole websocket frame now; only while `is_clear`.
+    """
 
     def __init__(self, protocol: ViewerProtocol) -> None:
         self._protocol = protocol
+        self.post: Callable[[bytes], None] = protocol.transport.write  # nothing between: hundreds are called a packet
 
     def listen(self, take: Callable[[bytes], bool] | None) -> None:
         """Give text messages to `take` as they arrive, without a queue; what it does not take goes the ordinary way."""
@@ -136,10 +141,6 @@ class Connection:
         await self.drain(stuck_seconds)
         if self._protocol.disconnected or self._protocol.close_sent:
             raise ClientDisconnected
-        self._protocol.transport.write(frame)
-
-    def post(self, frame: bytes) -> None:
-        """Write a whole websocket frame now; only while `is_clear`."""
         self._protocol.transport.write(frame)
 
     @property
