@@ -6,6 +6,8 @@ A decoder skips the extension, so the bench measures the way of bytes to viewers
 from __future__ import annotations
 
 import os
+import socket
+import struct
 from dataclasses import dataclass, replace
 
 from codec.encoder import encode_keyframe, encode_residual
@@ -17,6 +19,7 @@ from tests.codec.scenes import make_scene, move
 
 _STEP_NS = 100_000_000
 _KEY_EVERY = 10
+_SO_MEMINFO = 55
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +28,11 @@ class Run:
 
     Attributes:
         published_ns: monotonic time by version.
-        cpu_seconds: of the server's process.
+        cpu_seconds: of the server's process, without what looking for the end of writing took.
         wall_seconds: how long it took.
         sent_bytes: given to all viewers' sockets.
         resident_bytes: of the server's process, afterwards.
-        kernel_bytes: in socket buffers of the whole machine, afterwards.
+        kernel_bytes: in the socket buffers of the server, afterwards.
         cut_off: viewers closed so far for taking nothing.
         faults: reasons of viewers closed so far, as logged.
     """
@@ -73,11 +76,8 @@ def resident_bytes() -> int:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
-def kernel_bytes() -> int:
-    """Memory of all TCP buffers of this machine."""
-    with open("/proc/net/sockstat") as file:  # noqa: PTH123
-        for line in file:
-            if line.startswith("TCP:"):
-                words = line.split()
-                return int(words[words.index("mem") + 1]) * os.sysconf("SC_PAGESIZE")
-    return 0
+def kernel_bytes(peer: socket.socket) -> int:
+    """Memory of the kernel for one socket's data, at this end (SO_MEMINFO of linux/sock_diag.h)."""
+    words = struct.unpack("9I", peer.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 36))
+    received, _, _, _, reserved, queued, *_ = words
+    return int(received + reserved + queued)
