@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from codec.encoder import encode_keyframe
@@ -10,7 +12,7 @@ from server.course import Course
 from server.delivery import Delivery
 from server.hub import Hub
 from server.lanes import Lane, Lanes
-from server.packets import Position, StreamPacket, binary_frame, payload_bytes, stream_packet
+from server.packets import PIECE_BYTES, Position, StreamPacket, binary_frame, payload_bytes, stream_packet
 from server.settings import Limits
 from tests.codec.scenes import make_scene
 
@@ -66,6 +68,16 @@ def test_a_lane_is_left_above_its_ceiling_and_when_the_number_of_levels_changes(
     for _ in range(3):
         lanes.pass_on(packet)
     assert len(viewer.frames) == 2
+
+
+def test_pieces_of_a_keyframe_are_made_once_and_make_up_one_message(packet: StreamPacket) -> None:
+    large = replace(packet, data=packet.data + bytes(2 * PIECE_BYTES), _framed={}, _pieces={})
+    pieces = large.pieces(3)
+    assert pieces is large.pieces(3)
+    assert [piece[0] for piece in pieces] == [0x02, *[0x00] * (len(pieces) - 2), 0x80]
+    assert b"".join(piece[len(piece) - payload_bytes(piece) :] for piece in pieces) == large.data
+    large.forget_frames()
+    assert large.pieces(3) is not pieces
 
 
 class Nowhere:

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+import pytest
+
+from core.errors import InputError
+from server.rehearsal import rehearse
 from server.warming import warm_codec
 
 
 def test_warming_encodes_and_decodes() -> None:
     warm_codec()
+
+
+def test_rehearsing_trains_and_refuses_what_training_would() -> None:
+    rehearse("live", "cpu")
+    with pytest.raises(InputError, match="preset"):
+        rehearse("no such preset", "cpu")
