@@ -27,7 +27,6 @@ from core.data import Dataset, linspace_split, open_dataset, prefetch
 from core.data.synthetic import SyntheticSpec, open_synthetic
 from core.frames import FrameSet
 from core.initialise import first_points
-from core.rekey import rekey
 from core.residual import Residual
 from core.train import Progress, TrainedFrame, Trainer, preset
 from server.handoff import Outlet, made_by
@@ -101,7 +100,7 @@ class _Trained:
         time_ns: its presentation time.
         change: the state before, and what leads from there; None where `scene` itself is to be sent.
         packet: of the change, where rate control had to know its size at once.
-        renewed: the same state as a keyframe, to be sent after the change, or None.
+        renewed: a keyframe of the same instant, to be sent after the change, or None.
         preview, report, spans: as in `EncodedFrame`.
         captured: when the frame was filmed, in seconds of `time.perf_counter`; None for files.
     """
@@ -283,18 +282,21 @@ class _Training:
         spans = (replace(found, name="points"), *_spans(trained))
         return _Trained(scene, frame.time_ns, _report(trained, spans, version), spans=spans)
 
+    def _renewing(self, progress: Progress) -> None:
+        self._outlet.check()
+        _LOG.debug("keyframe: %.0f %% of its training done", 100 * progress.fraction)
+
     def _later(self, frame: FrameSet) -> _Trained:
         """One later frame: its residual, and now and then a keyframe of the same instant after it."""
         before = self._trainer.scene
         trained = self._trainer.predict(frame)
         assert trained.residual is not None
-        scene, renewed = trained.scene, None
+        scene, renewed, spans = trained.scene, None, _spans(trained)
         reason = self._renewal.due(before, scene)
         if reason is not None:
             _LOG.info("version %d: a new keyframe, for its %s", scene.version, reason)
-            renewed = rekey(scene, scene.version)
-            self._trainer.resume(renewed, keep_references=True)
-        spans = _spans(trained)
+            keyframe = self._trainer.renew(frame, self._renewing)
+            renewed, spans = keyframe.scene, (*spans, *_spans(keyframe))
         report = _report(trained, spans, scene.version)
         state = _Trained(scene, frame.time_ns, report, (before, trained.residual), renewed, spans=spans)
         if self._job.target_kbps is None:

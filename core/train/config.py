@@ -75,6 +75,7 @@ class KeyframeConfig:
     rounding_from: float = 0.75  # from here on the parameters are rounded as they will be sent
     rounding_share: float = 0.03  # of the squared error there, which rounding may add: each anchor's steps follow
     average_from: float = 0.8  # the result is the mean over the steps from here on; after `growth_until`
+    renewal_steps: int = 200  # of a keyframe in mid-stream, which goes on from the state; 0 sends that as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,13 +149,13 @@ def preset(name: str) -> TrainConfig:
         "live": replace(
             default,
             model=replace(default.model, max_anchors=24_000),
-            keyframe=replace(default.keyframe, steps=500, growth_interval=25),
+            keyframe=replace(default.keyframe, steps=500, growth_interval=25, renewal_steps=100),
             predict=replace(default.predict, epochs=8, minimum_steps=40),
         ),
         "quality": replace(
             default,
             model=replace(default.model, max_anchors=80_000),
-            keyframe=replace(default.keyframe, steps=2000, growth_interval=100),
+            keyframe=replace(default.keyframe, steps=2000, growth_interval=100, renewal_steps=400),
             predict=replace(default.predict, epochs=30, rate_weight=0.002),
         ),
         "paper": TrainConfig(
@@ -177,6 +178,7 @@ def preset(name: str) -> TrainConfig:
                 dropout_slope=0.05,
                 progressive_until=0.5,
                 level_cap_share=0.0,
+                renewal_steps=0,
             ),
             predict=replace(
                 default.predict,

@@ -56,7 +56,7 @@ def scene_of(
         ),
         offset_decoder=_decoder(OFFSET_LATENTS, 3 * slots, predict.offset_step),
     )
-    levels = tuple(_level_of(field, number, precision) for number in range(field.octree.levels))
+    levels = tuple(_level_of(field, number, precision, header.position_steps) for number in range(field.octree.levels))
     return Scene(header, weights, levels, keyframe=version, version=version)
 
 
@@ -88,15 +88,16 @@ def level_starts(scene: Scene) -> Int64:
     return np.concatenate([[0], np.cumsum([len(level) for level in scene.levels])]).astype(np.int64)
 
 
-def _level_of(field: Field, number: int, steps: Precision) -> AnchorLevel:
+def _level_of(field: Field, number: int, steps: Precision, position_steps: Float32) -> AnchorLevel:
     rows = torch.nonzero(field.level == number)[:, 0]
     voxel = field.voxel[rows].numpy()
     rows = rows[torch.from_numpy(np.argsort(morton_key(voxel), kind="stable"))]
     count = len(rows)
+    moved = field.position[rows].numpy() - field.octree.node_of(field.voxel[rows].numpy(), number)
     extra = (field.extra_level[rows] / EXTRA_LEVEL_UNIT).round().clamp(0, 32767)
     return AnchorLevel(
         voxel=field.voxel[rows].numpy(),
-        position=np.zeros((count, 3), np.int32),
+        position=np.round(moved / position_steps[number]).astype(np.int32),
         feature=to_int16(field.feature[rows], steps.feature).numpy(),
         offset=to_int16(field.offset[rows], steps.offset).reshape(count, -1).numpy(),
         scaling=to_int16(field.scaling[rows], steps.scaling).numpy(),

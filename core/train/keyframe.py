@@ -36,16 +36,19 @@ class KeyframeTrainer:
         views: the pictures.
         config: the whole configuration.
         backend: of the rasteriser.
+        exposure: of the cameras, to begin with; neutral by default.
     """
 
-    def __init__(self, field: Field, views: Views, config: TrainConfig, backend: Backend) -> None:
+    def __init__(
+        self, field: Field, views: Views, config: TrainConfig, backend: Backend, exposure: Exposure | None = None
+    ) -> None:
         self._config, self._model = config.keyframe, config.model
         device = field.feature.device
         self._generator = torch.Generator(device).manual_seed(config.seed)
         self._chances = torch.Generator().manual_seed(config.seed)  # what the host decides
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         self._order = ViewOrder(views.usable, self._chances)
-        self._exposure = neutral(len(views.cameras), device)
+        self._exposure = neutral(len(views.cameras), device) if exposure is None else exposure.frozen()
         self._whole = views
         first = views.halved() if self._config.half_size_until > 0 else views
         self._easel = Easel(first, self._exposure, self._config, backend)

@@ -46,6 +46,14 @@ class State:
         alive = np.concatenate([level.alive for level in self.scene.levels])
         return torch.from_numpy(alive).to(self.field.feature.device)
 
+    @property
+    def is_untouched(self) -> bool:
+        """Whether the keyframe's anchors are all alive and as they were."""
+        if not bool(self.alive.all()) or len(self.field) != len(self.canonical):
+            return False
+        names = ("feature", "offset", "position")
+        return all(torch.equal(getattr(self.field, name), getattr(self.canonical, name)) for name in names)
+
     def after(
         self, residual: Residual, scene: Scene, parts: Parts, rows: Tensor, change: Float32, start: Float32
     ) -> State:

@@ -14,6 +14,7 @@ from core.anchors import Scene
 from core.camera import Camera
 from core.errors import ModelError
 from core.frames import FrameSet, PointCloud
+from core.rekey import rekey
 from core.render import select
 from core.residual import apply
 from core.train.budget import FrameBudget, Pace, StepPace
@@ -27,6 +28,7 @@ from core.train.partition import Parts, change_masks, partition
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from core.train.quanta import no_quanta, residual_of, strongest_changes
 from core.train.rate_control import RateControl
+from core.train.renewing import renewal_config
 from core.train.rounding import Precision
 from core.train.seeding import seed_field
 from core.train.showing import rendered
@@ -127,6 +129,39 @@ class Trainer:
             trainer.broken,
             tuple(watch.spans),
         )
+        return TrainedFrame(scene, None, report)
+
+    def renew(self, frames: FrameSet, on_progress: ProgressCallback | None = None) -> TrainedFrame:
+        """A keyframe of the latest state, trained on as configured against `frames`, which that state shows.
+
+        It is sent as it is where nothing has changed since the keyframe before, and under a frame budget.
+
+        Raises:
+            ModelError: there is no state, or no camera is present.
+        """
+        state, watch = self._require(), Stopwatch(self._clock)
+        if self._config.keyframe.renewal_steps == 0 or self._budget is not None or state.is_untouched:
+            scene = rekey(state.scene, state.scene.version)
+            self.resume(scene, keep_references=True)
+            return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
+        views, losses = self._views(frames), list[Tensor]()
+        with watch.stage("renew"):
+            config = renewal_config(self._config, state.field.octree.levels, state.scene.version)
+            field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
+            trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure)
+            while trainer.progress < 1:
+                losses.append(trainer.step())
+                if on_progress is not None and len(losses) % _REPORT_EVERY == 0:
+                    mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
+                    on_progress(Progress("keyframe", trainer.progress, mean, len(trainer.field)))
+            scene = self._scene_of(trainer.field, state.scene.version, trainer.precision)
+            self._exposure = trainer.exposure
+            references = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
+            references = references.clone()
+            references[views.usable] = views.targets[views.usable]
+            self._state = self._fresh(scene, references)
+        loss, count = float(torch.stack(losses[-50:]).mean()), scene.anchor_count
+        report = FrameReport(watch.seconds, len(losses), count, count, loss, trainer.broken, tuple(watch.spans))
         return TrainedFrame(scene, None, report)
 
     @property

@@ -4,7 +4,8 @@
 
 Every `--set` is a run of its own, with that field of `PredictConfig` changed, or several between commas; all start from
 the same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first, its slope a
-hundred frames, and recall and precision of the dynamic set.
+hundred frames, bytes of predicted packets and of a whole stream with its keyframes, and recall and precision of the
+dynamic set. Keyframes come as the service sends them; `--interval` and `--renewal-steps` say when, and how they train.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.encoder import encode_residual
+from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
+from codec.renewal import Renewal, RenewalRule
 from core.anchors import Scene
 from core.data import linspace_split
 from core.data.synthetic import SyntheticSpec, open_synthetic
@@ -27,20 +29,30 @@ from core.frames import FrameSet
 from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
-from core.train import PredictConfig, TrainConfig, Trainer, preset
+from core.train import PredictConfig, Trainer, preset
 
 MOTION_EVERY, SHOWN_EVERY = 4, 10  # frames
 
 
+class Keyframes:
+    """Sends keyframes when the service would; their `sizes` in bytes and CPU `seconds`."""
+
+    def __init__(self, interval: int) -> None:
+        self._renewal = Renewal(RenewalRule(longest=interval))
+        self.sizes, self.seconds = list[int](), 0.0
+
+    def follow(self, trainer: Trainer, before: Scene, frame: FrameSet) -> None:
+        """After `frame`, which led on from the state `before`."""
+        if self._renewal.due(before, trainer.scene) is None:
+            return
+        begin = time.process_time()
+        renewed = trainer.renew(frame).scene
+        self.seconds += time.process_time() - begin
+        self.sizes.append(len(encode_keyframe(renewed, time_ns=0)))
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=16)
-    parser.add_argument("--size", default="240x136")
-    parser.add_argument("--views", type=int, default=5)
-    parser.add_argument("--steps", type=int, default=500)
-    parser.add_argument("--still", action="store_true", help="nothing moves but the noise")
-    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE,...")
-    options = parser.parse_args()
+    options = _options()
     width, height = map(int, options.size.split("x"))
     spec = SyntheticSpec(frames=options.frames, width=width, height=height, still=options.still)
     clip = open_synthetic(spec)
@@ -48,7 +60,10 @@ def main() -> None:
     cameras, filmed = tuple(clip.cameras[row] for row in rows), list(clip.frames())
     training = [FrameSet(f.index, f.time_ns, f.images[rows], f.present[rows]) for f in filmed]
     config = preset("live")
-    config = replace(config, keyframe=replace(config.keyframe, steps=options.steps))
+    keyframe = replace(config.keyframe, steps=options.steps)
+    if options.renewal_steps is not None:
+        keyframe = replace(keyframe, renewal_steps=options.renewal_steps)
+    config = replace(config, keyframe=keyframe, seed=options.seed)
     points = first_points(training[0], cameras, depth_bounds=clip.depth_bounds)
     first = Trainer(cameras, config, clip.fps, "cpu").keyframe(training[0], points).scene
 
@@ -57,10 +72,11 @@ def main() -> None:
         return psnr(render(expand(scene, camera.centre), camera, scene.header.background).image.clip(0, 1), truth)
 
     def run(label: str, predict: PredictConfig) -> None:
-        trainer = Trainer(cameras, TrainConfig(config.model, config.keyframe, predict), clip.fps, "cpu")
+        trainer = Trainer(cameras, replace(config, predict=predict), clip.fps, "cpu")
         trainer.resume(with_steps(first, config.predict, predict))
         trainer.predict(training[0])  # tells the trainer what the state was shown
         scores, sizes, motions, seconds = [quality(first, 0)], list[int](), list[tuple[int, ...]](), 0.0
+        keyframes = Keyframes(options.interval)
         for frame in training[1:]:
             before, begin = trainer.scene, time.process_time()
             result = trainer.predict(frame)
@@ -69,17 +85,20 @@ def main() -> None:
             assert result.dynamic is not None
             sizes.append(len(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)))
             scores.append(quality(result.scene, frame.index))
+            keyframes.follow(trainer, before, frame)
             if frame.index % MOTION_EVERY == 0:
                 motion = dynamic_precision_recall(spec, before, result.dynamic, frame.index, cameras)
                 motions.append((motion.found, motion.moving, motion.right, motion.dynamic))
         line = " ".join(f"{score:.2f}" for score in scores[::SHOWN_EVERY])
         slope = 100 * np.polyfit(np.arange(len(scores)), scores, 1)[0]
         found, moving, right, dynamic = np.sum(motions, axis=0) if motions else (0, 0, 0, 0)
+        count = len(keyframes.sizes)
         print(
             f"{label:24s} {line} | mean {np.mean(scores[1:]):.3f}, {slope:+.2f} dB in 100 frames, "
             f"{np.mean(sizes):.0f} bytes, at most {max(sizes)}, "
-            f"{seconds / len(sizes):.3f} CPU s a frame, recall {found / max(moving, 1):.2f} of {moving}, "
-            f"precision {right / max(dynamic, 1):.2f} of {dynamic}",
+            f"{(sum(sizes) + sum(keyframes.sizes)) / len(sizes):.0f} with {count} keyframes, "
+            f"{seconds / len(sizes):.3f} CPU s a frame and {keyframes.seconds / max(count, 1):.1f} a keyframe, "
+            f"recall {found / max(moving, 1):.2f} of {moving}, precision {right / max(dynamic, 1):.2f} of {dynamic}",
             flush=True,
         )
 
@@ -89,6 +108,20 @@ def main() -> None:
         for name, value in (change.split("=") for change in changes.split(",")):
             predict = replace(predict, **{name: type(getattr(predict, name))(value)})
         run(changes, predict)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=16)
+    parser.add_argument("--size", default="240x136")
+    parser.add_argument("--views", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--interval", type=int, default=RenewalRule().longest, help="most frames between keyframes")
+    parser.add_argument("--renewal-steps", type=int, help="training of a keyframe in mid-stream")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--still", action="store_true", help="nothing moves but the noise")
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE,...")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":
