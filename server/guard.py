@@ -13,6 +13,7 @@ from typing import ClassVar
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from server.settings import Limits
+from server.stalls import StallWatch
 
 _ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large"}
 
@@ -22,18 +23,20 @@ class GuardedProtocol(HttpToolsProtocol):
 
     Attributes:
         limits: of the server.
-        turned_away: counts what was refused, by reason: slow, large, many.
+        turned_away: counts what was refused, by reason: slow, large, many, stalled.
     """
 
     limits: ClassVar[Limits]
     turned_away: ClassVar[Counter[str]]
 
     _timer: asyncio.TimerHandle | None = None
+    _stalls: StallWatch | None = None
     _head_bytes = _body_bytes = 0
     _in_body = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
+        self._stalls = StallWatch(transport, self.limits.stuck_seconds, self.turned_away)
         if len(self.connections) > 2 * self.limits.connections:  # those below get a request's answer: 503
             self.turned_away["many"] += 1
             transport.abort()
@@ -64,12 +67,19 @@ class GuardedProtocol(HttpToolsProtocol):
         self._forget_timer()
         super().on_message_complete()
 
+    def resume_writing(self) -> None:
+        if self._stalls is not None:
+            self._stalls.emptied()
+        super().resume_writing()
+
     def handle_websocket_upgrade(self) -> None:
         self._forget_timer()
+        self._end_watch()  # the websocket's protocol has its own
         super().handle_websocket_upgrade()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._forget_timer()
+        self._end_watch()
         super().connection_lost(exc)
 
     def _expect_request(self) -> None:
@@ -80,6 +90,10 @@ class GuardedProtocol(HttpToolsProtocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+
+    def _end_watch(self) -> None:
+        if self._stalls is not None:
+            self._stalls.end()
 
     def _refuse(self, reason: str) -> None:
         if self.transport.is_closing():

@@ -79,7 +79,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=http_class(limits, turned_away),
-        ws=websocket_class(limits.viewer_bytes, turned_away),
+        ws=websocket_class(limits, turned_away),
         ws_per_message_deflate=False,
         ws_max_size=limits.message_bytes,
         ws_ping_interval=20,

@@ -17,6 +17,11 @@ from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
 
+from server.settings import Limits
+from server.stalls import StallWatch
+
+_MOST_FRAGMENTS = 1024  # of a message; empty ones would cost memory without end
+_POLICY = 1008  # RFC 6455 section 7.4.1
 CONNECTION = "streamlod.connection"  # where an endpoint finds its connection in the ASGI scope
 
 
@@ -24,36 +29,58 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
     """One websocket, and what its endpoint's `Connection` needs of it.
 
     Attributes:
-        send_buffer_bytes: size of the kernel's buffer, about.
-        turned_away: counts peers that break the websocket protocol, by close code.
+        limits: of the server.
+        turned_away: counts peers that break the websocket protocol, by close code, and those that stall.
         take: offered every text message before the endpoint; whether it took it.
         blocked: called when frames cannot be written any more, for a while or for good.
     """
 
-    send_buffer_bytes: ClassVar[int]
+    limits: ClassVar[Limits]
     turned_away: ClassVar[Counter[str]]
     take: Callable[[bytes], bool] | None = None
     blocked: Callable[[], None] | None = None
+    _stalls: StallWatch | None = None
 
     def connection_made(self, transport: BaseTransport) -> None:
         super().connection_made(transport)
+        self._stalls = StallWatch(self.transport, self.limits.stuck_seconds, self.turned_away)
         # whatever the kernel does not take at once shows up; TLS transports would always count as full at 0
         self.transport.set_write_buffer_limits(high=1, low=0)
         raw = transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
             # the kernel doubles the value for its bookkeeping
-            raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self.send_buffer_bytes // 2)
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self.limits.viewer_bytes // 2)
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def handle_text(self, event: Frame) -> None:
         if self.take is None or not event.fin or not self.take(bytes(event.data)):
             super().handle_text(event)
 
+    def handle_cont(self, event: Frame) -> None:
+        if len(self.frames) < _MOST_FRAGMENTS:
+            super().handle_cont(event)
+        elif not self.close_sent:
+            self.conn.send_close(_POLICY, f"more than {_MOST_FRAGMENTS} parts in a message")
+            self.handle_parser_exception()
+
+    def handle_ping(self) -> None:
+        if self.writable.is_set():
+            super().handle_ping()
+        else:  # RFC 6455 section 5.5.3 asks for the latest one's answer only; none waits for a peer that takes none
+            self.conn.data_to_send()
+
     def pause_writing(self) -> None:
         super().pause_writing()
         self._block()
 
+    def resume_writing(self) -> None:
+        if self._stalls is not None:
+            self._stalls.emptied()
+        super().resume_writing()
+
     def connection_lost(self, exc: Exception | None) -> None:
+        if self._stalls is not None:
+            self._stalls.end()
         self._block()
         super().connection_lost(exc)
 
@@ -81,10 +108,9 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
         await super().run_asgi()
 
 
-def websocket_class(send_buffer_bytes: int, turned_away: Counter[str]) -> type[ViewerProtocol]:
+def websocket_class(limits: Limits, turned_away: Counter[str]) -> type[ViewerProtocol]:
     """The protocol class for uvicorn's ``ws`` option; see the attributes of `ViewerProtocol`."""
-    fields = {"send_buffer_bytes": send_buffer_bytes, "turned_away": turned_away}
-    return type("ViewerProtocol", (ViewerProtocol,), fields)
+    return type("ViewerProtocol", (ViewerProtocol,), {"limits": limits, "turned_away": turned_away})
 
 
 class Connection:
