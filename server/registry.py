@@ -94,6 +94,8 @@ class Registry:
         for session in self.sessions:
             session.draining = True
             session.wake.set()
+        for stream in self.streams.values():
+            stream.hub.wake()  # requests that wait for something new
         limit = asyncio.get_running_loop().time() + self.settings.drain_seconds / 2
         while self.sessions and asyncio.get_running_loop().time() < limit:
             await asyncio.sleep(0.02)

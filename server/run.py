@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ctypes
 import logging
@@ -63,6 +64,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         if settings.metrics_port is not None:
             _start_metrics(settings, registry)
         server = Server(config, registry)
+        logging.getLogger("uvicorn.error").addFilter(_is_no_cancellation)
         threading.Thread(target=warm_codec, name="warm", daemon=True).start()
         with _reload_on_hangup(config, registry):
             host, port = listener.getsockname()[:2]
@@ -94,6 +96,11 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         ssl_certfile=settings.certificate,
         ssl_keyfile=settings.certificate_key,
     )
+
+
+def _is_no_cancellation(record: logging.LogRecord) -> bool:
+    """Requests that outlast the time to drain are cancelled, which uvicorn says in a line; their traces tell nothing."""
+    return record.exc_info is None or not isinstance(record.exc_info[1], asyncio.CancelledError)
 
 
 def _bound_arenas() -> None:

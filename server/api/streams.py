@@ -15,6 +15,7 @@ from server.api.access import PROBLEMS, Problem, StreamOf, need, refusal, regist
 from server.api.schemas import Link, Manifest, NewLink, NewStream, StreamBody, StreamList
 from server.auth import Right
 from server.packets import Position
+from server.registry import Registry
 from server.stream import Stream
 
 _USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 422, 429)}
@@ -97,13 +98,14 @@ async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link
 @router.get("/{stream_id}/manifest", summary="Window and groups of pictures", dependencies=[need(Right.READ)])
 async def get_manifest(
     stream: StreamOf,
+    request: Request,
     after_epoch: Annotated[int | None, Query(ge=0, le=2**32 - 1, description="wait for something later")] = None,
     after_version: Annotated[int, Query(ge=0, le=2**32 - 1, description="than this position")] = 0,
     wait_ms: Annotated[int, Query(ge=0, le=10_000, description="wait at most so long")] = 0,
 ) -> Manifest:
     """What can be sought and downloaded. With `after_epoch` it blocks until the live edge is later than that."""
     if after_epoch is not None and wait_ms:
-        await _wait_for_later(stream, Position(after_epoch, after_version), wait_ms / 1000)
+        await _wait_for_later(registry_of(request), stream, Position(after_epoch, after_version), wait_ms / 1000)
     scene = stream.hub.scene
     newest = stream.newest
     return Manifest.model_validate(
@@ -126,12 +128,12 @@ def _is_there(path: str) -> bool:
         return False
 
 
-async def _wait_for_later(stream: Stream, place: Position, seconds: float) -> None:
+async def _wait_for_later(registry: Registry, stream: Stream, place: Position, seconds: float) -> None:
     wake = asyncio.Event()
     stream.hub.listeners.add(wake.set)
     try:
         async with asyncio.timeout(seconds):
-            while (stream.newest is None or stream.newest <= place) and not stream.deleted:
+            while (stream.newest is None or stream.newest <= place) and not (stream.deleted or registry.draining):
                 wake.clear()
                 await wake.wait()
     except TimeoutError:

@@ -12,7 +12,8 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -92,19 +93,28 @@ def test_playing_needs_little_memory_and_no_training_library(clip: Clip) -> None
         assert total < 300_000
 
 
-def test_sigterm_tells_viewers_and_ends_within_ten_seconds(clip: Clip) -> None:
-    with serving("--play", clip.path) as (process, port), live(port) as connection:
+def test_sigterm_tells_viewers_and_ends_within_ten_seconds_with_a_clean_log(clip: Clip) -> None:
+    with ExitStack() as stack, serving("--play", clip.path) as (process, port):
         wait_live(port)
-        viewer = Viewer(connection).hello()
+        viewer = Viewer(stack.enter_context(live(port))).hello()
         viewer.until("caught_up")
+        stack.enter_context(live(port))  # has not said hello
+        stuck = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+        stuck.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * 300)  # takes no answer
+        pool = stack.enter_context(ThreadPoolExecutor(1))
+        poll = pool.submit(get, port, "/v1/streams/main/manifest?after_epoch=9&wait_ms=9000")
+        time.sleep(0.2)
         begin = time.monotonic()
         process.send_signal(signal.SIGTERM)
         with pytest.raises(ConnectionClosed) as caught:
             viewer.until("nothing that the server sends")
         assert caught.value.rcvd is not None
         assert caught.value.rcvd.code == 1001
-        process.wait(10)
+        assert json.loads(poll.result(5))["stream"] == "main"
+        assert process.wait(10) == 0
         assert time.monotonic() - begin < 10
+        assert process.stderr is not None
+        assert "Traceback" not in process.stderr.read()
 
 
 def test_a_killed_server_keeps_what_it_recorded(clip: Clip, tmp_path: Path) -> None:
