@@ -21,6 +21,7 @@ from server.options import (
     Downscale,
     FrameBudget,
     Frames,
+    Interval,
     LayoutOption,
     Preset,
     Seed,
@@ -77,6 +78,7 @@ def train(
     layout: LayoutOption = None,
     frame_budget_ms: FrameBudget = None,
     target_kbps: TargetRate = None,
+    keyframe_interval: Interval = 300,
 ) -> None:
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
@@ -95,6 +97,7 @@ def train(
         seed=seed,
         frame_budget_ms=frame_budget_ms,
         target_kbps=target_kbps,
+        keyframe_interval=keyframe_interval,
     )
     _call("server.commands:train", job, out, json, trace)
 
@@ -133,6 +136,7 @@ def serve(
     layout: LayoutOption = None,
     frame_budget_ms: FrameBudget = None,
     target_kbps: TargetRate = None,
+    keyframe_interval: Interval = 300,
     loop: Annotated[bool, typer.Option(help="Begin a played file again at its end.")] = True,
     state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
     config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,
@@ -174,6 +178,7 @@ def serve(
             "seed": seed,
             "frame_budget_ms": frame_budget_ms,
             "target_kbps": target_kbps,
+            "keyframe_interval": keyframe_interval,
         }
         streams += (_load("server.spec:spec_from_json")(source | options),)
     _call("server.commands:serve", settings, streams)

@@ -52,6 +52,9 @@ FrameBudget = Annotated[
     float | None, typer.Option(min=1, metavar="MS", help="Train each later frame for so long; quality gives way.")
 ]
 TargetRate = Annotated[float | None, typer.Option(min=1, metavar="KBPS", help="Keep predicted packets to this rate.")]
+Interval = Annotated[
+    int, typer.Option("--keyframe-interval", min=1, metavar="FRAMES", help="Most frames between keyframes.")
+]
 Downscale = Annotated[float, typer.Option(min=1, help="Make pictures so many times smaller.")]
 
 
