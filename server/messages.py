@@ -90,8 +90,8 @@ def parse_hello(text: str) -> Hello:
     if PROTOCOL_VERSION not in [v for v in versions if type(v) is int]:
         raise SessionError(BAD_VERSION, f"this server speaks version {PROTOCOL_VERSION}")
     client = message.get("client", "")
-    if not isinstance(client, str) or len(client) > 200:
-        raise SessionError(BAD_MESSAGE, "client must be a string of at most 200 characters")
+    if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # it is logged
+        raise SessionError(BAD_MESSAGE, "client must be a string of at most 200 printable characters")
     start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
     return Hello(client, start, _levels(message), _rate(message), pictures)
 

@@ -99,7 +99,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
 
 
 def _is_no_cancellation(record: logging.LogRecord) -> bool:
-    """Requests that outlast the time to drain are cancelled, which uvicorn says in a line; their traces tell nothing."""
+    """Requests that outlast the time to drain are cancelled, which uvicorn says in a line; a trace tells nothing."""
     return record.exc_info is None or not isinstance(record.exc_info[1], asyncio.CancelledError)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import ipaddress
 import time
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Any
@@ -20,6 +22,7 @@ from server.messages import FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
 from server.registry import Registry
 from server.stream import Stream
 
+_SAFE = {"GET", "HEAD"}  # a foreign page may send them, and cannot read the answer
 _REFUSAL_SECONDS = 0.5  # every refusal takes so long, whatever was wrong
 
 
@@ -83,6 +86,8 @@ def token_of(connection: HTTPConnection) -> str | None:
 async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: str | None) -> Problem | None:
     """Why this request may not go on, or None if it may. Takes the same time for every wrong token."""
     begin = time.monotonic()
+    if connection.scope.get("method", "GET") not in _SAFE and is_foreign(connection):
+        return Problem(403, "pages of this origin may not change anything here")
     address = address_of(connection)
     if gate.is_blocked(address):
         return Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
@@ -101,10 +106,28 @@ async def _refuse(gate: Gate, address: str, begin: float) -> Problem:
 
 
 def is_foreign(connection: HTTPConnection) -> bool:
-    """Whether a page of another origin than the server's own and those of the settings is behind the request."""
-    origin = connection.headers.get("origin")
-    own, allowed = connection.headers.get("host"), registry_of(connection).settings.origins
-    return bool(origin) and urlsplit(origin).netloc != own and origin not in allowed
+    """Whether a page of another origin than the server's own and those of the settings is behind the request.
+
+    Where everybody on this machine may do everything, the server's own origin is localhost or a number: somebody else's
+    name may have been made to lead here after a page was loaded from it.
+    """
+    settings, origin = registry_of(connection).settings, connection.headers.get("origin")
+    if not origin or origin in settings.origins:
+        return False
+    try:
+        place = urlsplit(origin)
+    except ValueError:
+        return True
+    if place.netloc != connection.headers.get("host"):
+        return True
+    return not (settings.has_tokens or settings.is_public or _is_own_name(place.hostname or ""))
+
+
+def _is_own_name(name: str) -> bool:
+    """Whether a host name can only mean this machine, or is an address."""
+    with contextlib.suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return name == "localhost" or name.endswith(".localhost")
 
 
 async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:

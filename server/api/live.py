@@ -95,7 +95,11 @@ async def _admit(websocket: WebSocket, registry: Registry, stream_id: str) -> No
     if SUBPROTOCOL not in websocket.scope.get("subprotocols", []):
         raise SessionError(BAD_VERSION, f"offer the sub-protocol {SUBPROTOCOL}")
     await admit(websocket, Right.READ, stream_id)
-    limits, address = registry.settings.limits, address_of(websocket)
+    _find_room(registry, address_of(websocket))
+
+
+def _find_room(registry: Registry, address: str) -> None:
+    limits = registry.settings.limits
     if len(registry.sessions) >= limits.viewers:
         raise SessionError(BUSY, "the server is full; try again later")
     if list(registry.sessions.values()).count(address) >= limits.viewers_per_address:
@@ -125,7 +129,8 @@ async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello
     stream = registry.streams.get(stream_id)
     if stream is None:
         raise SessionError(NO_STREAM, "there is no such stream")
-    limits = registry.settings.limits
+    limits, address = registry.settings.limits, address_of(websocket)
+    _find_room(registry, address)  # once more: many may have been let in before the first of them said hello
     if hello.pictures:
         session: ViewerSession = ThinSession(stream, hello, transport, limits, registry.painter)
     else:
@@ -138,7 +143,7 @@ async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello
             return False  # once more by `_listen`, which closes the connection
         return True
 
-    registry.sessions[session] = address_of(websocket)
+    registry.sessions[session] = address
     transport.connection.listen(take)
     sending = asyncio.create_task(session.run())
     listening = asyncio.create_task(_listen(websocket, session))

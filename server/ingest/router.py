@@ -7,6 +7,7 @@ import contextlib
 import json
 import logging
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 from fastapi import APIRouter
@@ -64,6 +65,8 @@ def push_router(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) -
 
 async def _take(websocket: WebSocket, intake: AnyIntake) -> None:
     """Pictures one after the other: a node that is too fast waits for its acknowledgements."""
+    loop = asyncio.get_running_loop()
+    thread = ThreadPoolExecutor(1, thread_name_prefix="pushed")  # a worker that hangs could take the shared pool's
     try:
         while True:
             received = await websocket.receive()
@@ -75,11 +78,12 @@ async def _take(websocket: WebSocket, intake: AnyIntake) -> None:
             message = parse_push(data)
             answer = {"type": "ack", "camera": message.camera, "sequence": message.sequence}
             try:
-                await asyncio.to_thread(intake.accept, message)
+                await loop.run_in_executor(thread, intake.accept, message)
             except InputError as error:
                 answer |= {"type": "refused", "reason": error.fault}
             await websocket.send_text(json.dumps(answer))
     finally:
+        thread.shutdown(wait=False)
         await asyncio.to_thread(intake.close)
 
 

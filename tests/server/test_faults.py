@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import random
 import socket
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from websockets.exceptions import ConnectionClosed
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
+from core.errors import SessionError
 from core.residual import difference
 from server.counters import Counters
 from server.hub import Hub
+from server.messages import parse_hello
 from server.packets import stream_packet
 from server.settings import Limits, Settings
 from server.spec import StreamSpec
@@ -168,6 +173,24 @@ def test_connections_that_never_speak_websocket_properly_do_no_harm(clip: Clip) 
             viewer.until("caught_up")
         for peer in (*peers, giant, unmasked, reserved):
             peer.close()
+
+
+def test_a_crowd_that_says_hello_at_once_gets_no_more_places_than_there_are() -> None:
+    limits = Limits(viewers=2)
+    with running(Settings(limits=limits), StreamSpec(play=Path("nothing.slod"))) as server, ExitStack() as stack:
+        crowd = [stack.enter_context(viewing(server)) for _ in range(4)]
+        for viewer in crowd[:2]:
+            viewer.hello()
+        for viewer in crowd[2:]:
+            with pytest.raises(ConnectionClosed, match="the server is full"):
+                viewer.hello()
+
+
+@pytest.mark.parametrize("client", ["a\nINFO server: all is well", "\x1b[2J", "\ud800"])
+def test_a_name_that_would_spoil_the_log_is_refused(client: str) -> None:
+    with pytest.raises(SessionError) as refused:
+        parse_hello(json.dumps({"type": "hello", "versions": [1], "client": client}))
+    assert refused.value.close_code == 4400
 
 
 def test_a_worker_that_sends_rubbish_is_replaced_and_gives_up_in_the_end(tmp_path: Path) -> None:

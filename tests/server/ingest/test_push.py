@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
+import os
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -230,7 +233,7 @@ def serving(socket_path: Path) -> Iterator[int]:
     async def open_intake(_: WebSocket, stream_id: str) -> RelayedIntake:
         if stream_id != "main":
             raise SessionError(4404, "there is no such stream")
-        return RelayedIntake(socket_path)
+        return await asyncio.to_thread(RelayedIntake, socket_path)
 
     app = FastAPI()
     app.include_router(push_router(open_intake))
@@ -271,3 +274,16 @@ def test_a_capture_node_over_the_websocket_and_the_workers_socket(live: Frames, 
             node.recv(10)
     live.wait(lambda: live.dataset.statistics() is not None and live.dataset.statistics().delivered >= 1)  # type: ignore[union-attr]
     assert live.dataset.statistics().degraded  # type: ignore[union-attr]  # the node has gone
+
+
+def test_a_worker_that_hangs_holds_up_its_own_capture_nodes_alone(tmp_path: Path) -> None:
+    place = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as hung, serving(place) as port, contextlib.ExitStack() as stack:
+        hung.bind(str(place))
+        hung.listen(64)  # takes pictures and never answers
+        url = f"ws://127.0.0.1:{port}/v1/streams/main/ingest"
+        for _ in range((os.cpu_count() or 1) + 8):  # more than the shared pool has threads
+            node = stack.enter_context(websocket_client.connect(url, subprotocols=[PUSH_SUBPROTOCOL]))  # type: ignore[list-item]
+            node.send(pack_push(message(0)))
+            accepted = stack.enter_context(hung.accept()[0])
+            assert accepted.recv(4)
