@@ -41,9 +41,9 @@ class Follower:
     def resume(self) -> None:
         """Go on from the newest packet that was replayed, where it is the hub's; otherwise join anew."""
         newest, last = self._hub.newest, self._delivery.last
-        assert last is not None
-        same = newest is not None and newest.info.keyframe == last.info.keyframe
-        self._number = newest.number if newest is not None and same and newest.position == last.position else None
+        self._number = None
+        if newest is not None and last is not None and newest.position == last.position:
+            self._number = newest.number if newest.info.keyframe == last.info.keyframe else None
 
     @property
     def is_content(self) -> bool:

@@ -10,6 +10,7 @@ import asyncio
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 from codec.decoder import SceneDecoder
@@ -51,6 +52,7 @@ class Hub:
     def __init__(self, window_bytes: int, counters: Counters, limits: Limits = DEFAULT_LIMITS) -> None:
         self.window = PacketWindow(window_bytes)
         self._decoder = SceneDecoder(limits)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="hub")  # what viewers ask for may fill the shared pool
         self._key: _State | None = None
         self._states: OrderedDict[int, _State] = OrderedDict()
         self._state_bytes = 0
@@ -83,7 +85,7 @@ class Hub:
             BitstreamError: it is not valid; nothing has changed.
             ValueError: it does not follow the newest one.
         """
-        await asyncio.to_thread(self._decoder.push, packet.data)
+        await asyncio.get_running_loop().run_in_executor(self._thread, self._decoder.push, packet.data)
         scene = self._decoder.scene
         assert scene is not None
         packet = replace(packet, arrived=time.monotonic())

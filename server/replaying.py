@@ -43,14 +43,18 @@ class Replay:
 
     async def load(self, place: Position) -> None:
         """Send from the keyframe before `place` up to it; what precedes `place` is due at once."""
-        key = self._bus.key_before(place)
-        packets = await self._bus.read(key, place) if key else []
-        while packets and not packets[0].is_key:
-            packets.pop(0)
-        if packets:
-            self._clock = time.monotonic() - packets[-1].info.time_ns / 1e9
+        here, last = self._bus.key_before(place), None
+        while here is not None and here <= place:
+            chunk = Position(here.epoch, here.version + _CHUNK_VERSIONS - 1)
+            packets = await self._bus.read(here, min(place, chunk)) or await self._bus.read(here, place)
+            while packets and not (packets[0].is_key if last is None else packets[0].follows(last.position)):
+                packets.pop(0)  # some may have left the window meanwhile
             for packet in packets:
                 await self._give(packet)
+            last = packets[-1] if packets else last
+            here = Position(packets[-1].position.epoch, packets[-1].position.version + 1) if packets else None
+        if last is not None:
+            self._clock = time.monotonic() - last.info.time_ns / 1e9
 
     async def step(self, now: float) -> bool:
         """Send what is due, or read ahead; whether there is something to do at once."""
@@ -67,7 +71,9 @@ class Replay:
 
     async def _read_ahead(self) -> None:
         """The next versions of the past, from the next keyframe where some are missing."""
-        assert self._delivery.last is not None
+        if self._delivery.last is None:  # what it wanted to see left the window before it was sent
+            self.is_over = True
+            return
         here = self._delivery.last.position
         packets = await self._bus.read(
             Position(here.epoch, here.version + 1), Position(here.epoch, here.version + _CHUNK_VERSIONS)
