@@ -43,7 +43,8 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
 
     def connection_made(self, transport: BaseTransport) -> None:
         super().connection_made(transport)
-        self._stalls = StallWatch(self.transport, self.limits.stuck_seconds, self.turned_away)
+        patience = 2 * self.limits.stuck_seconds  # a session that writes finds out earlier, and says so
+        self._stalls = StallWatch(self.transport, patience, self.turned_away)
         # whatever the kernel does not take at once shows up; TLS transports would always count as full at 0
         self.transport.set_write_buffer_limits(high=1, low=0)
         raw = transport.get_extra_info("socket")
