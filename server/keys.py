@@ -83,10 +83,11 @@ class TokenKeys:
         address = self._settings.jwks
         if address is None or not is_address(address) or (claimed := _claimed_id(token)) is None:
             return
+        if self._holds(claimed):  # whoever comes with a known key does not wait for others' fetching
+            return
         async with self._fetching:
             now = time.monotonic()
-            known = any(key.id == claimed for key in self._fetched)
-            if now - self._tried_at < _PAUSE_SECONDS or (known and now - self._fetched_at < _FRESH_SECONDS):
+            if now - self._tried_at < _PAUSE_SECONDS or self._holds(claimed):
                 return
             self._tried_at = now
             try:
@@ -94,6 +95,11 @@ class TokenKeys:
                 self._fetched_at = now
             except (InputError, OSError, ValueError) as error:
                 _LOG.warning("key set %s: not fetched, the earlier keys stay: %s", address, error)
+
+    def _holds(self, claimed: str) -> bool:
+        """Whether a key of that id was fetched, and lately."""
+        fresh = time.monotonic() - self._fetched_at < _FRESH_SECONDS
+        return fresh and any(key.id == claimed for key in self._fetched)
 
     def claims(self, token: str) -> dict[str, Any] | None:
         """The claims of a token that a key here has signed and that is valid now, or None."""

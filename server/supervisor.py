@@ -150,7 +150,7 @@ class Supervisor:
                 await asyncio.shield(asyncio.wait([pump], timeout=2))
             worker.pipe.close()
             thread.shutdown(wait=False)
-        await asyncio.to_thread(worker.process.join, 5)
+            await asyncio.shield(asyncio.to_thread(worker.process.join, 5))
         return self._last_words() or Ending(reason or f"the worker ended by {_cause(worker.process.exitcode)}")
 
     @property

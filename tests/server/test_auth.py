@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import datetime
 import hmac
 import http.server
@@ -124,6 +125,8 @@ def publishing(answer: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             asked.append(self.path)
+            if "over" in answer:
+                answer["over"].wait(10)
             body = json.dumps(answer["body"]).encode()
             self.send_response(answer.get("status", 200))
             self.send_header("Location", "/elsewhere")
@@ -175,6 +178,29 @@ def test_a_key_set_is_fetched_kept_and_fetched_again_for_new_keys(clip: Clip, mo
     with pytest.raises(InputError, match="https"):
         Gate(Settings(jwks="http://keys.example/set"))
     Settings(host="0.0.0.0", jwks="https://keys.example/set").check()
+
+
+def test_a_known_key_does_not_wait_while_others_are_fetched(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.keys._PAUSE_SECONDS", 0.0)
+    private = ed25519.Ed25519PrivateKey.generate()
+    answer: dict[str, Any] = {"body": {"keys": [public_key(private, "known")]}}
+    known, unknown = (token(private, "EdDSA", name) for name in ("known", "unknown"))
+
+    async def run(gate: Gate, asked: list[str]) -> None:
+        assert await gate.admit(known) is not None
+        answer["over"] = threading.Event()
+        fetching = asyncio.create_task(gate.admit(unknown))
+        try:
+            while len(asked) < 2:
+                await asyncio.sleep(0.01)
+            async with asyncio.timeout(2):
+                assert await gate.admit(known) is not None
+        finally:
+            answer["over"].set()
+            assert await fetching is None
+
+    with publishing(answer) as (address, asked):
+        asyncio.run(run(Gate(Settings(jwks=address)), asked))
 
 
 def test_signed_links_open_their_path_until_they_expire(

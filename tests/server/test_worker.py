@@ -80,6 +80,11 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
         os.kill(pid, signal.SIGSTOP)
         found = server.wait(lambda stream: stream["restarts"] >= 1)
         assert "silent" in found["detail"]
+        server.wait(lambda stream: stream["state"] == "live")
+        pids = {pid, server.registry.streams["main"].worker_pid}
+        with server.client() as client:
+            client.post("/v1/streams/main/stop")
+        assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]  # not even for their parent to look at
     settings = Settings.model_validate({"worker": {"memory_bytes": 1_000_000, "attempts": 1}})
     with running(settings, StreamSpec(play=clip.path)) as server:
         found = server.wait(lambda stream: stream["restarts"] >= 1)
