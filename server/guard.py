@@ -18,12 +18,19 @@ from server.stalls import StallWatch
 _ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large"}
 
 
+_MOST_WAITING = 128  # requests sent before earlier ones were answered; each takes a hundred times its bytes
+
+
+class _Crowded(Exception):
+    """Makes the parser stop; uvicorn answers 400 and closes."""
+
+
 class GuardedProtocol(HttpToolsProtocol):
     """One HTTP connection.
 
     Attributes:
         limits: of the server.
-        turned_away: counts what was refused, by reason: slow, large, many, stalled.
+        turned_away: counts what was refused, by reason: slow, large, many, crowded, stalled.
     """
 
     limits: ClassVar[Limits]
@@ -50,6 +57,12 @@ class GuardedProtocol(HttpToolsProtocol):
         super().data_received(data)
         if self._head_bytes > self.limits.request_bytes:
             self._refuse("large")
+
+    def on_message_begin(self) -> None:
+        if len(self.pipeline) >= _MOST_WAITING:
+            self.turned_away["crowded"] += 1
+            raise _Crowded
+        super().on_message_begin()
 
     def on_headers_complete(self) -> None:
         self._head_bytes, self._in_body = 0, True
