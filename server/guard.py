@@ -15,7 +15,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from server.settings import Limits
 from server.stalls import StallWatch
 
-_ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large"}
+_ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large", "many": "503 Service Unavailable"}
 
 
 _MOST_WAITING = 128  # requests sent before earlier ones were answered; each takes a hundred times its bytes
@@ -86,6 +86,9 @@ class GuardedProtocol(HttpToolsProtocol):
         super().resume_writing()
 
     def handle_websocket_upgrade(self) -> None:
+        if len(self.connections) >= self.limits.connections:  # which uvicorn asks for other requests only
+            self._refuse("many")
+            return
         self._forget_timer()
         self._end_watch()  # the websocket's protocol has its own
         super().handle_websocket_upgrade()

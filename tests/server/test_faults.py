@@ -186,6 +186,17 @@ def test_a_crowd_that_says_hello_at_once_gets_no_more_places_than_there_are() ->
                 viewer.hello()
 
 
+def test_a_websocket_too_many_is_refused() -> None:
+    settings = Settings(limits=Limits(connections=3))
+    with running(settings, StreamSpec(play=Path("nothing.slod"))) as server, ExitStack() as stack:
+        for _ in range(2):
+            stack.enter_context(raw(server.port))
+        with socket.create_connection(("127.0.0.1", server.port), 10) as peer:
+            peer.sendall(HANDSHAKE.encode())
+            assert peer.recv(4096).startswith(b"HTTP/1.1 503")
+        assert server.registry.turned_away["many"] == 1
+
+
 @pytest.mark.parametrize("client", ["a\nINFO server: all is well", "\x1b[2J", "\ud800"])
 def test_a_name_that_would_spoil_the_log_is_refused(client: str) -> None:
     with pytest.raises(SessionError) as refused:
