@@ -25,7 +25,7 @@ class RenewalRule:
         checked_every: versions between looks at the catch-up packet, which has to be encoded for it.
     """
 
-    longest: int = 300
+    longest: int = 100
     shortest: int = 30
     catch_up_share: float = 0.35
     churn_share: float = 0.1

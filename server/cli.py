@@ -78,7 +78,7 @@ def train(
     layout: LayoutOption = None,
     frame_budget_ms: FrameBudget = None,
     target_kbps: TargetRate = None,
-    keyframe_interval: Interval = 300,
+    keyframe_interval: Interval = 100,
 ) -> None:
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
@@ -136,7 +136,7 @@ def serve(
     layout: LayoutOption = None,
     frame_budget_ms: FrameBudget = None,
     target_kbps: TargetRate = None,
-    keyframe_interval: Interval = 300,
+    keyframe_interval: Interval = 100,
     loop: Annotated[bool, typer.Option(help="Begin a played file again at its end.")] = True,
     state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
     config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,

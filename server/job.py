@@ -47,7 +47,7 @@ class TrainJob:
     device: str = "auto"
     seed: int = 0
     points: str = "auto"
-    keyframe_interval: int = 300
+    keyframe_interval: int = 100
     frame_budget_ms: float | None = None
     target_kbps: float | None = None
 

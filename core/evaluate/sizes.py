@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from core.anchors import AnchorLevel, Scene
 from core.residual import Residual
 
-KEYFRAME_INTERVAL = 300  # predicted frames to a keyframe, where nothing calls for one sooner (`codec.renewal`)
+KEYFRAME_INTERVAL = 100  # predicted frames to a keyframe, where nothing calls for one sooner (`codec.renewal`)
 
 
 @dataclass(frozen=True, slots=True)

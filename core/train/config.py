@@ -149,7 +149,7 @@ def preset(name: str) -> TrainConfig:
         "live": replace(
             default,
             model=replace(default.model, max_anchors=24_000),
-            keyframe=replace(default.keyframe, steps=500, growth_interval=25, renewal_steps=100),
+            keyframe=replace(default.keyframe, steps=500, growth_interval=25),
             predict=replace(default.predict, epochs=8, minimum_steps=40),
         ),
         "quality": replace(

@@ -126,7 +126,7 @@ class NewStream(BaseModel):
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
     frame_budget_ms: float | None = Field(default=None, gt=0, le=1e6, description="time to train each later frame")
     target_kbps: float | None = Field(default=None, gt=0, le=1e7, description="rate of predicted packets")
-    keyframe_interval: int = Field(default=300, ge=1, le=1_000_000, description="most frames between keyframes")
+    keyframe_interval: int = Field(default=100, ge=1, le=1_000_000, description="most frames between keyframes")
     start: bool = Field(default=False, description="start it at once")
 
     @property

@@ -73,8 +73,10 @@ def main() -> None:
 
     def run(label: str, predict: PredictConfig) -> None:
         trainer = Trainer(cameras, replace(config, predict=predict), clip.fps, "cpu")
-        trainer.resume(with_steps(first, config.predict, predict))
-        trainer.predict(training[0])  # tells the trainer what the state was shown
+        start = with_steps(first, config.predict, predict)
+        trainer.resume(start)
+        trainer.predict(training[0])  # tells the trainer what the first frame was shown
+        trainer.resume(start, keep_references=True)
         scores, sizes, motions, seconds = [quality(first, 0)], list[int](), list[tuple[int, ...]](), 0.0
         keyframes = Keyframes(options.interval)
         for frame in training[1:]:
