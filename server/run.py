@@ -30,6 +30,7 @@ from server.wire import websocket_class
 _LOG = logging.getLogger(__name__)
 _BACKLOG = 2048
 _M_ARENA_MAX = -8  # of malloc.h
+_OTHER_DESCRIPTORS = 512  # of files, pipes and databases
 
 
 class Server(uvicorn.Server):
@@ -56,6 +57,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
     """
     settings.check()
     _bound_arenas()
+    _allow_descriptors(2 * settings.limits.connections + _OTHER_DESCRIPTORS)
     listener = _bind(settings.host, settings.port)
     try:
         app = create_app(settings, tuple(streams))
@@ -107,6 +109,21 @@ def _bound_arenas() -> None:
     """Let threads share glibc's heap: decoded states come and go on several, and each would keep a heap of its own."""
     with contextlib.suppress(OSError, AttributeError):  # not glibc
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+
+
+def _allow_descriptors(count: int) -> None:
+    """Let the process open so many sockets and files: 1024, as many systems begin with, are gone before the limits."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = count if hard == resource.RLIM_INFINITY else min(count, hard)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+    if most < count:
+        _LOG.warning("only %d files can be open, but limits.connections needs %d; raise the limit on open files", most,
+                     count)  # fmt: skip
 
 
 def _bind(host: str, port: int) -> socket.socket:

@@ -163,7 +163,8 @@ def test_a_clock_that_is_set_deletes_nothing_and_stops_nobody(clip: Clip, tmp_pa
 def test_a_thousand_silent_viewers_are_shown_out(clip: Clip, tmp_path: Path) -> None:
     config = tmp_path / "server.toml"
     config.write_text("[limits]\nhello_seconds = 2.0\nconnections = 3000\n")
-    command = [*PROGRAM, "serve", "--port", "0", "--play", str(clip.path), "--config", str(config)]
+    few_files = ["sh", "-c", 'ulimit -Sn 512; exec "$@"', "sh"]  # which the server has to raise
+    command = [*few_files, *PROGRAM, "serve", "--port", "0", "--play", str(clip.path), "--config", str(config)]
     with started(command) as (process, port, _), ExitStack() as stack:
         wait_live(port)
         follows(port)
