@@ -122,8 +122,8 @@ class Stream:
         }
 
     def start(self) -> None:
-        """Start the worker, unless it runs; an ended source begins again."""
-        if self.is_running:
+        """Start the worker, unless it runs or the stream was deleted; an ended source begins again."""
+        if self.is_running or self.deleted:
             return
         if self.state in {"ended", "failed"}:
             self._frames_done, self._new_epoch = 0, True
@@ -144,8 +144,8 @@ class Stream:
 
     async def delete(self) -> None:
         """Stop for good and erase the recording."""
+        self.deleted = True  # nobody starts it again meanwhile
         await self.stop()
-        self.deleted = True
         if self.bus.recording is not None:
             await self.bus.recording.erase()
         self.hub.wake()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import multiprocessing
@@ -17,6 +18,7 @@ from core.errors import InputError
 from server.job import TrainJob
 from server.settings import Settings
 from server.spec import StreamSpec, spec_from_json
+from server.stream import Stream
 from server.worker import Resume, Sender, Tag, play, receive_resume, send_resume
 from tests.server.conftest import Clip, running
 
@@ -89,6 +91,19 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
     with running(settings, StreamSpec(play=clip.path)) as server:
         found = server.wait(lambda stream: stream["restarts"] >= 1)
         assert "memory" in found["detail"] or found["state"] == "starting"
+
+
+def test_a_deleted_stream_is_not_started_again(clip: Clip) -> None:
+    async def run() -> bool:
+        stream = Stream(StreamSpec(play=clip.path), Settings())
+        await stream.delete()
+        stream.start()  # by a request that had found the stream before
+        try:
+            return stream.is_running
+        finally:
+            await stream.stop()
+
+    assert not asyncio.run(run())
 
 
 def test_specifications_travel_as_json() -> None:
