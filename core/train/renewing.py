@@ -10,14 +10,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 from core.train.config import TrainConfig
+from core.train.field import Field
 
 _ADJUSTMENTS = 8  # times that anchors may grow and go, in one run
 
 
-def renewal_config(config: TrainConfig, levels: int, version: int) -> TrainConfig:
-    """What a first frame's run becomes for a state of `levels` levels at `version`.
+def renewal_config(config: TrainConfig, field: Field, version: int) -> TrainConfig:
+    """What a first frame's run becomes for `field`, the living anchors of a state at `version`.
 
-    As long as configured, at full size and with all levels from the start; levels stay, as viewers hold them.
+    As long as configured, at full size and with all levels from the start. Levels stay, and as many anchors may come as
+    go: with every run a few more would always find something to fit.
     """
     steps = config.keyframe.renewal_steps
     keyframe = replace(
@@ -28,4 +30,9 @@ def renewal_config(config: TrainConfig, levels: int, version: int) -> TrainConfi
         progressive_until=0.0,
         growth_interval=max(1, steps // _ADJUSTMENTS),
     )
-    return replace(config, model=replace(config.model, levels=levels), keyframe=keyframe, seed=config.seed + version)
+    return replace(
+        config,
+        model=replace(config.model, levels=field.octree.levels, max_anchors=len(field)),
+        keyframe=keyframe,
+        seed=config.seed + version,
+    )

@@ -146,8 +146,8 @@ class Trainer:
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
         views, losses = self._views(frames), list[Tensor]()
         with watch.stage("renew"):
-            config = renewal_config(self._config, state.field.octree.levels, state.scene.version)
             field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
+            config = renewal_config(self._config, field, state.scene.version)
             trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure)
             while trainer.progress < 1:
                 losses.append(trainer.step())
