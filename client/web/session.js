@@ -148,7 +148,9 @@ export class Session {
 
   /** The state is at `version` now. @type {(version: number, decodeMs: number, now: number) => object[]} */
   applied(version, decodeMs, now) {
-    this.status.position = { epoch: this.epoch, version };
+    const position = (this.status.position = { epoch: this.epoch, version });
+    const { window } = this.status; // told once a second, and not while paused: what was shown can be sought all the same
+    if (window && window.newest.epoch === this.epoch && window.newest.version < version) this.status.window = { ...window, newest: position };
     this.refused = 0;
     this.#settle();
     this.unacknowledged++;

@@ -191,6 +191,17 @@ test("session: back-off doubles to 15 s, starts anew after a welcome, and return
   assert.deepEqual(session.start, { epoch: 1, version: 5 });
 });
 
+test("session: what was shown can be sought, before the window is told again", () => {
+  const session = new Session(0);
+  session.opened(0);
+  session.control(welcome());
+  session.control(event("window", { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 20 } }));
+  session.applied(39, 1, 0);
+  assert.deepEqual(session.status.window, { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 39 } });
+  session.applied(11, 1, 0);
+  assert.equal(session.status.window.newest.version, 39);
+});
+
 test("session: final close codes are not tried again, a refused packet is at once", () => {
   for (const [code, phase] of [[4401, "denied"], [4403, "denied"], [4404, "missing"], [4415, "version"], [4400, "failed"], [1009, "failed"]]) {
     const session = new Session(0);
