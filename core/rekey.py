@@ -40,7 +40,7 @@ def rekey_error(before: Scene, after: Scene) -> tuple[float, float]:
         feature, offset, _ = dequantise(before.header, before.weights, old, rows)
         new_feature, new_offset, _ = dequantise(after.header, after.weights, new, np.arange(len(new)))
         feature_change = np.abs(new_feature - feature) / before.header.feature_steps
-        offset_change = np.abs(new_offset - offset).reshape(len(rows), -1) / before.header.offset_steps
+        offset_change = np.abs(new_offset - offset).reshape(len(rows), old.offset.shape[1]) / before.header.offset_steps
         feature_error = max(feature_error, float(feature_change.max(initial=0)))
         offset_error = max(offset_error, float(offset_change.max(initial=0)))
     return feature_error, offset_error
@@ -54,7 +54,7 @@ def _fresh(header: SceneHeader, weights: AnchorWeights, level: AnchorLevel) -> A
         voxel=level.voxel[rows],
         position=level.position[rows],
         feature=_round(feature, header.feature_steps, times),
-        offset=_round(offset.reshape(len(rows), -1), header.offset_steps, times),
+        offset=_round(offset.reshape(len(rows), level.offset.shape[1]), header.offset_steps, times),
         scaling=level.scaling[rows],
         extra_level=level.extra_level[rows],
         latent=np.zeros((len(rows), LATENTS), np.int16),

@@ -56,7 +56,8 @@ def scene_of(
         ),
         offset_decoder=_decoder(OFFSET_LATENTS, 3 * slots, predict.offset_step),
     )
-    levels = tuple(_level_of(field, number, precision, header.position_steps) for number in range(field.octree.levels))
+    here = field.to("cpu")
+    levels = tuple(_level_of(here, number, header) for number in range(field.octree.levels))
     return Scene(header, weights, levels, keyframe=version, version=version)
 
 
@@ -88,7 +89,7 @@ def level_starts(scene: Scene) -> Int64:
     return np.concatenate([[0], np.cumsum([len(level) for level in scene.levels])]).astype(np.int64)
 
 
-def _level_of(field: Field, number: int, steps: Precision, position_steps: Float32) -> AnchorLevel:
+def _level_of(field: Field, number: int, header: SceneHeader) -> AnchorLevel:
     rows = torch.nonzero(field.level == number)[:, 0]
     voxel = field.voxel[rows].numpy()
     rows = rows[torch.from_numpy(np.argsort(morton_key(voxel), kind="stable"))]
@@ -97,10 +98,10 @@ def _level_of(field: Field, number: int, steps: Precision, position_steps: Float
     extra = (field.extra_level[rows] / EXTRA_LEVEL_UNIT).round().clamp(0, 32767)
     return AnchorLevel(
         voxel=field.voxel[rows].numpy(),
-        position=np.round(moved / position_steps[number]).astype(np.int32),
-        feature=to_int16(field.feature[rows], steps.feature).numpy(),
-        offset=to_int16(field.offset[rows], steps.offset).reshape(count, -1).numpy(),
-        scaling=to_int16(field.scaling[rows], steps.scaling).numpy(),
+        position=np.round(moved / header.position_steps[number]).astype(np.int32),
+        feature=to_int16(field.feature[rows], torch.from_numpy(header.feature_steps)).numpy(),
+        offset=to_int16(field.offset[rows].flatten(1), torch.from_numpy(header.offset_steps)).numpy(),
+        scaling=to_int16(field.scaling[rows], torch.from_numpy(header.scaling_steps)).numpy(),
         extra_level=extra.to(torch.int16).numpy(),
         latent=np.zeros((count, LATENTS), np.int16),
         alive=np.ones(count, np.bool_),

@@ -147,6 +147,8 @@ class KeyframeTrainer:
 
     def _measured_precision(self, field: Field) -> Precision:
         """Precision that costs as much of the squared error of every camera, on average, as configured."""
+        if len(field) <= field.feature.shape[1]:  # too few rows to say how features go together
+            return usual_precision(field)
         network = Network(*(value.detach() for value in field.network.parameters()))
         leaves, usable = tuple(getattr(field, name) for name in ROW_PARAMETERS), self._whole.usable
         exact: dict[int, float] = {}

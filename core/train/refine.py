@@ -45,6 +45,8 @@ def refine(
     new = grow(field, gradient, config.growth_threshold, highest)
     new = strongest(new, gradient.reshape(len(field), -1), max(most_anchors - len(field), 0))
     kept = torch.nonzero(~statistics.faint(config.prune_opacity))[:, 0]
+    if len(kept) + len(new) == 0:  # nothing would ever grow again
+        return
     learned.keep(kept, _children(field, new, generator), extra)
 
 

@@ -134,13 +134,15 @@ class Trainer:
     def renew(self, frames: FrameSet, on_progress: ProgressCallback | None = None) -> TrainedFrame:
         """A keyframe of the latest state, trained on as configured against `frames`, which that state shows.
 
-        It is sent as it is where nothing has changed since the keyframe before, and under a frame budget.
+        It is sent as it is under a frame budget, where nothing has changed since the keyframe before, and where no
+        anchor is alive.
 
         Raises:
             ModelError: there is no state, or no camera is present.
         """
         state, watch = self._require(), Stopwatch(self._clock)
-        if self._config.keyframe.renewal_steps == 0 or self._budget is not None or state.is_untouched:
+        nothing = state.scene.anchor_count == 0 or state.is_untouched
+        if self._config.keyframe.renewal_steps == 0 or self._budget is not None or nothing:
             scene = rekey(state.scene, state.scene.version)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))

@@ -110,6 +110,19 @@ def test_a_frame_budget_leaves_no_time_for_it(clip: Dataset, frames: list[FrameS
     assert trainer.renew(frames[2]).report.steps == 0
 
 
+@pytest.mark.parametrize("alive", [0, 1, 3])
+def test_a_scene_that_is_nearly_gone(clip: Dataset, frames: list[FrameSet], first: Scene, alive: int) -> None:
+    """After a black picture, say: hardly an anchor lives, and none of them need be seen."""
+    coarse, *finer = first.levels
+    levels = [replace(coarse, alive=np.arange(len(coarse)) < alive)]
+    levels += [replace(level, alive=np.zeros(len(level), np.bool_)) for level in finer]
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
+    trainer.resume(replace(first, levels=tuple(levels)))
+    renewed = trainer.renew(frames[0]).scene
+    assert renewed.anchor_count <= alive
+    SceneDecoder().push(encode_keyframe(renewed, time_ns=0))
+
+
 def test_moved_anchors_stay_where_they_are() -> None:
     """A keyframe's anchors lie on nodes; those of a state have moved, by whole position steps."""
     field = random_field(60)
