@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,8 @@ from core.evaluate.sizes import (
 )
 from core.residual import difference
 from core.train import TrainConfig, Trainer
+from server.api.schemas import NewStream
+from server.cli import serve, train
 from server.job import TrainJob
 from server.studies import packet_size
 from tests.core.evaluate.conftest import shortened
@@ -37,6 +40,9 @@ def test_a_stream_pays_for_its_keyframes() -> None:
     assert stream_bytes(KEYFRAME_INTERVAL, 0) == 1
     defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RenewalRule().longest
     assert defaults == (KEYFRAME_INTERVAL, KEYFRAME_INTERVAL)
+    assert NewStream.model_fields["keyframe_interval"].default == KEYFRAME_INTERVAL
+    commands = [inspect.signature(command).parameters["keyframe_interval"].default for command in (train, serve)]
+    assert commands == [KEYFRAME_INTERVAL, KEYFRAME_INTERVAL]
 
 
 def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
