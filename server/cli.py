@@ -304,7 +304,7 @@ def tradeoff(
     test: Test = "",
     split: SplitFile = None,
     device: DeviceOption = Device.auto,
-    seed: Seed = 0,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each point.")] = 1,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds stays.")] = Path("tradeoff-output"),
 ) -> None:
     """Sweep time, size and quality against each other; finds what nothing else beats."""
@@ -316,7 +316,7 @@ def tradeoff(
         test=names_in(test),
         split=split,
         device=device.value,
-        seed=seed,
+        seeds=seeds,
     )
     _call("server.studies:tradeoff", data, out, options)
 

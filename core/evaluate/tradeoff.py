@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from core.evaluate.design import BASE, Point, one_at_a_time
 from core.evaluate.footage import Footage, chosen_split, footage_frames, open_footage
@@ -16,13 +19,13 @@ from core.evaluate.output import result_folder, write_json, write_text
 from core.evaluate.pareto import pareto_front
 from core.evaluate.resume import as_json, earlier_report
 from core.evaluate.sizes import SizeOf
-from core.evaluate.summary import run_figures
+from core.evaluate.summary import mean, run_figures
 from core.evaluate.svg import Axis, Dot, scatter
 from core.evaluate.systems import FirstFrames, Run, run_system
 from core.evaluate.tables import number, table
 
 _log = logging.getLogger(__name__)
-SCHEMA = 4
+SCHEMA = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,7 @@ COSTS = (
     Cost("stream_bytes", "KB a frame of a stream", 1000),
     Cost("render_milliseconds", "rendering milliseconds a picture"),
 )
+_MEASURED = ("psnr", "ssim", "anchors", *(cost.key for cost in COSTS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +60,8 @@ class TradeoffOptions:
         downscale: of the held-out pictures, and of the training pictures where that is not the knob.
         test: held-out cameras; the first one of the rig where none is named.
         split: a file that names the cameras instead of `views` and `test`.
-        device: to train on; seed: of every point.
+        device: to train on.
+        seeds: runs of each point, seeded 0, 1, ...; figures are their means.
     """
 
     frames: int | None = 8
@@ -65,14 +70,14 @@ class TradeoffOptions:
     test: tuple[str, ...] = ()
     split: Path | None = None
     device: str = "auto"
-    seed: int = 0
+    seeds: int = 1
 
 
 def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeOf, points: Sequence[Point] = ()) -> str:
     """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`; returns a sentence.
 
-    All files are renewed after every point, so that a sweep that is stopped leaves what it has measured. Points that
-    `out` holds already are not measured again.
+    All files are renewed after every run, all points with one seed before the next seed, so that a sweep that is
+    stopped leaves what it has measured. Runs that `out` holds already are not measured again.
 
     Args:
         points: configurations to measure instead of the design's.
@@ -91,17 +96,16 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeO
         "base": BASE,
         "split": {"name": split.name, "train": list(split.train), "test": list(split.test)},
         "downscale": options.downscale,
-        "seed": options.seed,
+        "seeds": options.seeds,
         "frames": footage_frames(data, options.frames),
         "points": [],
         "fronts": {},
     }
-    facts = {key: value[key] for key in ("schema", "data", "machine", "split", "downscale", "seed", "frames")}
-    known = {_identity(point): point for point in earlier_report(out / "tradeoff.json", facts).get("points", [])}
-    for point in points:
-        entry: dict[str, Any] = {"name": point.name, "knob": point.knob, "shrink": point.shrink}
-        entry["config"] = as_json(asdict(point.config))
-        found = known.get(_identity(entry))
+    facts = {key: value[key] for key in ("schema", "data", "machine", "split", "downscale", "frames")}
+    known = _known_runs(earlier_report(out / "tradeoff.json", facts))
+    entries = [_entry(point) for point in points]
+    for seed, (point, entry) in itertools.product(range(options.seeds), zip(points, entries, strict=True)):
+        found = known.get((_identity(entry), seed))
         if found is None:
             if point.shrink not in footages:
                 trained_at = options.downscale * point.shrink
@@ -109,19 +113,38 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeO
                     data, split, frames=options.frames, downscale=trained_at, test_downscale=options.downscale
                 )
                 footages[point.shrink] = footage, FirstFrames(options.device)
-            run = run_system(replace(point.config, seed=options.seed), *footages[point.shrink], size_of)
-            found = _figures(run)
-            _log.info("%s: %.2f dB", point.name, found["psnr"])
-        value["points"].append({**found, **entry})
+            found = _figures(run_system(replace(point.config, seed=seed), *footages[point.shrink], size_of))
+            _log.info("%s, seed %d: %.2f dB", point.name, seed, found["psnr"])
+        entry["runs"].append(found)
+        value["points"] = [_means(measured) for measured in entries if measured["runs"]]
         value["fronts"] = fronts(value["points"])
         _write(out, value)
     return f"{out / 'tradeoff.md'}: {len(points)} points, {len(value['fronts'][COSTS[0].key])} on the front of seconds"
 
 
+def _entry(point: Point) -> dict[str, Any]:
+    """A point's entry in the report, before any run."""
+    config = as_json(asdict(point.config))
+    return {"name": point.name, "knob": point.knob, "shrink": point.shrink, "config": config, "runs": []}
+
+
+def _means(entry: dict[str, Any]) -> dict[str, Any]:
+    """An entry with the means of its runs' figures, and the spread of their PSNR."""
+    runs = entry["runs"]
+    means = {key: mean(run[key] for run in runs) for key in _MEASURED}
+    deviation = float(np.std([run["psnr"] for run in runs], ddof=1)) if len(runs) > 1 else 0.0
+    return {**means, "psnr_spread": deviation, **entry}
+
+
+def _known_runs(earlier: dict[str, Any]) -> dict[tuple[str, int], dict[str, Any]]:
+    """Runs of an earlier report, by what identifies the point, and seed."""
+    return {(_identity(point), run["seed"]): run for point in earlier.get("points", []) for run in point["runs"]}
+
+
 def _figures(run: Run) -> dict[str, Any]:
     figures = run_figures(run)
     figures["render_milliseconds"] = 1000 / figures["render_fps"]
-    return {key: figures[key] for key in ("psnr", "ssim", "anchors", *(cost.key for cost in COSTS))}
+    return {key: figures[key] for key in ("seed", *_MEASURED)}
 
 
 def _identity(point: dict[str, Any]) -> str:
@@ -162,14 +185,17 @@ def tradeoff_report(value: dict[str, Any]) -> str:
     """Markdown of the value that is written as JSON."""
     host, split = value["machine"], value["split"]
     on_front = {name for front in value["fronts"].values() for name in front}
+    runs = max((len(point["runs"]) for point in value["points"]), default=0)
+    many = f"means of {runs} seeds and their standard deviation"
+    seeds = many if runs > 1 else "one seed, so differences of a tenth of a decibel are no result"
     head = ("point", "PSNR dB", "SSIM", *(cost.label for cost in COSTS), "anchors", "on a front")
     body = [
         [
             point["name"],
-            number(point["psnr"]),
+            f"{number(point['psnr'])} ± {number(point['psnr_spread'])}" if runs > 1 else number(point["psnr"]),
             number(point["ssim"], 4),
             *(number(point[cost.key], 2, cost.scale) for cost in COSTS),
-            str(point["anchors"]),
+            f"{point['anchors']:.0f}",
             "yes" if point["name"] in on_front else "",
         ]
         for point in value["points"]
@@ -179,9 +205,8 @@ def tradeoff_report(value: dict[str, Any]) -> str:
         f"# Price of quality on {value['data']}",
         "",
         f"{host['processor']}, {host['cores']} cores{accelerator}; {value['frames']} frames; split {split['name']}, "
-        f"held out {', '.join(split['test'])}. One knob at a time away from the preset {value['base']}; one seed, so "
-        "differences of a tenth of a decibel are no result. Held-out pictures keep their size whatever the training "
-        "pictures' is.",
+        f"held out {', '.join(split['test'])}. One knob at a time away from the preset {value['base']}; {seeds}. "
+        "Held-out pictures keep their size whatever the training pictures' is.",
         "",
         table(head, body),
         "## Fronts",

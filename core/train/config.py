@@ -106,14 +106,15 @@ class PredictConfig:
 
     epochs: int = 15
     minimum_steps: int = 60
+    least_gain: float = 0.0
     latent_rate: float = 0.3
-    position_rate: float = 0.7
+    position_rate: float = 1.4
     memory: float = 0.6
     continuation: float = 0.9
     final_rate: float = 0.1
     feature_step: float = 0.2
     offset_step: float = 0.2
-    position_steps_per_cell: int = 16
+    position_steps_per_cell: int = 32
     rate_weight: float = 0.005
     dssim_weight: float = 0.2
     cue: MotionCue = "difference"
@@ -190,6 +191,7 @@ def preset(name: str) -> TrainConfig:
                 rate_weight=0.0,
                 latent_rate=0.2,
                 position_rate=1.0,
+                position_steps_per_cell=16,
                 memory=0.9,
                 continuation=0.0,
                 minimum_steps=0,

@@ -107,10 +107,19 @@ def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
 def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> None:
     names = {"balanced", "paper", "rate weight 0.03", "downscale 2"}
     points = [replace(point, config=shortened(point.config)) for point in one_at_a_time() if point.name in names]
-    options = TradeoffOptions(frames=2, views=2, device="cpu")
+    options = TradeoffOptions(frames=2, views=2, device="cpu", seeds=2)
+    run_tradeoff(clip, tmp_path, replace(options, seeds=1), packet_size, points)
+    single = json.loads((tmp_path / "tradeoff.json").read_text())
+    assert all(point["psnr_spread"] == 0 for point in single["points"])
     run_tradeoff(clip, tmp_path, options, packet_size, points)
     value = json.loads((tmp_path / "tradeoff.json").read_text())
     assert {point["name"] for point in value["points"]} == names
+    for point, before in zip(value["points"], single["points"], strict=True):
+        assert point["runs"][0] == before["runs"][0]  # not measured again
+        first, second = (run["psnr"] for run in point["runs"])
+        assert point["psnr"] == pytest.approx((first + second) / 2)
+        assert point["psnr_spread"] == pytest.approx(abs(first - second) / 2**0.5)
+        assert first != second
     assert set(value["fronts"]) == {cost.key for cost in COSTS}
     best = max(value["points"], key=lambda point: point["psnr"])["name"]
     for cost in COSTS:
