@@ -84,7 +84,9 @@ class PredictConfig:
 
     Attributes:
         epochs: passes over the training cameras (paper: 10).
-        minimum_steps: at least so many steps, however few the cameras.
+        minimum_steps: at least so many steps, however few the cameras; or fewer:
+        least_gain: where an epoch gains less than this share of what epochs did on average before, the frame moves on
+            faster (paper: 0).
         latent_rate, position_rate: Adam rates in quanta.
         memory: Adam's beta_1 (usual: 0.9). A few dozen steps are too few for a long one.
         continuation: share of the latest change that an anchor's training begins with, where the one before it pointed
@@ -104,9 +106,9 @@ class PredictConfig:
         everything: treat all anchors as dynamic, for studies.
     """
 
-    epochs: int = 15
+    epochs: int = 20
     minimum_steps: int = 60
-    least_gain: float = 0.0
+    least_gain: float = 0.3
     latent_rate: float = 0.3
     position_rate: float = 1.4
     memory: float = 0.6
@@ -151,13 +153,13 @@ def preset(name: str) -> TrainConfig:
             default,
             model=replace(default.model, max_anchors=24_000),
             keyframe=replace(default.keyframe, steps=500, growth_interval=25),
-            predict=replace(default.predict, epochs=8, minimum_steps=40),
+            predict=replace(default.predict, epochs=10, minimum_steps=40),
         ),
         "quality": replace(
             default,
             model=replace(default.model, max_anchors=80_000),
             keyframe=replace(default.keyframe, steps=2000, growth_interval=100, renewal_steps=400),
-            predict=replace(default.predict, epochs=30, rate_weight=0.002),
+            predict=replace(default.predict, epochs=40, rate_weight=0.002),
         ),
         "paper": TrainConfig(
             model=replace(
@@ -184,6 +186,7 @@ def preset(name: str) -> TrainConfig:
             predict=replace(
                 default.predict,
                 epochs=10,
+                least_gain=0.0,
                 cue="canonical",
                 posterior=0.8,
                 changed_posterior=1.0,

@@ -62,3 +62,37 @@ class Run:
         fell = not ratios or sum(ratios) / len(ratios) < 1 - self._least_gain
         self._pace = 1 if fell else _HASTE
         self._window, self._before = [], now
+
+
+class Epochs:
+    """Where a later frame's run stands, which trains every view once before any comes again.
+
+    Where an epoch lowers the mean loss by less than `least_gain` of what epochs did on average before it, the rest
+    would gain little: the run moves on faster, its rates decaying all the same.
+
+    Args:
+        views: of an epoch.
+        least_gain: 0 for a step a step, always.
+    """
+
+    def __init__(self, views: int, least_gain: float) -> None:
+        self._views, self._least_gain = views, least_gain
+        self._losses: list[Tensor] = []
+        self._means: list[float] = []
+        self._pace = 1
+        self.done = 0
+
+    def advance(self, loss: Tensor) -> None:
+        """One step is done, whose loss was `loss`."""
+        self.done += self._pace
+        if self._least_gain <= 0:
+            return
+        self._losses.append(loss)
+        if len(self._losses) < self._views:
+            return
+        self._means.append(float(torch.stack(self._losses).mean()))
+        self._losses = []
+        if len(self._means) > 2:  # the first gain has nothing to be compared with
+            first, *_, before, now = self._means
+            average = (first - before) / (len(self._means) - 2)
+            self._pace = 1 if before - now > self._least_gain * average else _HASTE

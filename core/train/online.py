@@ -19,6 +19,7 @@ from core.render.backends import Backend
 from core.train.applying import Quantum, applied
 from core.train.budget import Pace, StepPace
 from core.train.config import PredictConfig
+from core.train.convergence import Epochs
 from core.train.decode import Splats
 from core.train.exposure import Exposure
 from core.train.field import Field
@@ -100,14 +101,16 @@ class ResidualTrainer:
         if not views:
             return no_quanta(self._known)
         order, losses, grown = ViewOrder(views, generator), list[Tensor](), False
-        while (progress := pace.progress(len(losses))) < 1:
+        epochs = Epochs(len(views), config.least_gain)
+        while (progress := pace.progress(epochs.done)) < 1:
             losses.append(self._step(order.next(), config, config.final_rate**progress))
+            epochs.advance(losses[-1])
             if config.growth_share and not grown and progress >= config.growth_at:
                 grown = True
                 self._grow(config)
         loss = float(torch.stack(losses[-len(views) :]).mean()) if losses else 0.0
         quanta = self._quanta(len(losses), loss)
-        return replace(quanta, complete=len(losses) == total and len(self._stages) == len(self._useful))
+        return replace(quanta, complete=epochs.done >= total and len(self._stages) == len(self._useful))
 
     def _prepare(self, pace: Pace, backend: Backend) -> list[int]:
         """Plan the cameras' pictures, as far as time allows; those that show an anchor to train."""

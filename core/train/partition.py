@@ -20,7 +20,10 @@ from core.train.field import Field
 from core.train.motion import changed_pixels, dynamic_anchors, moved_pixels
 from core.train.views import Views
 
-_HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
+_HYSTERESIS = 0.5  # an anchor is trained on above this share of the entering posterior
+_STAYS = 0.25  # the same for being taken to move: what moves mostly goes on
+_SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion
+_SHOWS = 0.1  # share of moved pixels from which an anchor that training keeps moving is taken to move
 _MOST = 0.5  # of the pixels, above which nothing is left that stands still and the mixture would split what moves
 
 
@@ -68,6 +71,7 @@ def partition(
     views: Views,
     masks: Tensor,
     previous: Parts,
+    drifting: Bool,
     config: PredictConfig,
     backend: Backend,
     *,
@@ -81,6 +85,7 @@ def partition(
         references: [C,H,W,3] pictures that the state was trained to show.
         masks: [C,H,W] bool from `change_masks`.
         previous: of the frame before.
+        drifting: [N] bool, anchors that training keeps moving.
         label: also tell which of them move, where that takes drawing the scene twice more.
     """
     if config.everything:
@@ -102,7 +107,8 @@ def partition(
         return no_parts(len(field))
     if not label:
         return Parts(None, changed)
-    return Parts(_moving(field, alive, references, views, masks, changed, previous.dynamic, config, backend), changed)
+    known = np.zeros(len(field), np.bool_) if previous.dynamic is None else previous.dynamic
+    return Parts(_moving(field, alive, references, views, masks, changed, known, drifting, config, backend), changed)
 
 
 def _moving(
@@ -112,11 +118,13 @@ def _moving(
     views: Views,
     masks: Tensor,
     changed: Bool,
-    previous: Bool | None,
+    previous: Bool,
+    drifting: Bool,
     config: PredictConfig,
     backend: Backend,
 ) -> Bool:
-    """[N] which of the anchors `changed` [N] move: they explain what no change of light does, and show little else."""
+    """[N] which of the anchors `changed` [N] move: they explain what no change of light does, and show little else, or
+    show some of it and are `drifting` [N]."""
     moved = torch.zeros_like(masks)
     for number in views.usable:
         if masks[number].any():
@@ -126,9 +134,11 @@ def _moving(
     chosen = torch.from_numpy(changed).to(alive.device)
     rows, others = torch.nonzero(chosen)[:, 0], torch.nonzero(alive & ~chosen)[:, 0]
     scores = change_scores(field, rows, others, references, views, moved, backend)
-    scores = scores * shown_shares(field, rows, others, views, moved, backend)
-    before = np.zeros(len(field), np.bool_) if previous is None else previous
-    return dynamic_anchors(scores, before, config.posterior, config.posterior * _HYSTERESIS)
+    shares = shown_shares(field, rows, others, views, moved, backend)
+    scores = scores * shares**_SHARE_POWER
+    return dynamic_anchors(scores, previous, config.posterior, config.posterior * _STAYS) | (
+        changed & drifting & (shares >= _SHOWS)
+    )
 
 
 def error_scores(field: Field, rows: Tensor, views: Views, backend: Backend) -> Float64:

@@ -13,6 +13,7 @@ from core.arrays import Float32
 from core.expand import anchor_positions, dequantise
 from core.residual import Residual
 from core.train.convert import field_of, level_starts
+from core.train.drift import mean_motion
 from core.train.field import Field
 from core.train.partition import Parts, no_parts
 
@@ -29,6 +30,7 @@ class State:
         parts: what the latest frame trained.
         change: [N,27] of the latest frame, latents and positions in quanta; None for zeros.
         start: [N,27] likewise, where training of the next frame begins.
+        motion: [N,3] world units a frame, mean over the latest frames; None for none.
     """
 
     scene: Scene
@@ -39,6 +41,7 @@ class State:
     parts: Parts
     change: Tensor | None = None
     start: Tensor | None = None
+    motion: Tensor | None = None
 
     @property
     def alive(self) -> Tensor:
@@ -75,10 +78,11 @@ class State:
             feature[changed] = torch.from_numpy(new_feature).to(device)
             offset[changed] = torch.from_numpy(new_offset).to(device)
             position[changed] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
+        motion = mean_motion(self.motion, position - field.position)
         field = replace(field, feature=feature, offset=offset, position=position)
         changes, starts_at = torch.zeros(2, len(field), start.shape[1], device=device)
         changes[rows], starts_at[rows] = torch.from_numpy(change).to(device), torch.from_numpy(start).to(device)
-        return replace(self, scene=scene, field=field, parts=parts, change=changes, start=starts_at)
+        return replace(self, scene=scene, field=field, parts=parts, change=changes, start=starts_at, motion=motion)
 
     def _relaid(self, residual: Residual, scene: Scene, parts: Parts) -> State:
         """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
@@ -91,9 +95,8 @@ class State:
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         canonical = self.canonical.with_rows(known).with_values(new, field)
-        return replace(
-            self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin), change=None, start=None
-        )
+        laid = replace(self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin))
+        return replace(laid, change=None, start=None, motion=None)
 
 
 def fresh_state(

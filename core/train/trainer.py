@@ -20,6 +20,7 @@ from core.residual import apply
 from core.train.budget import FrameBudget, Pace, StepPace
 from core.train.config import PredictConfig, TrainConfig
 from core.train.convert import scene_of
+from core.train.drift import drifting
 from core.train.exposure import fitted, neutral
 from core.train.field import Field
 from core.train.keyframe import KeyframeTrainer
@@ -284,8 +285,9 @@ class Trainer:
             return known, False
         field = state.canonical if config.cue == "canonical" else state.field
         assert state.references is not None
-        references, label = state.references, self._label
-        return partition(field, alive, references, views, masks, known, config, self._backend, label=label), True
+        moves = drifting(state.motion, state.field.position, self._cameras)
+        pictures = (state.references, views, masks)
+        return partition(field, alive, *pictures, known, moves, config, self._backend, label=self._label), True
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()

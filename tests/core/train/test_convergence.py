@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from core.train.convergence import Run
+from core.train.convergence import Epochs, Run
 
 
 def steps_of(run: Run, loss: Callable[[int, float], float | None], views: int = 3) -> int:
@@ -53,3 +53,34 @@ def test_a_run_in_haste_slows_down_when_the_loss_falls_again() -> None:
 def test_many_views_are_each_seen_twice_before_they_are_compared() -> None:
     """Views of very different losses, more of them than a window has steps: only their own change counts."""
     assert steps_of(Run(400, 0.02, ()), lambda step, _: 0.99**step * (1 + 50 * (step % 40)), views=40) == 400
+
+
+def steps_until(least_gain: float, total: int, mean: Callable[[int], float], views: int = 5) -> int:
+    """Steps of a later frame's run of `total`, whose losses spread over the views around `mean` of the epoch."""
+    epochs, count = Epochs(views, least_gain), 0
+    while epochs.done < total:
+        epochs.advance(torch.tensor(mean(count // views) * (1 + 10 * ((3 * count) % views))))
+        count += 1
+    return count
+
+
+def test_a_later_frame_takes_all_its_steps_while_each_epoch_gains() -> None:
+    assert steps_until(0.5, 80, lambda epoch: 1 - 0.02 * epoch) == 80
+    assert steps_until(0.0, 80, lambda _: 1.0) == 80
+    assert steps_until(0.5, 10, lambda _: 1.0) == 10  # two epochs leave nothing to compare
+
+
+def test_a_later_frame_whose_loss_stands_still_ends_four_times_as_fast() -> None:
+    """What counts is the gain beside what was gained before, not beside the static error."""
+    saturating = [1 - 0.1 * (1 - 0.4**epoch) for epoch in range(20)]
+    assert steps_until(0.5, 80, lambda epoch: saturating[epoch]) == 15 + (80 - 15) // 4 + 1
+    with_static_error = [10 + one for one in saturating]
+    assert steps_until(0.5, 80, lambda epoch: with_static_error[epoch]) == 15 + (80 - 15) // 4 + 1
+    assert steps_until(0.5, 80, lambda epoch: 1 + 0.1 * epoch**2) < 35  # it gets worse and worse
+
+
+def test_a_later_frame_slows_down_when_it_gains_again() -> None:
+    def loss(epoch: int) -> float:
+        return 1.0 - 0.1 * min(epoch, 1) if epoch < 4 else 0.9 - 0.2 * (epoch - 3)
+
+    assert steps_until(0.5, 80, loss) > steps_until(0.5, 80, lambda epoch: 1.0 - 0.1 * min(epoch, 1)) + 10

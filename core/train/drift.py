@@ -1,0 +1,37 @@
+"""Which anchors training keeps moving.
+
+Something slow or smooth changes few pixels from one picture to the next, but training moves its anchors the same way
+frame after frame, while those that only change their looks tremble in place. So the mean of an anchor's latest motions
+tells more than one frame's pictures do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Bool
+from core.camera import Camera
+
+_LATEST = 0.1  # share of the latest motion in the mean
+_PIXELS = 1 / 16  # a frame, in the camera that sees most of it
+
+
+def mean_motion(before: Tensor | None, motion: Tensor) -> Tensor:
+    """[N,3] world units a frame: the mean that a frame before left, None for no motion, with the latest `motion`."""
+    return _LATEST * motion if before is None else torch.lerp(before, motion, _LATEST)
+
+
+def drifting(motion: Tensor | None, positions: Tensor, cameras: Sequence[Camera]) -> Bool:
+    """[N] whose mean motion [N,3] at `positions` [N,3] is a sixteenth of a pixel a frame, or more, to some camera."""
+    if motion is None:
+        return np.zeros(len(positions), np.bool_)
+    most = torch.zeros(len(positions), device=positions.device)
+    for camera in cameras:
+        centre = torch.from_numpy(camera.centre).to(positions)
+        scale = float(camera.intrinsics[0, 0]) / (positions - centre).norm(dim=1).clamp_min(1e-6)
+        most = torch.maximum(most, scale)
+    return np.asarray((motion.norm(dim=1) * most >= _PIXELS).cpu().numpy())
