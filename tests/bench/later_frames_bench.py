@@ -6,13 +6,16 @@ Every `--set` is a run of its own, with that field of `PredictConfig` changed, o
 the same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first, its slope a
 hundred frames, bytes of predicted packets and of a whole stream with its keyframes, and recall and precision of the
 dynamic set. Keyframes come as the service sends them; `--interval` and `--renewal-steps` say when, and how they train.
+`--errors` prints where the squared error of the held-out camera lies (1e-5 of the whole picture's): on what moves, on
+what movers have left since the beginning, on what else looks different from the first picture, and elsewhere, beside
+what the same pixels had at the first frame.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,8 +23,10 @@ from codec.encoder import encode_keyframe, encode_residual
 from codec.packet import PacketKind
 from codec.renewal import Renewal, RenewalRule
 from core.anchors import Scene
+from core.arrays import Float32, UInt8
+from core.camera import Camera
 from core.data import linspace_split
-from core.data.synthetic import SyntheticSpec, open_synthetic
+from core.data.synthetic import SyntheticSpec, open_synthetic, surface_motion
 from core.evaluate.systems import with_steps
 from core.evaluate.truth import dynamic_precision_recall
 from core.expand import expand
@@ -32,6 +37,7 @@ from core.render.cpu import render
 from core.train import PredictConfig, Trainer, preset
 
 MOTION_EVERY, SHOWN_EVERY = 4, 10  # frames
+_DIFFERENT = 0.04  # of [0, 1]: what looks different from the first picture
 
 
 class Keyframes:
@@ -51,6 +57,45 @@ class Keyframes:
         self.sizes.append(len(encode_keyframe(renewed, time_ns=0)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """A camera that never trains.
+
+    Attributes:
+        spec: of the clip. camera: that was held out. films: what it filmed, [H,W,3] uint8 a frame.
+        first: state of the first frame.
+    """
+
+    spec: SyntheticSpec
+    camera: Camera
+    films: list[UInt8]
+    first: Scene
+
+    def quality(self, scene: Scene, index: int) -> float:
+        """PSNR in dB of what `scene` shows, against frame `index`."""
+        return psnr(self._shown(scene), self._film(index))
+
+    def errors(self, scene: Scene, index: int) -> str:
+        """Where the squared error lies, in 1e-5 of the whole picture's mean."""
+        now, then = (
+            np.square(self._shown(one) - self._film(i)).mean(axis=2) for one, i in ((scene, index), (self.first, 0))
+        )
+        moving = [surface_motion(self.spec, i, self.camera) > 0 for i in range(1, index + 1)]
+        left = np.any(moving, axis=0) & ~moving[-1]
+        light = (np.abs(self._film(index) - self._film(0)).max(axis=2) > _DIFFERENT) & ~moving[-1] & ~left
+        rest = ~(moving[-1] | left | light)
+        places = {"on movers": moving[-1], "where movers were": left, "looks different": light, "elsewhere": rest}
+        told = ", ".join(f"{name} {1e5 * float((now * mask).mean()):.0f}" for name, mask in places.items())
+        return f"frame {index}: {self.quality(scene, index):.2f} dB, {told} ({1e5 * float((then * rest).mean()):.0f})"
+
+    def _film(self, index: int) -> Float32:
+        return np.asarray(self.films[index].astype(np.float32) / 255)
+
+    def _shown(self, scene: Scene) -> Float32:
+        splats = expand(scene, self.camera.centre)
+        return np.asarray(render(splats, self.camera, scene.header.background).image.clip(0, 1), np.float32)
+
+
 def main() -> None:
     options = _options()
     width, height = map(int, options.size.split("x"))
@@ -67,9 +112,7 @@ def main() -> None:
     points = first_points(training[0], cameras, depth_bounds=clip.depth_bounds)
     first = Trainer(cameras, config, clip.fps, "cpu").keyframe(training[0], points).scene
 
-    def quality(scene: Scene, index: int) -> float:
-        camera, truth = clip.cameras[0], filmed[index].images[0].astype(np.float32) / 255
-        return psnr(render(expand(scene, camera.centre), camera, scene.header.background).image.clip(0, 1), truth)
+    held_out = HeldOut(spec, clip.cameras[0], [frame.images[0] for frame in filmed], first)
 
     def run(label: str, predict: PredictConfig) -> None:
         trainer = Trainer(cameras, replace(config, predict=predict), clip.fps, "cpu")
@@ -77,7 +120,7 @@ def main() -> None:
         trainer.resume(start)
         trainer.predict(training[0])  # tells the trainer what the first frame was shown
         trainer.resume(start, keep_references=True)
-        scores, sizes, motions, seconds = [quality(first, 0)], list[int](), list[tuple[int, ...]](), 0.0
+        scores, sizes, motions, seconds = [held_out.quality(first, 0)], list[int](), list[tuple[int, ...]](), 0.0
         keyframes = Keyframes(options.interval)
         for frame in training[1:]:
             before, begin = trainer.scene, time.process_time()
@@ -86,7 +129,9 @@ def main() -> None:
             assert result.residual is not None
             assert result.dynamic is not None
             sizes.append(len(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)))
-            scores.append(quality(result.scene, frame.index))
+            scores.append(held_out.quality(result.scene, frame.index))
+            if options.errors and frame.index % SHOWN_EVERY == 0:
+                print(held_out.errors(result.scene, frame.index), flush=True)
             keyframes.follow(trainer, before, frame)
             if frame.index % MOTION_EVERY == 0:
                 motion = dynamic_precision_recall(spec, before, result.dynamic, frame.index, cameras)
@@ -122,6 +167,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--renewal-steps", type=int, help="training of a keyframe in mid-stream")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--still", action="store_true", help="nothing moves but the noise")
+    parser.add_argument("--errors", action="store_true", help="print where the error lies, every tenth frame")
     parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE,...")
     return parser.parse_args()
 
