@@ -23,7 +23,7 @@ from core.train.views import Views
 _HYSTERESIS = 0.5  # an anchor is trained on above this share of the entering posterior
 _STAYS = 0.25  # the same for being taken to move: what moves mostly goes on
 _SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion
-_SHOWS = 0.1  # share of moved pixels from which an anchor that training keeps moving is taken to move
+_SHOWS = 0.05  # share of moved pixels from which an anchor that training keeps moving is taken to move
 _MOST = 0.5  # of the pixels, above which nothing is left that stands still and the mixture would split what moves
 
 
