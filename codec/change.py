@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,14 +13,22 @@ from core.anchors import LATENTS, AnchorLevel
 from core.arrays import Int32, Int64, UInt8
 from core.entropy_model import SCALES
 
-_SCALE_MASK, _NOT_PREDICTED = 127, 128  # of the position scale's byte
+_SCALE_MASK, _UNSTEADY = 127, 128  # of the position scale's byte
 
 
-def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64) -> bytes | None:
+@dataclass(frozen=True, slots=True)
+class Elapsed:
+    """Frames from the keyframe to the state before a packet (`age`), and from there to the one after (`span`)."""
+
+    age: int
+    span: int
+
+
+def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, elapsed: Elapsed) -> bytes | None:
     """The chunk, or None if a number is too large for it; arguments as in `codec.chunks.encode_change`."""
-    errors, plain = change_model.position_errors(level.voxel[rows].astype(np.int64), position, _salt()), 0
-    if np.log2(1.0 + np.abs(position)).sum() < np.log2(1.0 + np.abs(errors)).sum():
-        errors, plain = position, _NOT_PREDICTED
+    before = np.array(level.position, np.int32, order="C")  # a plain array: another layout would be compiled anew
+    motion = change_model.steady_motion(before, rows, elapsed.age, elapsed.span)
+    errors, unsteady = predicted_positions(position, motion)
     if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= VALUE_LIMIT:
         return None
     changed, (touched, used) = np.zeros(len(level), np.uint8), history(level)
@@ -30,24 +38,31 @@ def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64) -> b
 
     def model_pass(items: Array) -> int:
         count = change_model.rows_items(changed, touched, items, 0)
-        count = change_model.positions_items(errors, SCALES[position_scale], items, count)
+        count = change_model.positions_items(errors, motion, SCALES[position_scale], items, count)
         return change_model.latents_items(latent, used[rows], scale, items, count)
 
     lanes, words = encode_items(model_pass, len(level) + 2 * (errors.size + latent.size))
-    return bytes([lanes, position_scale | plain]) + side + words
+    return bytes([lanes, position_scale | (_UNSTEADY if unsteady else 0)]) + side + words
 
 
-def decode(data: bytes, level: AnchorLevel) -> tuple[Int64, Int32, Int32]:
+def predicted_positions(position: Int64, motion: Int64) -> tuple[Int64, bool]:
+    """What the better prediction leaves of `position` [n,3], and whether that is the one without steady `motion`."""
+    errors = [change_model.position_errors(position, part) for part in (motion, np.zeros_like(motion))]
+    sizes = [float(np.log2(1.0 + np.abs(part)).sum()) for part in errors]
+    unsteady = sizes[1] < sizes[0]
+    return errors[unsteady], unsteady
+
+
+def decode(data: bytes, level: AnchorLevel, elapsed: Elapsed) -> tuple[Int64, Int32, Int32]:
     """Rows [n], position [n,3] and latent [n,24]; BitstreamError `corrupt_chunk`."""
     if len(data) < 2:
         raise corrupt("a change ends before its position scale")
     scale, at = decode_scales(data, 2, LATENTS)
-    predicted = not data[1] & _NOT_PREDICTED
-    nodes = np.array(
-        level.voxel, np.int32, order="C"
-    )  # a plain array, whatever came: another layout would be compiled anew
+    steadily = not data[1] & _UNSTEADY
+    before = np.array(level.position, np.int32, order="C")
+    words, (touched, used), start = words_of(data, at), history(level), int(SCALES[data[1] & _SCALE_MASK])
     sound, rows, position, latent = change_model.decode_change(
-        words_of(data, at), data[0], nodes, *history(level), SCALES[data[1] & _SCALE_MASK], predicted, scale, _salt()
+        words, data[0], before, touched, used, start, steadily, scale, elapsed.age, elapsed.span
     )
     if not sound:
         raise corrupt("an entropy-coded chunk does not end as it must")
@@ -62,7 +77,3 @@ def history(level: AnchorLevel) -> tuple[UInt8, UInt8]:
     position, latent = np.array(level.position, np.int32, order="C"), np.array(level.latent, np.int16, order="C")
     used = np.asarray(change_model.rows_with_any(latent), np.uint8)
     return np.asarray(change_model.rows_with_any(position), np.uint8) | used, used
-
-
-def _salt() -> np.uint64:
-    return np.uint64(int.from_bytes(os.urandom(8), "little"))

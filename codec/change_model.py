@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from codec.column_model import columns_items, take_columns
@@ -12,6 +10,7 @@ from codec.rans import Array, begin, finish, magnitude_bin, put_flag, put_value,
 
 BLOCK = 64
 BLOCK_MODELS, ROW_MODELS, LATENT_MODELS = 8, 16, 4
+LONGEST_SPAN = 255  # frames; steady motion over more counts as over these
 
 
 @compiled
@@ -71,100 +70,86 @@ def _take_rows(words: Array, x: Array, ctl: Array, touched: Array, changed: Arra
 
 
 @compiled
-def _place(table: Array, voxel: Array, a: int, b: int, c: int, salt: Any) -> int:
-    """Slot of `table` that holds, or would hold, the index of the row with voxel (a, b, c)."""
-    h = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(b) * np.uint64(0xC2B2AE3D27D4EB4F)
-    h = (h ^ np.uint64(c) * np.uint64(0x165667B19E3779F9)) + salt  # salted: no stream can aim for collisions
-    h = (h ^ h >> np.uint64(29)) * np.uint64(0xBF58476D1CE4E5B9)
-    slot: Any = np.int64((h ^ h >> np.uint64(32)) & np.uint64(len(table) - 1))
-    while True:
-        row = table[slot]
-        if row < 0 or (voxel[row, 0] == a and voxel[row, 1] == b and voxel[row, 2] == c):
-            return int(slot)
-        slot = (slot + 1) & (len(table) - 1)
+def steady_motion(position: Array, rows: Array, age: int, span: int) -> Array:
+    """[n,3] int64 how far `rows` would go in `span` frames, as they did in `age` since the keyframe, in 1/128 step."""
+    motion = np.zeros((len(rows), 3), np.int64)
+    if age > 0:
+        for i in range(len(rows)):
+            for axis in range(3):
+                motion[i, axis] = 128 * np.int64(position[rows[i], axis]) * min(span, LONGEST_SPAN) // age
+    return motion
 
 
 @compiled
-def _predict(table: Array, voxel: Array, delta: Array, i: int, salt: Any, prediction: Array) -> None:
-    """Mean delta of the coded rows around voxel i, otherwise that of row i - 1; then row i enters the table."""
-    found = 0
-    prediction[:] = 0
-    for a in range(-1, 2):
-        for b in range(-1, 2):
-            for c in range(-1, 2):
-                row = table[_place(table, voxel, voxel[i, 0] + a, voxel[i, 1] + b, voxel[i, 2] + c, salt)]
-                if row >= 0:
-                    found += 1
-                    prediction += delta[row]
-    if found:
+def _prediction(motion: int, trend: int) -> int:
+    """Half of the steady motion and a quarter of the running mean, whose unit is 1/64 step."""
+    return (motion + trend + 128) >> 8
+
+
+@compiled
+def _followed(trend: int, delta: int) -> int:
+    return trend + 16 * delta - (trend >> 2)
+
+
+@compiled
+def position_errors(delta: Array, motion: Array) -> Array:
+    """[n,3] what prediction leaves of `delta` [n,3] where `motion` [n,3] is added to the running mean, all int64."""
+    trend, errors = np.zeros(3, np.int64), np.zeros_like(delta)
+    for i in range(len(delta)):
         for axis in range(3):
-            prediction[axis] = (2 * prediction[axis] + found) // (2 * found)
-    elif i > 0:
-        prediction[:] = delta[i - 1]
-    table[_place(table, voxel, voxel[i, 0], voxel[i, 1], voxel[i, 2], salt)] = i
-
-
-@compiled
-def _table_for(count: int) -> Array:
-    size = 16
-    while size < 2 * count:
-        size *= 2
-    return np.full(size, -1, np.int32)
-
-
-@compiled
-def position_errors(voxel: Array, delta: Array, salt: Any) -> Array:
-    """[n,3] what prediction leaves of `delta` [n,3] for changed rows with `voxel` [n,3], all int64."""
-    table, prediction, errors = _table_for(len(voxel)), np.zeros(3, np.int64), np.zeros_like(delta)
-    for i in range(len(voxel)):
-        _predict(table, voxel, delta, i, salt, prediction)
-        errors[i] = delta[i] - prediction
+            errors[i, axis] = delta[i, axis] - _prediction(motion[i, axis], trend[axis])
+            trend[axis] = _followed(trend[axis], delta[i, axis])
     return errors
 
 
 @compiled
-def _position_bin(average: Array, s1: int, s2: int, within: int, axis: int) -> int:
-    return magnitude_bin((6 * average[axis] + 6 * s1 + 4 * s2 + 9 * within) // (36 + 9 * axis))
+def _size(row: Array) -> int:
+    return int(abs(row[0]) + abs(row[1]) + abs(row[2]))
 
 
 @compiled
-def positions_items(errors: Array, scale: int, items: Array, n: int) -> int:
-    """Model pass over prediction errors [n,3]."""
+def _position_bin(average: int, before: int, mean: int, within: int, motion: int, axis: int) -> int:
+    return magnitude_bin((4 * (average + motion) + before + 3 * mean + 6 * within) // (18 + 6 * axis))
+
+
+@compiled
+def positions_items(errors: Array, motion: Array, scale: int, items: Array, n: int) -> int:
+    """Model pass over prediction errors [n,3] of rows whose steady motion is `motion` [n,3]."""
     average = np.full(3, scale, np.int64)
-    s1, s2 = 3 * scale, 3 * scale
+    before, mean = 3 * scale, 3 * scale
     for i in range(len(errors)):
-        within = 0
+        within, steady = 0, _size(motion[i])
         for axis in range(3):
-            n = put_value(items, n, errors[i, axis], _position_bin(average, s1, s2, within, axis))
+            n = put_value(items, n, errors[i, axis], _position_bin(average[axis], before, mean, within, steady, axis))
             size = 256 * abs(errors[i, axis])
             average[axis] += (size - average[axis]) >> 6
             within += size
-        s1, s2 = within, s1
+        before = within
+        mean += (within - mean) >> 3
     return n
 
 
 @compiled
 def _take_positions(
-    words: Array, x: Array, ctl: Array, voxel: Array, delta: Array, scale: int, predicted: bool, salt: Any
+    words: Array, x: Array, ctl: Array, motion: Array, delta: Array, scale: int, steadily: bool
 ) -> None:
-    table, prediction = _table_for(len(voxel)), np.zeros(3, np.int64)
-    average = np.full(3, scale, np.int64)
-    s1, s2 = 3 * scale, 3 * scale
-    for i in range(len(voxel)):
-        if predicted:
-            _predict(table, voxel, delta, i, salt, prediction)
-        within = 0
+    average, trend = np.full(3, scale, np.int64), np.zeros(3, np.int64)
+    before, mean = 3 * scale, 3 * scale
+    for i in range(len(delta)):
+        within, steady = 0, _size(motion[i])
         for axis in range(3):
-            error = take_value(words, x, ctl, _position_bin(average, s1, s2, within, axis))
-            delta[i, axis] = prediction[axis] + error
+            error = take_value(words, x, ctl, _position_bin(average[axis], before, mean, within, steady, axis))
+            delta[i, axis] = _prediction(motion[i, axis] if steadily else 0, trend[axis]) + error
             if abs(delta[i, axis]) >= 1 << 31:
                 ctl[2] = 1
+            if ctl[2]:
+                return
+            trend[axis] = _followed(trend[axis], delta[i, axis])
             size = 256 * abs(error)
             average[axis] += (size - average[axis]) >> 6
             within += size
-        s1, s2 = within, s1
-        if ctl[2]:
-            return
+        before = within
+        mean += (within - mean) >> 3
 
 
 @compiled
@@ -207,21 +192,25 @@ def _take_latents(words: Array, x: Array, ctl: Array, used: Array, latent: Array
 def decode_change(
     words: Array,
     lanes: int,
-    voxel: Array,
+    before: Array,
     touched: Array,
     used: Array,
     position_scale: int,
-    predicted: bool,
+    steadily: bool,
     scale: Array,
-    salt: Any,
+    age: int,
+    span: int,
 ) -> tuple[bool, Array, Array, Array]:
     """Whether the stream is sound; rows [n], position [n,3], latent [n,C], all int64.
 
     Args:
+        before: [N,3] positions before.
         touched, used: [N] 1 for rows, and for rows' latents, that are not all 0 before.
+        steadily: whether positions are predicted by steady motion, too.
+        age, span: frames from the keyframe to before, and from there to after.
     """
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
-    changed = np.zeros(len(voxel), np.uint8)
+    changed = np.zeros(len(before), np.uint8)
     count = 0
     begin(words, x, ctl)
     if ctl[2] == 0:
@@ -230,17 +219,16 @@ def decode_change(
         count = 0
     rows = np.zeros(count, np.int64)
     delta, latent = np.zeros((count, 3), np.int64), np.zeros((count, len(scale)), np.int64)
-    at, with_latents = np.zeros((count, 3), np.int64), np.zeros(count, np.uint8)
+    with_latents = np.zeros(count, np.uint8)
     n = 0
     for i in range(len(changed)):
         if changed[i] and n < count:
             rows[n] = i
             with_latents[n] = used[i]
-            for axis in range(3):
-                at[n, axis] = voxel[i, axis]
             n += 1
     if ctl[2] == 0:
-        _take_positions(words, x, ctl, at, delta, position_scale, predicted, salt)
+        motion = steady_motion(before, rows, age, span)
+        _take_positions(words, x, ctl, motion, delta, position_scale, steadily)
     if ctl[2] == 0:
         _take_latents(words, x, ctl, with_latents, latent, scale)
     return finish(words, x, ctl), rows, delta, latent

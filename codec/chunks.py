@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from codec import change, columns, geometry, plain
+from codec.change import Elapsed
 from codec.matrices import (
     added_channels,
     added_matrix,
@@ -68,18 +69,20 @@ def decode_base(data: bytes, profile: int, header: SceneHeader, voxel: Int32) ->
     return level_from_base(header, voxel, matrix.astype(np.int64))
 
 
-def encode_change(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, profile: int) -> bytes:
+def encode_change(
+    level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, elapsed: Elapsed, profile: int
+) -> bytes:
     """The CHANGE chunk: `rows` of `level`, as it was before, change by `position` [n,3] and `latent` [n,24]."""
-    coded = change.encode(level, rows, position, latent) if profile else None
+    coded = change.encode(level, rows, position, latent, elapsed) if profile else None
     if coded is not None:
         return coded
     return plain.encode_plain(np.concatenate([_gaps(rows)[:, None], position, latent], axis=1))
 
 
-def decode_change(data: bytes, profile: int, level: AnchorLevel) -> tuple[Int64, Int32, Int32]:
+def decode_change(data: bytes, profile: int, level: AnchorLevel, elapsed: Elapsed) -> tuple[Int64, Int32, Int32]:
     """Rows [n], position [n,3] and latent [n,24] differences of a CHANGE chunk for `level` as it was before."""
     if coding_of(data, profile):
-        return change.decode(data, level)
+        return change.decode(data, level, elapsed)
     matrix = plain.decode_plain(data, _CHANGE_COLUMNS, len(level))
     return _rows(matrix[:, 0], len(level)), matrix[:, 1:4].copy(), matrix[:, 4:].copy()
 

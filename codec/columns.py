@@ -27,18 +27,9 @@ def encode(matrix: Int64, shifted: slice, *, with_count: bool = False) -> bytes 
     class of their own. Each channel is sent as it is, around a centre, or as difference to the row before or to the
     mean of the last ones, whichever is smallest.
     """
-    shifts = _shifts(matrix[:, shifted])
-    used = np.unique(shifts) if len(shifts) else np.zeros(1, np.int64)
-    scaled = _in_range(matrix.shape[1], shifted)
-    modes, centre, values = _formed(matrix, int(used[-1]), scaled)
-    values = values >> (shifts[:, None] * scaled)
-    for c in range(matrix.shape[1]):
-        errors = trend_errors(matrix[:, c].copy(), shifts * scaled[c])
-        if np.log2(1.0 + np.abs(errors)).sum() < np.log2(1.0 + np.abs(values[:, c])).sum():
-            modes[c], values[:, c] = _TREND, errors
+    modes, centre, used, classes, values = classed(matrix, shifted)
     if np.abs(values).max(initial=0) >= VALUE_LIMIT:
         return None
-    classes = np.searchsorted(used, shifts)
     coded = [encode_scales(values[classes == k]) for k in range(len(used))]
     scales = np.stack([scale for _, scale in coded])
     lanes, words = encode_items(
@@ -49,6 +40,20 @@ def encode(matrix: Int64, shifted: slice, *, with_count: bool = False) -> bytes 
     mask = bytes([int((1 << used).sum())])
     sides = b"".join(side for side, _ in coded)
     return bytes([lanes]) + count + _pack_modes(modes) + centres + mask + sides + words
+
+
+def classed(matrix: Int64, shifted: slice) -> tuple[Int64, Int64, Int64, Int64, Int64]:
+    """Of `matrix` [n,C]: modes [C], centres [C], the shifts in use, class of each row [n], the numbers left [n,C]."""
+    shifts = _shifts(matrix[:, shifted])
+    used = np.unique(shifts) if len(shifts) else np.zeros(1, np.int64)
+    scaled = _in_range(matrix.shape[1], shifted)
+    modes, centre, values = _formed(matrix, int(used[-1]), scaled)
+    values = values >> (shifts[:, None] * scaled)
+    for c in range(matrix.shape[1]):
+        errors = trend_errors(matrix[:, c].copy(), shifts * scaled[c])
+        if np.log2(1.0 + np.abs(errors)).sum() < np.log2(1.0 + np.abs(values[:, c])).sum():
+            modes[c], values[:, c] = _TREND, errors
+    return modes, centre, used, np.searchsorted(used, shifts), values
 
 
 def _formed(matrix: Int64, most: int, scaled: Int64) -> tuple[Int64, Int64, Int64]:

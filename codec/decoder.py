@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from codec import chunks
+from codec.change import Elapsed
 from codec.header import decode_header, decode_weights
 from codec.limits import DEFAULT_LIMITS, Limits
 from codec.packet import ChunkKind, Packet, PacketKind
@@ -121,7 +122,8 @@ def _decode_residual_level(packet: Packet, number: int, scene: Scene, room: int)
     latent: Int32 = np.zeros((0, LATENTS), np.int32)
     added = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
     if (data := packet.chunk(number, ChunkKind.CHANGE)) is not None:
-        rows, position, latent = chunks.decode_change(data, packet.profile, before)
+        elapsed = Elapsed(packet.from_version - packet.keyframe, packet.to_version - packet.from_version)
+        rows, position, latent = chunks.decode_change(data, packet.profile, before, elapsed)
     if (data := packet.chunk(number, ChunkKind.REMOVED)) is not None:
         removed = chunks.decode_removed(data, packet.profile, len(before))
     if (data := packet.chunk(number, ChunkKind.ADDED)) is not None:

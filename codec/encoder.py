@@ -7,6 +7,7 @@ import struct
 import numpy as np
 
 from codec import chunks
+from codec.change import Elapsed
 from codec.header import encode_header, encode_weights
 from codec.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
 from codec.packet_bytes import build
@@ -61,9 +62,10 @@ def encode_residual(before: Scene, residual: Residual, *, kind: PacketKind, time
         raise ValueError("a residual cannot become a key packet")
     age = residual.to_version - residual.keyframe
     hashed = kind is not PacketKind.PREDICTED or age % HASH_INTERVAL == 0
+    elapsed = Elapsed(residual.from_version - residual.keyframe, residual.to_version - residual.from_version)
     parts: list[Chunk] = []
     for number, (level, change) in enumerate(zip(before.levels, residual.levels, strict=True)):
-        parts += _level_chunks(number, level, change, profile)
+        parts += _level_chunks(number, level, change, elapsed, profile)
         if hashed:
             digest = apply_level(level, change).digest()
             parts.append(make_chunk(number, ChunkKind.HASH, struct.pack("<I", digest)))
@@ -71,7 +73,9 @@ def encode_residual(before: Scene, residual: Residual, *, kind: PacketKind, time
     return _packet(kind, profile, *versions, time_ns, len(before.levels), parts)
 
 
-def _level_chunks(number: int, level: AnchorLevel, change: LevelResidual, profile: int) -> list[Chunk]:
+def _level_chunks(
+    number: int, level: AnchorLevel, change: LevelResidual, elapsed: Elapsed, profile: int
+) -> list[Chunk]:
     parts = []
     touched = change.position.any(axis=1) | change.latent.any(axis=1)
     rows = change.rows[touched]
@@ -79,7 +83,7 @@ def _level_chunks(number: int, level: AnchorLevel, change: LevelResidual, profil
         if rows[0] < 0 or rows[-1] >= len(level) or (np.diff(rows) <= 0).any():
             raise ValueError(f"residual rows of level {number} must ascend and lie inside the level")
         position, latent = change.position[touched].astype(np.int64), change.latent[touched].astype(np.int64)
-        data = chunks.encode_change(level, rows, position, latent, profile)
+        data = chunks.encode_change(level, rows, position, latent, elapsed, profile)
         parts.append(make_chunk(number, ChunkKind.CHANGE, data))
     if len(change.removed):
         parts.append(make_chunk(number, ChunkKind.REMOVED, chunks.encode_removed(change.removed)))

@@ -240,31 +240,30 @@ def latents(coder: Coder, used: Sequence[int], scale: Sequence[int], numbers: Ro
     return result
 
 
-def positions(coder: Coder, voxel: Sequence[Voxel], scale: int, predicted: bool, delta: Rows | None) -> Rows:
-    """Position differences of the changed rows with `voxel`, section 9."""
-    average, s1, s2 = [scale] * 3, 3 * scale, 3 * scale
-    result: Rows = []
-    latest: dict[Voxel, int] = {}
-    near = [(a, b, c) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)]
-    for i, (x, y, z) in enumerate(voxel):
-        around = [latest[x + a, y + b, z + c] for a, b, c in near if (x + a, y + b, z + c) in latest]
-        errors: list[int] = []
-        row: list[int] = []
+def steady_motion(positions: Rows, age: int, span: int) -> Rows:
+    """How far rows go in `span` frames if they go on as in `age` since the keyframe, in 1/128 step, section 9."""
+    return [[128 * p * min(span, 255) // age if age else 0 for p in row] for row in positions]
+
+
+def positions(coder: Coder, motion: Rows, scale: int, steadily: bool, delta: Rows | None) -> Rows:
+    """Position differences of the changed rows whose steady motion is `motion`, section 9."""
+    average, before, mean = [scale] * 3, 3 * scale, 3 * scale
+    trend, result = [0] * 3, []
+    for i, steady in enumerate(motion):
+        within, row = 0, []
         for axis in range(3):
-            prediction = result[-1][axis] if result and predicted else 0
-            if around and predicted:
-                prediction = (2 * sum(result[j][axis] for j in around) + len(around)) // (2 * len(around))
-            within = 256 * sum(map(abs, errors))
-            b = magnitude_bin((6 * average[axis] + 6 * s1 + 4 * s2 + 9 * within) // (36 + 9 * axis))
+            prediction = (steadily * steady[axis] + trend[axis] + 128) // 256
+            e = 4 * average[axis] + before + 3 * mean + 6 * within + 4 * sum(map(abs, steady))
+            b = magnitude_bin(e // (18 + 6 * axis))
             error = value(coder, b, None if delta is None else delta[i][axis] - prediction)
             if abs(prediction + error) >= 1 << 31:
                 raise _corrupt()
-            average[axis] += (256 * abs(error) - average[axis]) >> 6
-            errors.append(error)
             row.append(prediction + error)
-        s1, s2 = 256 * sum(map(abs, errors)), s1
+            average[axis] += (256 * abs(error) - average[axis]) >> 6
+            trend[axis] += 16 * row[axis] - (trend[axis] >> 2)
+            within += 256 * abs(error)
+        before, mean = within, mean + ((within - mean) >> 3)
         result.append(row)
-        latest[x, y, z] = i
     return result
 
 

@@ -8,14 +8,15 @@ import { bin } from "./tables.js";
 
 /** @typedef {import("./scene.js").Level} Level */
 /** @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array }} Change */
+/** @typedef {{ age: number, span: number }} Elapsed - frames from the keyframe to before, and from there to after */
 
-const BLOCK = 64;
+const BLOCK = 64, LONGEST_SPAN = 255;
 
 /** @type {() => Change} */
 export const noChange = () => ({ rows: new Uint32Array(0), position: new Int32Array(0), latent: new Int32Array(0) });
 
-/** @type {(chunk: Uint8Array, level: Level) => Change} */
-export function decodeChange(chunk, level) {
+/** @type {(chunk: Uint8Array, level: Level, elapsed: Elapsed) => Change} */
+export function decodeChange(chunk, level, elapsed) {
   const reader = new Reader(chunk, "corrupt_chunk");
   const coding = reader.u8();
   if (coding === 0) {
@@ -28,13 +29,13 @@ export function decodeChange(chunk, level) {
     return { rows: ascending(columns, count, level.count), position, latent };
   }
   const first = reader.u8();
-  const start = scale(first & 127), predict = first < 128;
+  const start = scale(first & 127), steadily = first < 128;
   const scales = readScales(reader, LATENTS);
   const coder = new RansDecoder(reader.rest(), coding);
   const pairs = new Int32Array(level.latent.buffer, level.latent.byteOffset, level.latent.length / 2); // two latents at once
   const used = rowsWithAny(pairs, LATENTS / 2);
   const rows = decodeRowSet(coder, level, used);
-  const position = decodePositions(coder, rows, level.voxel, start, predict);
+  const position = decodePositions(coder, rows, level.position, elapsed, start, steadily);
   const latent = decodeLatents(coder, rows, used, scales);
   coder.end();
   return { rows, position, latent };
@@ -117,64 +118,39 @@ function decodeLatents(coder, rows, used, scales) {
   return latent;
 }
 
-/** Changed rows by their voxel: an open-addressed table of row indices. */
-class VoxelTable {
-  /** @param {Uint32Array} rows @param {Int32Array} voxel */
-  constructor(rows, voxel) {
-    this.mask = 2 ** Math.ceil(Math.log2(2 * rows.length + 2)) - 1;
-    this.entry = new Int32Array(this.mask + 1); // index + 1, 0 where free
-    this.rows = rows;
-    this.voxel = voxel;
-  }
-
-  /** The place of a voxel: where it is, or would be. @type {(x: number, y: number, z: number) => number} */
-  place(x, y, z) {
-    let at = (Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca6b) ^ Math.imul(z, 0xc2b2ae35));
-    at = (at ^ (at >>> 15)) & this.mask;
-    for (; this.entry[at]; at = (at + 1) & this.mask) {
-      const v = 3 * this.rows[this.entry[at] - 1];
-      if (this.voxel[v] === x && this.voxel[v + 1] === y && this.voxel[v + 2] === z) break;
-    }
-    return at;
-  }
-}
-
-/** @type {(coder: RansDecoder, rows: Uint32Array, voxel: Int32Array, start: number, predict: boolean) => Int32Array} */
-function decodePositions(coder, rows, voxel, start, predict) {
+/**
+ * @param {RansDecoder} coder
+ * @param {Uint32Array} rows
+ * @param {Int32Array} position - of all rows, before
+ * @param {Elapsed} elapsed
+ * @param {number} start - expected magnitude
+ * @param {boolean} steadily - whether steady motion is part of the prediction
+ * @returns {Int32Array}
+ */
+function decodePositions(coder, rows, position, { age, span }, start, steadily) {
   const delta = new Int32Array(3 * rows.length);
-  const table = new VoxelTable(rows, voxel);
-  const mean = [start, start, start], sum = [0, 0, 0];
-  let before = 3 * start, earlier = 3 * start;
+  const average = [start, start, start], trend = [0, 0, 0], motion = [0, 0, 0];
+  const frames = Math.min(span, LONGEST_SPAN);
+  let before = 3 * start, mean = 3 * start;
   for (let i = 0; i < rows.length; i++) {
-    const x = voxel[3 * rows[i]], y = voxel[3 * rows[i] + 1], z = voxel[3 * rows[i] + 2];
-    let near = 0;
-    sum.fill(0);
-    for (let dx = predict ? -1 : 2; dx <= 1; dx++) {
-      for (let dy = -1; dy <= 1; dy++) {
-        for (let dz = -1; dz <= 1; dz++) {
-          const j = table.entry[table.place(x + dx, y + dy, z + dz)] - 1;
-          if (j < 0) continue;
-          near++;
-          for (let a = 0; a < 3; a++) sum[a] += delta[3 * j + a];
-        }
-      }
+    let within = 0, steady = 0;
+    for (let a = 0; age && a < 3; a++) {
+      motion[a] = Math.floor((128 * position[3 * rows[i] + a] * frames) / age);
+      steady += Math.abs(motion[a]);
     }
-    let size = 0;
     for (let a = 0; a < 3; a++) {
-      let predicted = predict && i ? delta[3 * (i - 1) + a] : 0;
-      if (predict && near) predicted = Math.floor((2 * sum[a] + near) / (2 * near));
-      const context = Math.floor((6 * mean[a] + 6 * before + 4 * earlier + 9 * 256 * size) / (36 + 9 * a));
-      const error = coder.value(bin(context));
-      const value = predicted + error;
+      const context = 4 * (average[a] + steady) + before + 3 * mean + 6 * within;
+      const error = coder.value(bin(Math.floor(context / (18 + 6 * a))));
+      const value = Math.floor(((steadily ? motion[a] : 0) + trend[a] + 128) / 256) + error;
       must(value === (value | 0) && value !== -2147483648, "corrupt_chunk", "a position difference is too large");
       delta[3 * i + a] = value;
-      const magnitude = Math.abs(error);
-      mean[a] += Math.floor((256 * magnitude - mean[a]) / 64);
-      size += magnitude;
+      trend[a] += 16 * value - Math.floor(trend[a] / 4);
+      const size = 256 * Math.abs(error);
+      average[a] += Math.floor((size - average[a]) / 64);
+      within += size;
     }
-    earlier = before;
-    before = 256 * size;
-    if (predict) table.entry[table.place(x, y, z)] = i + 1;
+    before = within;
+    mean += Math.floor((within - mean) / 8);
   }
   return delta;
 }

@@ -102,7 +102,9 @@ function changedLevel(packet, number, scene, room) {
   const chunk = (kind) => packet.chunks.get((number << 4) | kind);
   const [changeChunk, removedChunk, addedChunk, hashChunk] =
     [Chunk.CHANGE, Chunk.REMOVED, Chunk.ADDED, Chunk.HASH].map(chunk);
-  const change = changeChunk ? decodeChange(checked(changeChunk, packet), level) : noChange();
+  const { keyframe, fromVersion, toVersion } = packet;
+  const elapsed = { age: fromVersion - keyframe, span: toVersion - fromVersion };
+  const change = changeChunk ? decodeChange(checked(changeChunk, packet), level, elapsed) : noChange();
   const removed = removedChunk ? decodeRemoved(checked(removedChunk, packet, false), level) : new Uint32Array(0);
   const added = addedChunk ? decodeAdded(checked(addedChunk, packet), header.featureSteps.length, header.slots, room) : null;
   const next = changeChunk || removedChunk || addedChunk ? changed(level, { ...change, removed, added }) : level;

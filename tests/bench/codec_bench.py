@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from codec import change_model
-from codec.change import history
+from codec.change import Elapsed, history, predicted_positions
 from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
@@ -104,17 +104,17 @@ def _column_entropy(scene: Scene, name: str) -> float:
     return bits
 
 
-def _split(level: LevelResidual, before: AnchorLevel) -> Float64:
+def _split(level: LevelResidual, before: AnchorLevel, elapsed: Elapsed) -> Float64:
     """Bits of the dynamic set, the positions and the latents of one level."""
     items, changed = np.empty(200 + 20 * (len(before) + 30 * len(level.rows)), np.uint32), np.zeros(len(before), "u1")
     changed[level.rows] = 1
     position, latent = level.position.astype(np.int64), level.latent.astype(np.int64)
-    errors = change_model.position_errors(before.voxel[level.rows].astype(np.int64), position, np.uint64(1))
-    errors = min(errors, position, key=lambda values: float(np.log2(1.0 + np.abs(values)).sum()))
+    motion = change_model.steady_motion(before.position, level.rows, elapsed.age, elapsed.span)
+    errors, _ = predicted_positions(position, motion)
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
     touched, used = history(before)
     ends = [0, change_model.rows_items(changed, touched, items, 0)]
-    ends.append(change_model.positions_items(errors, scale, items, ends[-1]))
+    ends.append(change_model.positions_items(errors, motion, scale, items, ends[-1]))
     latent_scale = encode_scales(latent[latent.any(axis=1)])[1]
     ends.append(change_model.latents_items(latent, used[level.rows], latent_scale, items, ends[-1]))
     return np.array([item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
@@ -128,9 +128,10 @@ def predicted_report(clip: Clip) -> None:
     zeros = np.mean(np.concatenate([level.latent for r in clip.residuals for level in r.levels]) == 0)
     parts = np.zeros(3)
     for state, residual in zip(clip.states, clip.residuals, strict=False):
+        elapsed = Elapsed(state.version - state.keyframe, residual.to_version - state.version)
         for before, level in zip(state.levels, residual.levels, strict=True):
             if len(level.rows):
-                parts += _split(level, before)
+                parts += _split(level, before, elapsed)
     total, dynamic = 8.0 * sizes.sum(), max(int(counts.sum()), 1)
     plain = [len(_predicted(a, r, 0)) for a, r in zip(clip.states, clip.residuals, strict=False)]
     print(f"predicted: {len(sizes)} packets, mean {sizes.mean():.0f} B, largest {sizes.max()} B,", end=" ")

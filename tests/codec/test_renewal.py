@@ -69,7 +69,7 @@ def test_a_watch_follows_a_stream_over_its_keyframes() -> None:
         if reason is not None:
             keyframes.append((state.version, reason))
             state = rekey(state, state.version)
-    assert keyframes == [(6, "time"), (9, "catch-up")]
+    assert keyframes == [(6, "time"), (9, "catch-up"), (12, "catch-up")]
 
 
 def test_a_watch_must_see_the_keyframe() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from client.playback import Playback
 from codec import chunks
+from codec.change import Elapsed
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
 from codec.limits import Limits
@@ -119,7 +120,7 @@ def entropy(data: bytes) -> None:
     for decode in (
         lambda: chunks.decode_geometry(data, 1, 4096),
         lambda: chunks.decode_base(data, 1, header, voxel),
-        lambda: chunks.decode_change(data, 1, level),
+        lambda: chunks.decode_change(data, 1, level, Elapsed(9, 1)),
         lambda: chunks.decode_removed(data, 1, 200),
         lambda: chunks.decode_added(data, 1, header, 4096),
     ):

@@ -51,6 +51,7 @@ def valid_streams() -> Streams:
     yield "four-lanes", _chain(make_scene((20, 100, 600)), 1, share=0.6)
     yield "still", _still()
     yield "everything-moves", _chain(small((10, 70)), 1, share=1.0)
+    yield "steady-motion", _steady()
     yield "trickle", _trickle()
     yield "levels-apart", _levels_apart()
     yield "state-hash", _state_hash()
@@ -140,6 +141,23 @@ def _extremes(profile: int) -> list[bytes]:
 def _still() -> list[bytes]:
     scene = small()
     return [key(scene), packet(scene, replace(scene, version=1))]
+
+
+def _steady() -> list[bytes]:
+    """Rows that go on as before, slow and very fast ones, over spans of up to more frames than count."""
+    scene = small((12, 40))
+    slopes = [np.arange(3 * len(level)).reshape(-1, 3) % 23 - 11 for level in scene.levels]
+    slopes[1][7] = (1 << 22, -(1 << 22), 3)
+    packets = [key(scene)]
+    for version in (1, 3, 10, 300, 301):
+        levels = [
+            replace(level, position=(slope * version // 2).astype(np.int32))
+            for level, slope in zip(scene.levels, slopes, strict=True)
+        ]
+        following = replace(scene, levels=tuple(levels), version=version)
+        packets.append(packet(scene, following, "predicted" if version == scene.version + 1 else "skip"))
+        scene = following
+    return packets
 
 
 def _trickle() -> list[bytes]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from codec.change import Elapsed
 from codec.chunks import encode_change
 from core.anchors import LATENTS
 from core.quantise import dead_zone
@@ -24,7 +25,7 @@ def test_it_is_about_what_is_sent(share: float, size: float) -> None:
     position = dead_zone(rng.laplace(0, 1, (len(rows), 3)) * energy).astype(np.int64)
     changed = latent.any(axis=1) | position.any(axis=1)
     rows, latent, position = rows[changed], latent[changed], position[changed]
-    sent = 8 * len(encode_change(level, rows, position, latent, 1))
+    sent = 8 * len(encode_change(level, rows, position, latent, Elapsed(0, 1), 1))
     found = residual_bits(torch.from_numpy(latent).float(), torch.from_numpy(position).float())
     assert float(found) == pytest.approx(sent, rel=0.12)
 
