@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -88,9 +89,10 @@ def groups(path: Path) -> Iterator[tuple[str, Float64]]:
         yield from zip((f"{name} positions", f"{name} latents"), sums, strict=True)
 
 
+@cache
 def law() -> Float64:
     """[BINS,SYMBOLS] the two-sided geometric law with a dead zone: P(0) = 1 - q^0.62 and magnitudes by powers of q."""
-    q = np.linspace(1e-6, 1 - 1e-6, 1_000_001)
+    q = np.linspace(1e-6, 1 - 1e-6, 100_001)
     expected = 2.0 ** ((np.arange(BINS) - UNIT_BIN) / 4)
     q = np.interp(expected, q**0.62 / (1 - q), q)[:, None]
     magnitude = (np.arange(SYMBOLS) + 1) // 2
