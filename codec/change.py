@@ -10,7 +10,7 @@ from codec import change_model
 from codec.entropy import corrupt, decode_scales, encode_items, encode_scales, scale_of, words_of
 from codec.rans import VALUE_LIMIT, Array
 from core.anchors import LATENTS, AnchorLevel
-from core.arrays import Int32, Int64, UInt8
+from core.arrays import Int16, Int32, Int64, UInt8
 from core.entropy_model import SCALES
 
 _SCALE_MASK, _UNSTEADY = 127, 128  # of the position scale's byte
@@ -26,12 +26,12 @@ class Elapsed:
 
 def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, elapsed: Elapsed) -> bytes | None:
     """The chunk, or None if a number is too large for it; arguments as in `codec.chunks.encode_change`."""
-    before = np.array(level.position, np.int32, order="C")  # a plain array: another layout would be compiled anew
+    before, latent_before = _plain(level)
     motion = change_model.steady_motion(before, rows, elapsed.age, elapsed.span)
     errors, unsteady = predicted_positions(position, motion)
     if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= VALUE_LIMIT:
         return None
-    changed, (touched, used) = np.zeros(len(level), np.uint8), history(level)
+    changed, touched = np.zeros(len(level), np.uint8), history(level)
     changed[rows] = 1
     position_scale = min(scale_of(float(np.abs(errors).mean()) if len(errors) else 0.0), _SCALE_MASK)
     side, scale = encode_scales(latent[latent.any(axis=1)])
@@ -39,7 +39,7 @@ def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, elap
     def model_pass(items: Array) -> int:
         count = change_model.rows_items(changed, touched, items, 0)
         count = change_model.positions_items(errors, motion, SCALES[position_scale], items, count)
-        return change_model.latents_items(latent, used[rows], scale, items, count)
+        return change_model.latents_items(latent, latent_before[rows], scale, items, count)
 
     lanes, words = encode_items(model_pass, len(level) + 2 * (errors.size + latent.size))
     return bytes([lanes, position_scale | (_UNSTEADY if unsteady else 0)]) + side + words
@@ -59,21 +59,22 @@ def decode(data: bytes, level: AnchorLevel, elapsed: Elapsed) -> tuple[Int64, In
         raise corrupt("a change ends before its position scale")
     scale, at = decode_scales(data, 2, LATENTS)
     steadily = not data[1] & _UNSTEADY
-    before = np.array(level.position, np.int32, order="C")
-    words, (touched, used), start = words_of(data, at), history(level), int(SCALES[data[1] & _SCALE_MASK])
+    words, start = words_of(data, at), int(SCALES[data[1] & _SCALE_MASK])
     sound, rows, position, latent = change_model.decode_change(
-        words, data[0], before, touched, used, start, steadily, scale, elapsed.age, elapsed.span
+        words, data[0], *_plain(level), history(level), start, steadily, scale, elapsed.age, elapsed.span
     )
     if not sound:
         raise corrupt("an entropy-coded chunk does not end as it must")
     return rows, position.astype(np.int32), latent.astype(np.int32)
 
 
-def history(level: AnchorLevel) -> tuple[UInt8, UInt8]:
-    """[N] 1 for rows that are no longer what they were at the keyframe, and for those whose latents are not.
+def history(level: AnchorLevel) -> UInt8:
+    """[N] 1 for rows that are no longer what they were at the keyframe: they are likelier to change again."""
+    position, latent = _plain(level)
+    found = change_model.rows_with_any(position) | change_model.rows_with_any(latent)
+    return np.asarray(found, np.uint8)
 
-    They are likelier to change again.
-    """
-    position, latent = np.array(level.position, np.int32, order="C"), np.array(level.latent, np.int16, order="C")
-    used = np.asarray(change_model.rows_with_any(latent), np.uint8)
-    return np.asarray(change_model.rows_with_any(position), np.uint8) | used, used
+
+def _plain(level: AnchorLevel) -> tuple[Int32, Int16]:
+    """Positions and latents as arrays of one layout; another would be compiled anew."""
+    return np.array(level.position, np.int32, order="C"), np.array(level.latent, np.int16, order="C")

@@ -10,6 +10,7 @@ from codec.rans import Array, begin, finish, magnitude_bin, put_flag, put_value,
 
 BLOCK = 64
 BLOCK_MODELS, ROW_MODELS, LATENT_MODELS = 8, 16, 4
+MOST_RAISED = 4  # bins
 LONGEST_SPAN = 255  # frames; steady motion over more counts as over these
 
 
@@ -153,36 +154,45 @@ def _take_positions(
 
 
 @compiled
-def latents_items(latent: Array, used: Array, scale: Array, items: Array, n: int) -> int:
-    """Model pass over latent differences [n,C]: which rows have any, then those.
-
-    Args:
-        used: [n] 1 for rows whose latents were not all 0 before.
-    """
-    models = np.ones((LATENT_MODELS, 2), np.int64)
-    chosen = np.zeros(len(latent), np.bool_)
-    before = 0
-    for i in range(len(latent)):
-        own = 1 if latent[i].any() else 0
-        n = put_flag(items, n, models[2 * before + used[i]], own)
-        chosen[i] = own == 1
-        before = own
-    return columns_items(latent[chosen], scale, items, n)
+def raised_bins(before: Array) -> Array:
+    """[n,C] int64 by how many bins a latent's past raises what is expected of it: -1 (never used) to 4."""
+    raised = np.full(before.shape, -1, np.int64)
+    for i in range(len(before)):
+        for c in range(before.shape[1]):
+            size = abs(np.int64(before[i, c]))
+            while size and raised[i, c] < MOST_RAISED:
+                size >>= 1
+                raised[i, c] += 1
+    return raised
 
 
 @compiled
-def _take_latents(words: Array, x: Array, ctl: Array, used: Array, latent: Array, scale: Array) -> None:
+def latents_items(latent: Array, before: Array, scale: Array, items: Array, n: int) -> int:
+    """Model pass over latent differences [n,C] of rows with latents `before` [n,C]: which have any, then those."""
     models = np.ones((LATENT_MODELS, 2), np.int64)
-    chosen = np.zeros(len(latent), np.bool_)
-    before = 0
+    used, chosen = rows_with_any(before), np.zeros(len(latent), np.bool_)
+    last = 0
     for i in range(len(latent)):
-        before = take_flag(words, x, ctl, models[2 * before + used[i]])
-        chosen[i] = before == 1
+        own = 1 if latent[i].any() else 0
+        n = put_flag(items, n, models[2 * last + used[i]], own)
+        chosen[i] = own == 1
+        last = own
+    return columns_items(latent[chosen], raised_bins(before[chosen]), scale, items, n)
+
+
+@compiled
+def _take_latents(words: Array, x: Array, ctl: Array, before: Array, latent: Array, scale: Array) -> None:
+    models = np.ones((LATENT_MODELS, 2), np.int64)
+    used, chosen = rows_with_any(before), np.zeros(len(latent), np.bool_)
+    last = 0
+    for i in range(len(latent)):
+        last = take_flag(words, x, ctl, models[2 * last + used[i]])
+        chosen[i] = last == 1
     if ctl[2]:
         return
     rows = np.flatnonzero(chosen)
     part = np.zeros((len(rows), latent.shape[1]), np.int64)
-    take_columns(words, x, ctl, part, scale)
+    take_columns(words, x, ctl, part, raised_bins(before[chosen]), scale)
     for k in range(len(rows)):
         for c in range(latent.shape[1]):
             latent[rows[k], c] = part[k, c]
@@ -192,9 +202,9 @@ def _take_latents(words: Array, x: Array, ctl: Array, used: Array, latent: Array
 def decode_change(
     words: Array,
     lanes: int,
-    before: Array,
+    position_before: Array,
+    latent_before: Array,
     touched: Array,
-    used: Array,
     position_scale: int,
     steadily: bool,
     scale: Array,
@@ -204,13 +214,13 @@ def decode_change(
     """Whether the stream is sound; rows [n], position [n,3], latent [n,C], all int64.
 
     Args:
-        before: [N,3] positions before.
-        touched, used: [N] 1 for rows, and for rows' latents, that are not all 0 before.
+        position_before, latent_before: [N,3] and [N,C] of the level before.
+        touched: [N] 1 for rows where these are not all 0.
         steadily: whether positions are predicted by steady motion, too.
         age, span: frames from the keyframe to before, and from there to after.
     """
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
-    changed = np.zeros(len(before), np.uint8)
+    changed = np.zeros(len(touched), np.uint8)
     count = 0
     begin(words, x, ctl)
     if ctl[2] == 0:
@@ -219,16 +229,14 @@ def decode_change(
         count = 0
     rows = np.zeros(count, np.int64)
     delta, latent = np.zeros((count, 3), np.int64), np.zeros((count, len(scale)), np.int64)
-    with_latents = np.zeros(count, np.uint8)
     n = 0
     for i in range(len(changed)):
         if changed[i] and n < count:
             rows[n] = i
-            with_latents[n] = used[i]
             n += 1
     if ctl[2] == 0:
-        motion = steady_motion(before, rows, age, span)
+        motion = steady_motion(position_before, rows, age, span)
         _take_positions(words, x, ctl, motion, delta, position_scale, steadily)
     if ctl[2] == 0:
-        _take_latents(words, x, ctl, with_latents, latent, scale)
+        _take_latents(words, x, ctl, latent_before[rows], latent, scale)
     return finish(words, x, ctl), rows, delta, latent

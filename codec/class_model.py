@@ -45,8 +45,9 @@ def _take_classes(words: Array, x: Array, ctl: Array, classes: Array, count: int
 def rows_items(values: Array, classes: Array, scales: Array, items: Array, n: int) -> int:
     """Model pass over `values` [rows, C]: their classes, then each class with its row of `scales` [classes, C]."""
     n = classes_items(classes, len(scales), items, n)
+    raised = np.zeros((0, 0), np.int64)
     for k in range(len(scales)):
-        n = columns_items(values[classes == k], scales[k], items, n)
+        n = columns_items(values[classes == k], raised, scales[k], items, n)
     return n
 
 
@@ -54,6 +55,7 @@ def rows_items(values: Array, classes: Array, scales: Array, items: Array, n: in
 def decode_rows(words: Array, lanes: int, values: Array, classes: Array, scales: Array) -> bool:
     """Fill `values` [rows, C] and `classes` [rows]; False if the stream is corrupt."""
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
+    raised = np.zeros((0, 0), np.int64)
     begin(words, x, ctl)
     if ctl[2] == 0:
         _take_classes(words, x, ctl, classes, len(scales))
@@ -62,7 +64,7 @@ def decode_rows(words: Array, lanes: int, values: Array, classes: Array, scales:
             return False
         rows = np.flatnonzero(classes == k)
         part = np.zeros((len(rows), values.shape[1]), np.int64)
-        take_columns(words, x, ctl, part, scales[k])
+        take_columns(words, x, ctl, part, raised, scales[k])
         for i in range(len(rows)):
             for c in range(values.shape[1]):
                 values[rows[i], c] = part[i, c]

@@ -144,8 +144,8 @@ def value(coder: Coder, b: int, number: int | None) -> int:
     return result
 
 
-def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None) -> Rows:
-    """Rows of integers with energy context, section 6.3."""
+def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None, raised: Rows | None = None) -> Rows:
+    """Rows of integers with energy context, section 6.3; `raised` is added to their bins."""
     weight = [65536 // (256 + m) if m else 0 for m in scale]
     expected = [max(1, (w * m + 128) >> 8) if m else 0 for w, m in zip(weight, scale, strict=True)]
     total = sum(expected)
@@ -157,7 +157,8 @@ def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None)
                 gain = magnitude_bin(256 * (mean + 2 * energy) // (total + 2 * seen)) - 24
             number = 0
             if m:
-                number = value(coder, magnitude_bin(m) + gain, None if numbers is None else numbers[i][c])
+                b = magnitude_bin(m) + gain + (raised[i][c] if raised else 0)
+                number = value(coder, b, None if numbers is None else numbers[i][c])
             energy += weight[c] * min(abs(number), 65535)
             seen += expected[c]
             row.append(number)
@@ -224,18 +225,18 @@ def dynamic_set(coder: Coder, touched: Sequence[int], changed: Sequence[int] | N
     return result
 
 
-def latents(coder: Coder, used: Sequence[int], scale: Sequence[int], numbers: Rows | None) -> Rows:
-    """Latent differences of the changed rows, where `used` says which ones had any before, section 9."""
+def latents(coder: Coder, before: Rows, scale: Sequence[int], numbers: Rows | None) -> Rows:
+    """Latent differences of the changed rows, which had latents `before`, section 9."""
     models = [[1, 1] for _ in range(4)]
     flags: list[int] = []
-    for i, had in enumerate(used):
+    for i, past in enumerate(before):
         wanted = None if numbers is None else int(any(numbers[i]))
-        flags.append(flag(coder, models[2 * (flags[-1] if flags else 0) + had], wanted))
+        flags.append(flag(coder, models[2 * (flags[-1] if flags else 0) + int(any(past))], wanted))
     chosen = [i for i, own in enumerate(flags) if own]
-    result: Rows = [[0] * len(scale) for _ in used]
-    for i, row in zip(
-        chosen, columns(coder, len(chosen), scale, numbers and [numbers[i] for i in chosen]), strict=True
-    ):
+    raised = [[min(abs(y).bit_length(), 5) - 1 for y in before[i]] for i in chosen]
+    found = columns(coder, len(chosen), scale, numbers and [numbers[i] for i in chosen], raised)
+    result: Rows = [[0] * len(scale) for _ in before]
+    for i, row in zip(chosen, found, strict=True):
         result[i] = row
     return result
 

@@ -36,7 +36,7 @@ export function decodeChange(chunk, level, elapsed) {
   const used = rowsWithAny(pairs, LATENTS / 2);
   const rows = decodeRowSet(coder, level, used);
   const position = decodePositions(coder, rows, level.position, elapsed, start, steadily);
-  const latent = decodeLatents(coder, rows, used, scales);
+  const latent = decodeLatents(coder, rows, used, level.latent, scales);
   coder.end();
   return { rows, position, latent };
 }
@@ -99,8 +99,16 @@ function decodeRowSet(coder, { count, position }, used) {
   return rows.slice(0, found);
 }
 
-/** Which rows have any latents, then these. @type {(coder: RansDecoder, rows: Uint32Array, used: Uint8Array, scales: import("./rans.js").Scales) => Int32Array} */
-function decodeLatents(coder, rows, used, scales) {
+/**
+ * Which rows have any latents, then these.
+ * @param {RansDecoder} coder
+ * @param {Uint32Array} rows
+ * @param {Uint8Array} used - of all rows, which have latents other than 0 before
+ * @param {Int16Array} past - latents of all rows before
+ * @param {import("./rans.js").Scales} scales
+ * @returns {Int32Array}
+ */
+function decodeLatents(coder, rows, used, past, scales) {
   const models = new BitModels(4), chosen = new Uint8Array(rows.length);
   let found = 0;
   for (let i = 0, before = 0; i < rows.length; i++) {
@@ -108,7 +116,13 @@ function decodeLatents(coder, rows, used, scales) {
     chosen[i] = before;
     found += before;
   }
-  const part = decodeColumns(coder, found, scales);
+  const raised = new Int8Array(found * LATENTS);
+  for (let i = 0, to = 0; i < rows.length; i++) {
+    if (!chosen[i]) continue;
+    const from = rows[i] * LATENTS;
+    for (let c = 0; c < LATENTS; c++) raised[to++] = Math.min(32 - Math.clz32(Math.abs(past[from + c])), 5) - 1;
+  }
+  const part = decodeColumns(coder, found, scales, raised);
   const latent = new Int32Array(rows.length * LATENTS);
   for (let i = 0, from = 0; i < rows.length; i++) {
     if (!chosen[i]) continue;

@@ -112,11 +112,11 @@ def _split(level: LevelResidual, before: AnchorLevel, elapsed: Elapsed) -> Float
     motion = change_model.steady_motion(before.position, level.rows, elapsed.age, elapsed.span)
     errors, _ = predicted_positions(position, motion)
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
-    touched, used = history(before)
+    touched = history(before)
     ends = [0, change_model.rows_items(changed, touched, items, 0)]
     ends.append(change_model.positions_items(errors, motion, scale, items, ends[-1]))
     latent_scale = encode_scales(latent[latent.any(axis=1)])[1]
-    ends.append(change_model.latents_items(latent, used[level.rows], latent_scale, items, ends[-1]))
+    ends.append(change_model.latents_items(latent, before.latent[level.rows], latent_scale, items, ends[-1]))
     return np.array([item_bits(items[a:b].astype(np.int64)) for a, b in pairwise(ends)])
 
 
@@ -185,7 +185,7 @@ def joint_report(clip: Clip) -> None:
     apart = joint = 0.0
     for state, residual in zip(clip.states, clip.residuals, strict=False):
         parts = [
-            (level.latent.astype(np.int64), history(before)[1][level.rows])
+            (level.latent.astype(np.int64), before.latent[level.rows])
             for before, level in zip(state.levels, residual.levels, strict=True)
             if len(level.rows)
         ]

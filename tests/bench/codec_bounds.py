@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codec import change_model, column_model, rans
-from codec.change import history
+from codec.change_model import raised_bins
 from codec.compiled import compiled
 from codec.entropy import encode_scales
 from core.anchors import LATENTS, Scene
-from core.arrays import Float64, Int32, Int64
+from core.arrays import Float64, Int16, Int32, Int64
 from core.entropy_model import BINS
 from core.residual import Residual
 
@@ -26,11 +26,11 @@ def item_bits(items: Int64) -> float:
     return float(-np.log2((items & 0xFFFF) / 4096).sum())
 
 
-def latents_bits(latent: Int64, used: NDArray[np.uint8]) -> tuple[float, float]:
-    """Bits of the latent differences [n,24] of changed rows, and of side fields alone; `used` [n] as in `history`."""
+def latents_bits(latent: Int64, past: Int16) -> tuple[float, float]:
+    """Bits of the latent differences [n,24] of changed rows, and of side fields alone; `past` [n,24] latents before."""
     side, scale = encode_scales(latent[latent.any(axis=1)])
     items = np.empty(200 + 20 * latent.size, np.uint32)
-    count = change_model.latents_items(latent, used, scale, items, 0)
+    count = change_model.latents_items(latent, past, scale, items, 0)
     return item_bits(items[:count].astype(np.int64)) + 8 * len(side), 8 * len(side)
 
 
@@ -47,17 +47,18 @@ def latents_report(states: list[Scene], residuals: list[Residual]) -> None:
             latent = np.clip(level.latent.astype(np.int64), -_CLIP, _CLIP)
             if len(latent) == 0:
                 continue
-            used, half = history(before)[1][level.rows], frame % 2
-            bits, fields = latents_bits(latent, used)
+            past, half = before.latent[level.rows], frame % 2
+            bits, fields = latents_bits(latent, past)
             ours, side = ours + bits, side + fields
             some = np.asarray(latent.any(axis=1), np.bool_)
-            np.add.at(flags[half], (_flag_contexts(some, used, level.position), some.astype(np.int64)), 1)
+            np.add.at(flags[half], (_flag_contexts(some, past.any(axis=1), level.position), some.astype(np.int64)), 1)
             values, position = latent[some], level.position[some].astype(np.int64)
             bins = np.empty_like(values)
-            _context_bins(values, encode_scales(values)[1], bins)
+            raised = raised_bins(past[some])
+            _context_bins(values, raised, encode_scales(values)[1], bins)
             np.add.at(by_bin[half], (np.minimum(bins, BINS - 1), values + _CLIP), 1)
             if len(values):
-                np.add.at(by_context[half], (_rich_contexts(values, position), values + _CLIP), 1)
+                np.add.at(by_context[half], (_rich_contexts(values, position, raised), values + _CLIP), 1)
             np.add.at(histogram, (np.broadcast_to(np.arange(LATENTS), latent.shape), latent + _CLIP), 1)
             count += latent.size
             columns = latent.astype(np.int8).T.tobytes()
@@ -78,7 +79,7 @@ def latents_report(states: list[Scene], residuals: list[Residual]) -> None:
 
 
 @compiled
-def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
+def _context_bins(values: Int64, raised: Int64, scale: Int64, bins_out: Int64) -> None:
     """The bin under which each latent is coded, -1 for uncoded channels."""
     bins, weight, expected, total = column_model.channel_weights(scale)
     mean = total
@@ -87,25 +88,25 @@ def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
         for c in range(len(scale)):
             if column_model.renews(c) and total:
                 gain = column_model.row_gain(mean, total, energy, seen)
-            bins_out[i, c] = min(max(bins[c] + gain, 0), rans.TOP_BIN) if scale[c] else -1
+            bins_out[i, c] = min(max(bins[c] + gain + raised[i, c], 0), rans.TOP_BIN) if scale[c] else -1
             energy += weight[c] * min(abs(values[i, c]), 65535)
             seen += expected[c]
         mean += (energy - mean) >> 3
 
 
-_CONTEXTS = 7 * 8 * 3 * 2
+_CONTEXTS = 7 * 8 * 3 * 2 * 3
 _FLAG_CONTEXTS = 2 * 2 * 4
 
 
-def _flag_contexts(some: NDArray[np.bool_], used: NDArray[np.uint8], position: Int32) -> Int64:
+def _flag_contexts(some: NDArray[np.bool_], used: NDArray[np.bool_], position: Int32) -> Int64:
     """[n] a context of whether a row has latents: the row before, its past, its motion."""
     before = np.concatenate([[False], some[:-1]]).astype(np.int64)
     motion = np.minimum(np.ceil(np.log2(1 + np.abs(position).sum(axis=1))).astype(np.int64), 3)
     return np.asarray((2 * before + used) * 4 + motion, np.int64)
 
 
-def _rich_contexts(latent: Int64, position: Int64) -> Int64:
-    """[n,C] a context of the row so far, the rows before, the anchor's motion, and which half the channel is of."""
+def _rich_contexts(latent: Int64, position: Int64, raised: Int64) -> Int64:
+    """[n,C] a context of the row so far, the rows before, the anchor's motion, the channel's half, and its past."""
     size = np.minimum(np.abs(latent), 6)
     so_far = np.cumsum(size, axis=1) - size
     sofar_class = np.minimum(4 * so_far // (np.arange(LATENTS) + 1), 6)
@@ -117,7 +118,8 @@ def _rich_contexts(latent: Int64, position: Int64) -> Int64:
     before_class = np.minimum((2 * np.log2(1 + before)).astype(np.int64), 7)
     motion = np.minimum(np.ceil(np.log2(1 + np.abs(position).sum(axis=1))).astype(np.int64), 2)
     half = np.arange(LATENTS) // (LATENTS // 2)
-    return np.asarray(((sofar_class * 8 + before_class[:, None]) * 3 + motion[:, None]) * 2 + half, np.int64)
+    context = ((sofar_class * 8 + before_class[:, None]) * 3 + motion[:, None]) * 2 + half
+    return np.asarray(context * 3 + np.minimum(raised + 1, 2), np.int64)
 
 
 def _held_out(counts: Float64) -> float:

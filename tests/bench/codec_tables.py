@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from codec import columns, oracle
-from codec.change import Elapsed, history, predicted_positions
+from codec.change import Elapsed, predicted_positions
 from codec.change_model import steady_motion
 from codec.entropy import encode_scales, scale_of
 from codec.matrices import base_matrix, shifted_of
@@ -72,8 +72,7 @@ def change_counts(before: Scene, after: Scene) -> tuple[Float64, Float64]:
         scale = int(SCALES[scale_of(float(np.abs(errors).mean()))])
         oracle.positions(positions, motion.tolist(), scale, not unsteady, change.position.tolist())
         scales = encode_scales(change.latent[change.latent.any(axis=1)])[1]
-        used = history(level)[1][change.rows]
-        oracle.latents(latents, used.tolist(), scales.tolist(), change.latent.tolist())
+        oracle.latents(latents, level.latent[change.rows].tolist(), scales.tolist(), change.latent.tolist())
     return positions.counts, latents.counts
 
 

@@ -34,15 +34,16 @@ def test_columns(seed: int, rows: int, channels: int) -> None:
     rng = np.random.default_rng(seed)
     values = _numbers(rng, (rows, channels))
     scale = np.where(values.any(axis=0), SCALES[rng.integers(0, 192, channels)], 0)
-    lanes, data = encode_items(lambda items: column_model.columns_items(values, scale, items, 0), 10)
+    raised = rng.integers(-3, 6, (rows, channels)) if seed % 2 else np.zeros((0, 0), np.int64)
+    lanes, data = encode_items(lambda items: column_model.columns_items(values, raised, scale, items, 0), 10)
     encoder = oracle.Encoder()
-    oracle.columns(encoder, rows, scale.tolist(), values.tolist())
+    oracle.columns(encoder, rows, scale.tolist(), values.tolist(), raised.tolist())
     assert encoder.words(lanes) == _words(data)
     decoder = oracle.Decoder(_words(data), lanes)
-    assert oracle.columns(decoder, rows, scale.tolist(), None) == values.tolist()
+    assert oracle.columns(decoder, rows, scale.tolist(), None, raised.tolist()) == values.tolist()
     decoder.finish()
     found = np.zeros_like(values)
-    assert column_model.decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, scale)
+    assert column_model.decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, raised, scale)
     np.testing.assert_array_equal(found, values)
 
 
@@ -87,7 +88,8 @@ def test_changes(seed: int, count: int, share: float, steadily: bool) -> None:
     rows = np.flatnonzero(changed)
     delta = _numbers(rng, (len(rows), 3)) // 4
     latent = _numbers(rng, (len(rows), 24)) * (rng.random((len(rows), 1)) < rng.random())
-    used = touched & (rng.random(count) < 0.5)
+    past = np.round(rng.laplace(0, 1, (count, 24)) * 2.0 ** rng.uniform(-4, 13)).clip(-(2**15), 2**15 - 1)
+    past = past.astype(np.int16) * (rng.random((count, 1)) < rng.random()).astype(np.int16)
     scale = np.where(latent.any(axis=0), SCALES[rng.integers(0, 192, 24)], 0)
     motion = change_model.steady_motion(before, rows, age, span)
     assert motion.tolist() == oracle.steady_motion(before[rows].tolist(), age, span)
@@ -98,17 +100,17 @@ def test_changes(seed: int, count: int, share: float, steadily: bool) -> None:
     def model_pass(items: rans.Array) -> int:
         n = change_model.rows_items(changed, touched, items, 0)
         n = change_model.positions_items(errors, motion, SCALES[50], items, n)
-        return change_model.latents_items(latent, used[rows], scale, items, n)
+        return change_model.latents_items(latent, past[rows], scale, items, n)
 
     lanes, data = encode_items(model_pass, 10)
     encoder = oracle.Encoder()
     oracle.dynamic_set(encoder, touched.tolist(), changed.tolist())
     oracle.positions(encoder, motion.tolist(), int(SCALES[50]), steadily, delta.tolist())
-    oracle.latents(encoder, used[rows].tolist(), scale.tolist(), latent.tolist())
+    oracle.latents(encoder, past[rows].tolist(), scale.tolist(), latent.tolist())
     assert encoder.words(lanes) == _words(data)
     words = np.frombuffer(data, "<u2").astype(np.uint16)
     side = (SCALES[50], steadily, scale, age, span)
-    sound, *found = change_model.decode_change(words, lanes, before, touched, used, *side)
+    sound, *found = change_model.decode_change(words, lanes, before, past, touched, *side)
     assert sound
     for expected, array in zip((rows, delta, latent), found, strict=True):
         np.testing.assert_array_equal(expected, array)
