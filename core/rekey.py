@@ -49,7 +49,7 @@ def rekey_error(before: Scene, after: Scene) -> tuple[float, float]:
 def _fresh(header: SceneHeader, weights: AnchorWeights, level: AnchorLevel) -> AnchorLevel:
     rows = _order(level)
     feature, offset, _ = dequantise(header, weights, level, rows)
-    times = _coarseness(level, rows)
+    times = np.int64(1) << coarseness(level, rows)[:, None]
     return AnchorLevel(
         voxel=level.voxel[rows],
         position=level.position[rows],
@@ -68,11 +68,10 @@ def _order(level: AnchorLevel) -> Int64:
     return alive[np.argsort(morton_key(level.voxel[alive]), kind="stable")]
 
 
-def _coarseness(level: AnchorLevel, rows: Int64) -> Int64:
-    """[n,1] the power of two that all numbers of each row's base are multiples of."""
+def coarseness(level: AnchorLevel, rows: Int64) -> Int64:
+    """[n] exponent of the power of two that all numbers of each row's base are multiples of."""
     numbers = np.concatenate([level.feature[rows], level.offset[rows], level.scaling[rows]], axis=1)
-    shifts = np.where(numbers.any(axis=1), trailing_zeros(numbers, _COARSEST), 0)
-    return np.asarray(1 << shifts, np.int64)[:, None]
+    return np.asarray(np.where(numbers.any(axis=1), trailing_zeros(numbers, _COARSEST), 0), np.int64)
 
 
 def _round(values: NDArray[Any], steps: Float32, times: Int64) -> Int16:

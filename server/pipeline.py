@@ -292,9 +292,10 @@ class _Training:
         trained = self._trainer.predict(frame)
         assert trained.residual is not None
         scene, renewed, spans = trained.scene, None, _spans(trained)
-        reason = self._renewal.due(before, scene)
-        if reason is not None:
-            _LOG.info("version %d: a new keyframe, for its %s", scene.version, reason)
+        if self._renewal.due(before, scene) is not None:
+            self._trainer.want_keyframe()
+        if self._trainer.keyframe_is_ready:
+            _LOG.info("version %d: a new keyframe", scene.version)
             keyframe = self._trainer.renew(frame, self._renewing)
             renewed, spans = keyframe.scene, (*spans, *_spans(keyframe))
         report = _report(trained, spans, scene.version)

@@ -1,12 +1,25 @@
-"""A first frame trains for as long as that pays: where its loss hardly falls, the run moves on faster."""
+"""Training for as long as it pays: where the loss hardly falls any more, a run moves on faster."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 _WINDOW, _SHORTEST = 0.025, 25  # share of the run, and steps, over whose length losses are compared
 _HASTE = 4  # steps that one step of a run in haste stands for
+
+
+class Course(Protocol):
+    """Where a first frame's training stands."""
+
+    @property
+    def progress(self) -> float:
+        """In [0, 1]; 1 when it is over."""
+
+    def advance(self, view: int, loss: Tensor | None) -> None:
+        """One step is done; `loss` of `view`'s picture, None where it says nothing about the others."""
 
 
 class Run:

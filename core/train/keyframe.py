@@ -11,7 +11,7 @@ from torch import Tensor
 from core.render.backends import Backend
 from core.render.raster import Raster
 from core.train.config import TrainConfig
-from core.train.convergence import Run
+from core.train.convergence import Course, Run
 from core.train.decode import Network, Splats, decode
 from core.train.easel import Easel
 from core.train.exposure import Exposure, neutral
@@ -37,10 +37,19 @@ class KeyframeTrainer:
         config: the whole configuration.
         backend: of the rasteriser.
         exposure: of the cameras, to begin with; neutral by default.
+        course: says where the run stands; by default, a run of the configured steps.
+        precision: how the field is rounded as long as no anchor grows or goes; measured by default.
     """
 
     def __init__(
-        self, field: Field, views: Views, config: TrainConfig, backend: Backend, exposure: Exposure | None = None
+        self,
+        field: Field,
+        views: Views,
+        config: TrainConfig,
+        backend: Backend,
+        exposure: Exposure | None = None,
+        course: Course | None = None,
+        precision: Precision | None = None,
     ) -> None:
         self._config, self._model = config.keyframe, config.model
         device = field.feature.device
@@ -57,11 +66,11 @@ class KeyframeTrainer:
         )
         self._statistics = _no_statistics(field)
         self._highest = field.octree.levels - 1
-        self._precision: Precision | None = None
+        self._precision = precision
         self._steps = 0
         keyframe = self._config
         marks = (keyframe.half_size_until, keyframe.growth_until, keyframe.rounding_from)
-        self._run = Run(keyframe.steps, keyframe.least_gain, marks)
+        self._run = Run(keyframe.steps, keyframe.least_gain, marks) if course is None else course
 
     @property
     def field(self) -> Field:
@@ -90,6 +99,17 @@ class KeyframeTrainer:
     def broken(self) -> int:
         """Gradient entries that were not finite and were taken as zero."""
         return self._learned.broken
+
+    def follow(self, changes: dict[str, Tensor], views: Views) -> None:
+        """Go on with the pictures of another instant, by which the field has changed by `changes`.
+
+        Only while no anchor has grown or gone, and at full size.
+
+        Args:
+            changes: ``feature`` [N,F], ``offset`` [N,K,3] and ``position`` [N,3].
+        """
+        self._learned.follow(changes)
+        self._whole, self._order = views, ViewOrder(views.usable, self._chances)
 
     def step(self) -> Tensor:
         """One view, one update; returns its loss, detached."""

@@ -34,6 +34,7 @@ from core.train.rounding import Precision
 from core.train.seeding import seed_field
 from core.train.showing import rendered
 from core.train.state import State, fresh_state
+from core.train.upcoming import Upcoming
 from core.train.uploading import Uploader
 from core.train.views import Views
 
@@ -83,6 +84,7 @@ class Trainer:
         self._label = label_motion or target_kbps is not None
         self._uploader = Uploader(self._device)
         self._state: State | None = None
+        self._upcoming = Upcoming(config, self._backend, self._budget, clock)
 
     @property
     def scene(self) -> Scene:
@@ -132,21 +134,38 @@ class Trainer:
         )
         return TrainedFrame(scene, None, report)
 
+    def want_keyframe(self) -> None:
+        """A keyframe in mid-stream is due: under a frame budget, the next frames leave some of their time to its
+        training."""
+        self._upcoming.is_due = True
+
+    @property
+    def keyframe_is_ready(self) -> bool:
+        """Whether a keyframe is wanted and `renew` takes no time that a frame budget would miss."""
+        return self._state is not None and self._upcoming.is_ready(self._state)
+
     def renew(self, frames: FrameSet, on_progress: ProgressCallback | None = None) -> TrainedFrame:
         """A keyframe of the latest state, trained on as configured against `frames`, which that state shows.
 
-        It is sent as it is under a frame budget, where nothing has changed since the keyframe before, and where no
-        anchor is alive.
+        Under a frame budget its training is what `predict` had time for since `want_keyframe`. It is sent as it is
+        where it had none, where nothing has changed since the keyframe before, and where no anchor is alive.
 
         Raises:
             ModelError: there is no state, or no camera is present.
         """
-        state, watch = self._require(), Stopwatch(self._clock)
-        nothing = state.scene.anchor_count == 0 or state.is_untouched
-        if self._config.keyframe.renewal_steps == 0 or self._budget is not None or nothing:
+        state, watch, successor = self._require(), Stopwatch(self._clock), self._upcoming.take()
+        if not self._upcoming.learns(state) or (self._budget is not None and successor is None):
             scene = rekey(state.scene, state.scene.version)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
+        if successor is not None:
+            with watch.stage("renew"):
+                field, precision = successor.learnt(state.alive)
+                scene = self._scene_of(field, state.scene.version, precision)
+                self._exposure, self._state = successor.exposure, self._fresh(scene, state.references)
+            count = scene.anchor_count
+            report = FrameReport(watch.seconds, successor.taken, count, count, 0.0, spans=tuple(watch.spans))
+            return TrainedFrame(scene, None, report)
         views, losses = self._views(frames), list[Tensor]()
         with watch.stage("renew"):
             field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
@@ -178,6 +197,7 @@ class Trainer:
         Args:
             keep_references: the scene shows what this trainer's state showed.
         """
+        self._upcoming.take()
         if keep_references and self._state is not None:
             self._state = self._fresh(scene, self._state.references, self._state.shown)
         else:
@@ -240,9 +260,10 @@ class Trainer:
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
             self._state = replace(after, references=references, shown=shown)
-        if self._budget is not None:
-            for stage, seconds in watch.seconds.items():
-                self._budget.spent(stage, seconds)
+        if self._upcoming.is_due:
+            with watch.stage("renew"):
+                self._upcoming.train(state, self._state, views, self._exposure)
+        self._learn_costs(watch.seconds)
         moving = len(rows) if parts.dynamic is None else int(parts.dynamic.sum())
         report = FrameReport(
             watch.seconds,
@@ -271,8 +292,15 @@ class Trainer:
             else:
                 self._rate.sent(size_bytes, frame.residual.changed)
 
+    def _learn_costs(self, seconds: dict[str, float]) -> None:
+        if self._budget is not None:
+            for stage, spent in seconds.items():
+                self._budget.spent(stage, spent)
+
     def _pace(self, steps: int) -> Pace:
-        return StepPace(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
+        if self._budget is None:
+            return StepPace(steps)
+        return self._budget.pace(steps, *_AFTER_TRAINING, kept=self._upcoming.kept(self._require()))
 
     def _parts(
         self, state: State, frames: FrameSet, views: Views, masks: Tensor, config: PredictConfig
@@ -301,6 +329,7 @@ class Trainer:
     def _adopt(self, scene: Scene, views: Views) -> None:
         references = torch.full_like(views.targets, torch.nan)
         references[views.usable] = views.targets[views.usable]
+        self._upcoming.take()
         self._state = self._fresh(scene, references)
 
     def _fresh(self, scene: Scene, references: Tensor | None = None, shown: Tensor | None = None) -> State:

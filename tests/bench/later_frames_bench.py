@@ -49,7 +49,9 @@ class Keyframes:
 
     def follow(self, trainer: Trainer, before: Scene, frame: FrameSet) -> None:
         """After `frame`, which led on from the state `before`."""
-        if self._renewal.due(before, trainer.scene) is None:
+        if self._renewal.due(before, trainer.scene) is not None:
+            trainer.want_keyframe()
+        if not trainer.keyframe_is_ready:
             return
         begin = time.process_time()
         renewed = trainer.renew(frame).scene
@@ -115,7 +117,8 @@ def main() -> None:
     held_out = HeldOut(spec, clip.cameras[0], [frame.images[0] for frame in filmed], first)
 
     def run(label: str, predict: PredictConfig) -> None:
-        trainer = Trainer(cameras, replace(config, predict=predict), clip.fps, "cpu")
+        budget, chosen = options.budget_ms, replace(config, predict=predict)
+        trainer = Trainer(cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget, clock=time.process_time)
         start = with_steps(first, config.predict, predict)
         trainer.resume(start)
         trainer.predict(training[0])  # tells the trainer what the first frame was shown
@@ -128,7 +131,9 @@ def main() -> None:
             seconds += time.process_time() - begin
             assert result.residual is not None
             assert result.dynamic is not None
+            encoding = time.process_time()
             sizes.append(len(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)))
+            trainer.sent(result, sizes[-1], time.process_time() - encoding)
             scores.append(held_out.quality(result.scene, frame.index))
             if options.errors and frame.index % SHOWN_EVERY == 0:
                 print(held_out.errors(result.scene, frame.index), flush=True)
@@ -165,6 +170,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--interval", type=int, default=RenewalRule().longest, help="most frames between keyframes")
     parser.add_argument("--renewal-steps", type=int, help="training of a keyframe in mid-stream")
+    parser.add_argument("--budget-ms", type=float, help="frame budget, of CPU time, so that other work does not count")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--still", action="store_true", help="nothing moves but the noise")
     parser.add_argument("--errors", action="store_true", help="print where the error lies, every tenth frame")

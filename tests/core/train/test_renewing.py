@@ -18,10 +18,11 @@ from core.expand import expand
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.metrics import psnr
-from core.rekey import rekey
+from core.rekey import coarseness, rekey
 from core.render.cpu import render
 from core.train import TrainConfig, Trainer, preset
 from core.train.convert import field_of, scene_of
+from core.train.successor import FRAMES
 from tests.core.train.fields import random_field
 
 SPEC = SyntheticSpec(cameras=4, frames=6, width=96, height=54, fps=10.0)
@@ -54,9 +55,12 @@ def first(clip: Dataset, frames: list[FrameSet]) -> Scene:
     return Trainer(clip.cameras, config(), clip.fps, "cpu").keyframe(frames[0], points).scene
 
 
-def trainer_at(clip: Dataset, first: Scene, pictures: list[FrameSet], budget_ms: float | None = None) -> Trainer:
+def trainer_at(
+    clip: Dataset, first: Scene, pictures: list[FrameSet], budget_ms: float | None = None, renewal_steps: int = 60
+) -> Trainer:
     """A trainer that has seen `pictures`."""
-    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu", frame_budget_ms=budget_ms)
+    chosen = replace(config(), keyframe=replace(config().keyframe, renewal_steps=renewal_steps))
+    trainer = Trainer(clip.cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget_ms)
     trainer.resume(first)
     for frame in pictures:
         trainer.predict(frame)
@@ -104,10 +108,84 @@ def test_a_still_scene_trains_nothing(clip: Dataset, frames: list[FrameSet], fir
     assert trainer.predict(replace(frames[0], index=3)).report.steps == 0
 
 
-def test_a_frame_budget_leaves_no_time_for_it(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
-    trainer = trainer_at(clip, first, frames[1:3], budget_ms=60_000)
-    assert any(level.latent.any() for level in trainer.scene.levels)
-    assert trainer.renew(frames[2]).report.steps == 0
+@pytest.fixture(scope="module")
+def pictures(clip: Dataset) -> list[FrameSet]:
+    """Of a longer clip by the same cameras, in which the same things move."""
+    return list(open_synthetic(replace(SPEC, frames=FRAMES + 4)).frames())
+
+
+class Clock:
+    """A clock on which every look takes `look` seconds."""
+
+    def __init__(self) -> None:
+        self.now = self.look = 0.0
+
+    def __call__(self) -> float:
+        self.now += self.look
+        return self.now
+
+
+def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
+    """As many steps as without one, spread over frames in which things move; the frames after it lead on from it."""
+    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, renewal_steps=12 * FRAMES)
+    trainer.want_keyframe()
+    last = 1 + 1 + FRAMES  # it begins with a frame, and has the next ones
+    for frame in pictures[2 : last + 1]:
+        assert not trainer.keyframe_is_ready
+        trainer.predict(frame)
+    assert trainer.keyframe_is_ready
+    before = trainer.scene
+    renewed = trainer.renew(pictures[last])
+    assert renewed.report.steps == 12 * FRAMES
+    assert (renewed.scene.keyframe, renewed.scene.version) == (before.version, before.version)
+    assert renewed.scene.anchor_count == before.anchor_count
+    assert quality(renewed.scene, clip, pictures[last]) > quality(before, clip, pictures[last]) + 0.3
+    for mine, known in zip(renewed.scene.levels, rekey(before, before.version).levels, strict=True):
+        every = np.arange(len(mine))
+        coarser = coarseness(mine, every) >= coarseness(known, every)
+        assert coarser.mean() > 0.99  # rounded as the keyframe before was
+    decoder = SceneDecoder()
+    decoder.push(encode_keyframe(renewed.scene, time_ns=0))
+    after = trainer.predict(pictures[last + 1])
+    assert after.residual is not None
+    decoder.push(encode_residual(renewed.scene, after.residual, kind=PacketKind.PREDICTED, time_ns=1))
+    assert decoder.scene is not None
+    assert [level.digest() for level in decoder.scene.levels] == [level.digest() for level in after.scene.levels]
+
+
+def test_no_time_at_all_sends_the_state_as_it_is(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
+    clock = Clock()
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu", frame_budget_ms=1000, clock=clock)
+    trainer.resume(first)
+    trainer.predict(pictures[1])
+    trainer.predict(pictures[2])
+    clock.look = 100.0
+    trainer.want_keyframe()
+    for number in range(FRAMES + 1):
+        assert not trainer.keyframe_is_ready
+        trainer.predict(replace(pictures[3], index=3 + number))
+    assert trainer.keyframe_is_ready
+    known = trainer.scene
+    renewed = trainer.renew(pictures[3])
+    assert renewed.report.steps == 0
+    expected = rekey(known, known.version)
+    shown, as_it_is = (quality(scene, clip, pictures[3]) for scene in (renewed.scene, expected))
+    assert shown == pytest.approx(as_it_is, abs=0.02)
+
+
+def test_asked_for_before_its_time_it_is_the_state_as_it_is(
+    clip: Dataset, pictures: list[FrameSet], first: Scene
+) -> None:
+    trainer = trainer_at(clip, first, pictures[1:3], budget_ms=60_000)
+    trainer.want_keyframe()
+    trainer.predict(pictures[3])
+    trainer.predict(pictures[4])
+    expected = rekey(trainer.scene, trainer.scene.version)
+    renewed = trainer.renew(pictures[4])
+    assert renewed.report.steps == 0
+    assert [level.digest() for level in renewed.scene.levels] == [level.digest() for level in expected.levels]
+    trainer.predict(pictures[5])
+    assert not trainer.keyframe_is_ready  # it is not wanted any more
 
 
 @pytest.mark.parametrize("alive", [0, 1, 3])
