@@ -217,7 +217,7 @@ class _Training:
         job, dataset = opened.job, opened.dataset
         self._trainer = Trainer(
             dataset.cameras,
-            preset(job.preset),
+            replace(preset(job.preset), seed=job.seed),
             dataset.fps,
             job.device,
             opened.rig,
@@ -229,6 +229,10 @@ class _Training:
 
     def run(self, resume: Scene | None, start: int) -> None:
         """All frames from `start`, after the state to resume if there is one."""
+        if self._job.frame_budget_ms is not None:
+            from server.rehearsal import rehearse  # which needs this module
+
+            rehearse(self._job.preset, self._job.device)  # loading code must not use up the first frames' time
         shift = 0
         if resume is not None:
             self._trainer.resume(resume)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 _FORGET = 0.2  # share by which a falling cost follows the latest frame
+_WORST = 3.0  # budgets that a cost is believed to be: a hitch of seconds must not starve a hundred frames
 _UNKNOWN = 0.05  # of the budget, kept for a later stage that has never been timed
 _MARGIN = 0.05  # of the budget, for what no stage accounts for
 
@@ -57,7 +58,7 @@ class FrameBudget:
 
     def spent(self, stage: str, seconds: float) -> None:
         """Learn that `stage` of the latest frame took so long."""
-        known = self._costs.get(stage, 0.0)
+        known, seconds = self._costs.get(stage, 0.0), min(seconds, _WORST * self._seconds)
         self._costs[stage] = seconds if seconds > known else known + _FORGET * (seconds - known)
 
     def left(self, *later: str) -> float:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from core.anchors import LATENTS
-from core.arrays import Int32
+from core.arrays import Float32, Int32
 from core.render.backends import Backend
 from core.train.applying import Quantum, applied
 from core.train.budget import Pace, StepPace
@@ -108,7 +108,9 @@ class ResidualTrainer:
             if config.growth_share and not grown and progress >= config.growth_at:
                 grown = True
                 self._grow(config)
-        loss = float(torch.stack(losses[-len(views) :]).mean()) if losses else 0.0
+        if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
+            return replace(no_quanta(self._known), complete=False, wanted=self._wanted())
+        loss = float(torch.stack(losses[-len(views) :]).mean())
         quanta = self._quanta(len(losses), loss)
         return replace(quanta, complete=epochs.done >= total and len(self._stages) == len(self._useful))
 
@@ -189,10 +191,13 @@ class ResidualTrainer:
         if len(new):
             chosen = self._base.with_rows(torch.from_numpy(new).to(opacity.device))
             added = added_levels(chosen, latent[new], position[new], self._header)
+        broken, wanted = self._optimiser.broken, self._wanted()
+        return Quanta(latent[known], position[known], ~shown[known], added, steps, loss, broken, wanted=wanted)
+
+    def _wanted(self) -> Float32:
+        """[n,27] latents and positions before rounding, of the anchors that were there before."""
         wanted = torch.cat([self._optimiser.parameters[name].detach() for name in ("latent", "position")], dim=1)
-        real = wanted[known].nan_to_num(0.0, 0.0, 0.0).cpu().numpy()
-        broken = self._optimiser.broken
-        return Quanta(latent[known], position[known], ~shown[known], added, steps, loss, broken, wanted=real)
+        return np.asarray(wanted[: self._known].nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
 
 
 def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:

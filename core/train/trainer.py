@@ -255,7 +255,7 @@ class Trainer:
                 else:  # anchors were added, and rows are numbered anew
                     shown = self._as_filmed(rendered(after.field, alive, views, self._backend))
             if renewed:
-                reached = views.targets if done else _where_known(shown, references)
+                reached = views.targets if done else _moved_on(references, state.shown, shown)
                 references = torch.where(masks[..., None], reached, references)
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
@@ -369,6 +369,16 @@ def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:
     return torch.stack(
         [other if one[0, 0, 0].isnan() else one.clamp(0, 1) for one, other in zip(pictures, otherwise, strict=True)]
     )
+
+
+def _moved_on(references: Tensor, before: Tensor | None, shown: Tensor) -> Tensor:
+    """[C,H,W,3] `references`, changed as what the state shows has changed from `before` to `shown`.
+
+    So what is still missing of a change counts as changed again, but no static error does. Where nothing is known of
+    `before`, what is shown must do.
+    """
+    missing = torch.full_like(references, torch.nan) if before is None else references - before
+    return _where_known(torch.where(missing.isnan(), shown, shown + missing), references)
 
 
 def _by_news(views: Views, references: Tensor, masks: Tensor, config: PredictConfig) -> list[int]:

@@ -35,6 +35,7 @@ from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
 from core.train import PredictConfig, Trainer, preset
+from server.rehearsal import rehearse
 
 MOTION_EVERY, SHOWN_EVERY = 4, 10  # frames
 _DIFFERENT = 0.04  # of [0, 1]: what looks different from the first picture
@@ -120,6 +121,7 @@ def main() -> None:
         budget, chosen = options.budget_ms, replace(config, predict=predict)
         trainer = Trainer(cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget, clock=time.process_time)
         start = with_steps(first, config.predict, predict)
+        rehearse("live", "cpu")  # code is loaded now, not in the first frame's time
         trainer.resume(start)
         trainer.predict(training[0])  # tells the trainer what the first frame was shown
         trainer.resume(start, keep_references=True)

@@ -163,6 +163,13 @@ def test_previews_come_first_and_the_chain_holds() -> None:
     assert decoder.scene.version == 5
 
 
+def test_the_seed_reaches_the_training(trained: tuple[Path, list[EncodedFrame]]) -> None:
+    """The same one gives the same keyframe to the byte, another one another."""
+    keyframes = [next(iter(train_stream(open_job(replace(JOB, seed=seed))))).packets[0] for seed in (0, 1)]
+    assert keyframes[0] == trained[1][0].packets[0]
+    assert keyframes[1] != keyframes[0]
+
+
 def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
     first: list[EncodedFrame] = []
     for frame in train_stream(open_job(JOB)):

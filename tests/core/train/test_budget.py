@@ -94,6 +94,18 @@ def test_a_stage_that_was_once_too_slow_is_tried_again() -> None:
     assert 3 <= refused <= 10
 
 
+def test_a_hitch_of_seconds_is_forgotten_within_a_dozen_frames() -> None:
+    """The machine stood still for a minute; since then every stage is quick again."""
+    budget, frames = FrameBudget(100, Clock()), 0
+    for stage in ("partition", "round", "settle"):
+        budget.spent(stage, 60.0)
+    while not budget.allows("partition", "round", "settle"):
+        frames += 1
+        budget.spent("round", 0.01)
+        budget.spent("settle", 0.01)
+    assert frames <= 12
+
+
 def test_stages_to_come_are_kept_time_for() -> None:
     budget = FrameBudget(1000, Clock())
     budget.spent("partition", 0.5)

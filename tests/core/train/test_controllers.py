@@ -85,7 +85,8 @@ def test_a_burst_holds_the_frame_budget_and_quality_returns(clip: Dataset, pictu
     trainer = Trainer(clip.cameras, config(), FPS, "cpu", frame_budget_ms=1000 * budget, clock=clock)
     trainer.resume(first)
     steps, scores = list[int](), list[float]()
-    for index, images in enumerate(pictures, start=1):
+    calm = [pictures[-1]] * 20  # with six steps a frame, what is left undone takes a while
+    for index, images in enumerate([*pictures, *calm], start=1):
         begin = clock.now
         result = trainer.predict(FrameSet(index, index, images, PRESENT))
         assert clock.now - begin <= budget + 0.001
