@@ -74,22 +74,16 @@ class FrameBudget:
         self._costs[stage] = (1 - _FORGET) * known  # so that it is tried again one day
         return False
 
-    def pace(self, steps: int, *later: str, kept: float = 0.0) -> Pace:
-        """A pace that ends after `steps`, or where the next step might run into what `later` needs.
-
-        Args:
-            kept: share of the budget that is kept besides, for what comes before `later`.
-        """
-        return _TimedPace(self, steps, later, kept * self._seconds, self._clock)
+    def pace(self, steps: int, *later: str) -> Pace:
+        """A pace that ends after `steps`, or where the next step might run into what `later` needs."""
+        return _TimedPace(self, steps, later, self._clock)
 
 
 class _TimedPace:
-    def __init__(
-        self, budget: FrameBudget, steps: int, later: tuple[str, ...], kept: float, clock: Callable[[], float]
-    ) -> None:
-        self._budget, self._steps, self._later, self._kept, self._clock = budget, StepPace(steps), later, kept, clock
+    def __init__(self, budget: FrameBudget, steps: int, later: tuple[str, ...], clock: Callable[[], float]) -> None:
+        self._budget, self._steps, self._later, self._clock = budget, StepPace(steps), later, clock
         self._begin = self._before = clock()
-        self._allowed = budget.left(*later) - kept
+        self._allowed = budget.left(*later)
         self._longest = 0.0
 
     def progress(self, step: int) -> float:
@@ -97,6 +91,6 @@ class _TimedPace:
         if step:
             self._longest = max(self._longest, now - self._before)
         self._before = now
-        if self._budget.left(*self._later) - self._kept < self._longest or self._allowed <= 0:
+        if self._budget.left(*self._later) < self._longest or self._allowed <= 0:
             return 1.0
         return max(self._steps.progress(step), (now - self._begin) / self._allowed)

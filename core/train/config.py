@@ -158,8 +158,8 @@ def preset(name: str) -> TrainConfig:
         "quality": replace(
             default,
             model=replace(default.model, max_anchors=80_000),
-            keyframe=replace(default.keyframe, steps=2000, growth_interval=100, renewal_steps=400),
-            predict=replace(default.predict, epochs=40, rate_weight=0.002),
+            keyframe=replace(default.keyframe, steps=1500, growth_interval=75, renewal_steps=400),
+            predict=replace(default.predict, epochs=40, rate_weight=0.003),
         ),
         "paper": TrainConfig(
             model=replace(

@@ -135,8 +135,7 @@ class Trainer:
         return TrainedFrame(scene, None, report)
 
     def want_keyframe(self) -> None:
-        """A keyframe in mid-stream is due: under a frame budget, the next frames leave some of their time to its
-        training."""
+        """A keyframe in mid-stream is due: under a frame budget, it is trained in what the next frames leave over."""
         self._upcoming.is_due = True
 
     @property
@@ -298,9 +297,7 @@ class Trainer:
                 self._budget.spent(stage, spent)
 
     def _pace(self, steps: int) -> Pace:
-        if self._budget is None:
-            return StepPace(steps)
-        return self._budget.pace(steps, *_AFTER_TRAINING, kept=self._upcoming.kept(self._require()))
+        return StepPace(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
 
     def _parts(
         self, state: State, frames: FrameSet, views: Views, masks: Tensor, config: PredictConfig

@@ -13,7 +13,6 @@ from core.train.state import State
 from core.train.successor import Successor
 from core.train.views import Views
 
-_SHARE = 0.25  # of a frame's budget, that is kept for the keyframe to come
 _STEP = "renewal step"  # of one picture, whose cost the budget learns
 
 
@@ -46,12 +45,11 @@ class Upcoming:
         trained = self._successor is not None and self._successor.complete
         return self.is_due and (trained or not self._beside(state))
 
-    def kept(self, state: State) -> float:
-        """Share of the frame's budget that the training of later frames leaves alone."""
-        return _SHARE if self.is_due and self._beside(state) else 0.0
-
     def train(self, before: State, after: State, views: Views, exposure: Exposure) -> None:
-        """Some steps in the time that is left of a frame that led from `before` to `after`; the first only begins."""
+        """Some steps in the time that is left of a frame that led from `before` to `after`; the first only begins.
+
+        What moves comes first: where its training takes all of the time, the keyframe has none.
+        """
         if not self.is_due or not self._beside(after):
             return
         assert self._budget is not None

@@ -35,7 +35,6 @@ from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
 from core.train import PredictConfig, Trainer, preset
-from server.rehearsal import rehearse
 
 MOTION_EVERY, SHOWN_EVERY = 4, 10  # frames
 _DIFFERENT = 0.04  # of [0, 1]: what looks different from the first picture
@@ -99,6 +98,15 @@ class HeldOut:
         return np.asarray(render(splats, self.camera, scene.header.background).image.clip(0, 1), np.float32)
 
 
+def warm_up(cameras: tuple[Camera, ...], start: Scene, frame: FrameSet) -> None:
+    """Load and compile what a later `frame` takes, outside of any frame's time."""
+    trainer = Trainer(cameras, preset("live"), 30.0, "cpu")
+    trainer.resume(start)
+    residual = trainer.predict(frame).residual
+    assert residual is not None
+    encode_residual(start, residual, kind=PacketKind.PREDICTED, time_ns=0)
+
+
 def main() -> None:
     options = _options()
     width, height = map(int, options.size.split("x"))
@@ -119,9 +127,12 @@ def main() -> None:
 
     def run(label: str, predict: PredictConfig) -> None:
         budget, chosen = options.budget_ms, replace(config, predict=predict)
-        trainer = Trainer(cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget, clock=time.process_time)
+        labels = budget is None  # which take time that nobody else would spend
+        trainer = Trainer(
+            cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget, clock=time.process_time, label_motion=labels
+        )
         start = with_steps(first, config.predict, predict)
-        rehearse("live", "cpu")  # code is loaded now, not in the first frame's time
+        warm_up(cameras, start, training[1])
         trainer.resume(start)
         trainer.predict(training[0])  # tells the trainer what the first frame was shown
         trainer.resume(start, keep_references=True)
@@ -132,7 +143,6 @@ def main() -> None:
             result = trainer.predict(frame)
             seconds += time.process_time() - begin
             assert result.residual is not None
-            assert result.dynamic is not None
             encoding = time.process_time()
             sizes.append(len(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)))
             trainer.sent(result, sizes[-1], time.process_time() - encoding)
@@ -140,7 +150,7 @@ def main() -> None:
             if options.errors and frame.index % SHOWN_EVERY == 0:
                 print(held_out.errors(result.scene, frame.index), flush=True)
             keyframes.follow(trainer, before, frame)
-            if frame.index % MOTION_EVERY == 0:
+            if frame.index % MOTION_EVERY == 0 and result.dynamic is not None:
                 motion = dynamic_precision_recall(spec, before, result.dynamic, frame.index, cameras)
                 motions.append((motion.found, motion.moving, motion.right, motion.dynamic))
         line = " ".join(f"{score:.2f}" for score in scores[::SHOWN_EVERY])
