@@ -78,8 +78,13 @@ class Hub:
         newest = self.newest
         return None if newest is None else self._states[newest.number].scene
 
-    async def accept(self, packet: StreamPacket, message: bytes = b"") -> None:
+    async def accept(
+        self, packet: StreamPacket, message: bytes = b"", on_decoded: Callable[[], None] = lambda: None
+    ) -> None:
         """Decode the newest packet, in a thread, and offer it to viewers; a framed control message goes with it.
+
+        Args:
+            on_decoded: called when the packet is known to be valid, just before it is the newest.
 
         Raises:
             BitstreamError: it is not valid; nothing has changed.
@@ -88,6 +93,7 @@ class Hub:
         await asyncio.get_running_loop().run_in_executor(self._thread, self._decoder.push, packet.data)
         scene = self._decoder.scene
         assert scene is not None
+        on_decoded()
         packet = replace(packet, arrived=time.monotonic())
         if packet.is_key and len(packet.data) > PIECE_BYTES:
             self.lanes.rouse()  # each viewer gets a large keyframe at its own pace

@@ -196,11 +196,8 @@ class Stream:
         self._enter("ended" if ending.done else "failed", ending.text)
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
-        if self._new_epoch:
-            self._epoch, self._new_epoch = self._epoch + 1, False
-            self._tell(event("epoch", epoch=self._epoch))
-        packet = stream_packet(self._number, self._epoch, data)
-        await self.hub.accept(packet, self._window_message())
+        packet = stream_packet(self._number, self._epoch + self._new_epoch, data)
+        await self.hub.accept(packet, self._window_message(), self._begin_epoch)
         self.bus.publish(packet, record=record)
         self._number += 1
         self.counters.packets += 1
@@ -208,6 +205,15 @@ class Stream:
         self.live_at = time.monotonic()
         if record:
             self._enter_live()
+
+    def _begin_epoch(self) -> None:
+        """Tell of a new epoch in the moment in which its first packet becomes the newest one.
+
+        Earlier, who joins between the two would be welcomed to the old epoch and never hear of this one.
+        """
+        if self._new_epoch:
+            self._epoch, self._new_epoch = self._epoch + 1, False
+            self._tell(event("epoch", epoch=self._epoch))
 
     def _window_message(self) -> bytes:
         """A framed window event, now and then."""
