@@ -17,7 +17,7 @@ from core.arrays import Bool
 from core.camera import Camera
 
 _LATEST = 0.1  # share of the latest motion in the mean
-_PIXELS = 1 / 16  # a frame, in the camera that sees most of it
+_PIXELS = 1 / 20  # a frame, in the camera that sees most of it
 
 
 def mean_motion(before: Tensor | None, motion: Tensor) -> Tensor:
@@ -26,7 +26,7 @@ def mean_motion(before: Tensor | None, motion: Tensor) -> Tensor:
 
 
 def drifting(motion: Tensor | None, positions: Tensor, cameras: Sequence[Camera]) -> Bool:
-    """[N] whose mean motion [N,3] at `positions` [N,3] is a sixteenth of a pixel a frame, or more, to some camera."""
+    """[N] whose mean motion [N,3] at `positions` [N,3] is a twentieth of a pixel a frame, or more, to some camera."""
     if motion is None:
         return np.zeros(len(positions), np.bool_)
     most = torch.zeros(len(positions), device=positions.device)

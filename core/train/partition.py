@@ -20,10 +20,9 @@ from core.train.field import Field
 from core.train.motion import changed_pixels, dynamic_anchors, moved_pixels
 from core.train.views import Views
 
-_HYSTERESIS = 0.5  # an anchor is trained on above this share of the entering posterior
-_STAYS = 0.25  # the same for being taken to move: what moves mostly goes on
+_HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion
-_SHOWS = 0.05  # share of moved pixels from which an anchor that training keeps moving is taken to move
+_SHOWS = 0.1  # share of moved pixels from which an anchor that training keeps moving is taken to move
 _MOST = 0.5  # of the pixels, above which nothing is left that stands still and the mixture would split what moves
 
 
@@ -136,7 +135,7 @@ def _moving(
     scores = change_scores(field, rows, others, references, views, moved, backend)
     shares = shown_shares(field, rows, others, views, moved, backend)
     scores = scores * shares**_SHARE_POWER
-    return dynamic_anchors(scores, previous, config.posterior, config.posterior * _STAYS) | (
+    return dynamic_anchors(scores, previous, config.posterior, config.posterior * _HYSTERESIS) | (
         changed & drifting & (shares >= _SHOWS)
     )
 
