@@ -310,7 +310,7 @@ class Trainer:
             return known, False
         field = state.canonical if config.cue == "canonical" else state.field
         assert state.references is not None
-        moves = drifting(state.motion, state.field.position, self._cameras)
+        moves = drifting(state.motion if self._label else None, state.field.position, self._cameras)
         pictures = (state.references, views, masks)
         return partition(field, alive, *pictures, known, moves, config, self._backend, label=self._label), True
 
