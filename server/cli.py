@@ -55,10 +55,12 @@ def synth(
     frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
     size: Annotated[str, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = "480x270",
     seed: Seed = 0,
+    kind: Annotated[str, typer.Option(help="The place: room, bright, theatre or outdoor.")] = "room",
+    speed: Annotated[float, typer.Option(min=0, help="Pixels a frame of the fastest; 0: the place's own pace.")] = 0.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
 ) -> None:
     """Write a synthetic clip in the N3DV layout (camNN.mp4 and poses_bounds.npy), with its ground truth beside it."""
-    _call("server.commands:synth", out, cameras, frames, size, seed, overwrite)
+    _call("server.commands:synth", out, cameras, frames, size, seed, kind, speed, overwrite)
 
 
 @app.command()

@@ -39,17 +39,19 @@ def picture_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def synth(folder: Path, cameras: int, frames: int, size: str, seed: int, overwrite: bool) -> str:
+def synth(
+    folder: Path, cameras: int, frames: int, size: str, seed: int, kind: str, speed: float, overwrite: bool
+) -> str:
     """Write a synthetic clip."""
     width, height = picture_size(size)
     from core.data.synthetic import SyntheticSpec, write_clip
 
-    spec = SyntheticSpec(cameras=cameras, frames=frames, width=width, height=height, seed=seed)
+    spec = SyntheticSpec(cameras=cameras, frames=frames, width=width, height=height, seed=seed, kind=kind, speed=speed)
     if overwrite and (folder / "ground_truth" / "spec.json").is_file():  # nothing but our own clips
         shutil.rmtree(folder)
     with tqdm(total=100, unit="%", desc="synth") as bar:
         write_clip(spec, folder, lambda fraction: _set(bar, 100 * fraction))
-    return f"{folder}: {cameras} cameras, {frames} frames of {size}"
+    return f"{folder}: {kind}, {cameras} cameras, {frames} frames of {size}"
 
 
 def check_recording(

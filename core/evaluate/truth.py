@@ -29,6 +29,7 @@ VISIBLE = 0.25  # pixels in one step: the finest motion that video codecs descri
 _ANY = 0.01  # pixels
 _MOSTLY, _PARTLY = 0.5, 0.1  # of what an anchor shows
 _SEEN = 0.3  # pixels, over all training pictures
+_LATER = {"kind", "speed"}  # which clips of earlier versions do not name
 _SPEC = Path("ground_truth") / "spec.json"
 
 
@@ -109,8 +110,9 @@ def read_spec(data: Path) -> SyntheticSpec | None:
         return None
     value = read_json(path).get("spec")
     known: dict[str, type[Any]] = {field.name: type(field.default) for field in fields(SyntheticSpec)}
-    if not isinstance(value, dict) or set(value) != set(known):
+    if not isinstance(value, dict) or not set(known) - _LATER <= set(value) <= set(known):
         raise InputError(path, "does not describe a synthetic clip")
-    if not all(isinstance(value[name], int | float) for name in known):
-        raise InputError(path, "holds a value that is no number")
-    return SyntheticSpec(**{name: kind(value[name]) for name, kind in known.items()})
+    for name, kind in known.items():
+        if not isinstance(value.get(name, kind()), str if kind is str else int | float):
+            raise InputError(path, f"holds a value of {name} that is of another type")
+    return SyntheticSpec(**{name: known[name](held) for name, held in value.items()})

@@ -1,7 +1,8 @@
-"""A synthetic living room, filmed by a rig of cameras: pictures and the exact truth about them.
+"""Synthetic places, filmed by a rig of cameras: pictures and the exact truth about them.
 
-A small ray caster of our own: analytic shapes (`shapes`; `parts`, `room`, `movers`), compiled `casting`, `lighting`
-and `textures`, put together a camera at a time (`render`), offered as a data set or as files (`clip`).
+A small ray caster of our own. One file of `kinds` is one place, put together from analytic shapes (`shapes`, `parts`)
+and things that move (`movers`). Compiled `casting`, `lighting` and `textures` make pictures of it, a camera at a time
+(`render`), offered as a data set or as files (`clip`).
 """
 
 from core.data.synthetic.clip import open_synthetic, write_clip

@@ -11,7 +11,20 @@ import numba
 import numpy as np
 
 from core.arrays import Float64, Int32
-from core.data.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, FAR, PACKET, ROOM, Parts, slab, to_local
+from core.data.synthetic.shapes import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    FAR,
+    PACKET,
+    ROOM,
+    SKY,
+    SKY_DISTANCE,
+    Parts,
+    slab,
+    to_local,
+)
 
 _jit = numba.njit(cache=True, nogil=True, fastmath=True)
 
@@ -30,6 +43,8 @@ def _meet(
     kind: int, sx: float, sy: float, sz: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> float:
     """Distance along a local ray to a part's surface, or far; rays start outside (inside for the room)."""
+    if kind == SKY:
+        return SKY_DISTANCE
     if kind in (BOX, ROOM):
         x0, x1 = slab(ox, dx, sx)
         y0, y1 = slab(oy, dy, sy)
@@ -63,7 +78,10 @@ def _meet(
 
 @_jit
 def _normal(kind: int, sx: float, sy: float, sz: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Outward unit normal at a local surface point (inward for the room)."""
+    """Outward unit normal at a local surface point (inward for the room and the sky)."""
+    if kind == SKY:
+        length = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+        return -x / length, -y / length, -z / length
     if kind in (BOX, ROOM):
         a, b, c = abs(x) - sx, abs(y) - sy, abs(z) - sz
         sign = -1.0 if kind == ROOM else 1.0
@@ -88,7 +106,7 @@ def cast(
 ) -> None:
     """Nearest hit of N rays (unit `directions` [N,3]): distance [N], part [N], local point and local normal [N,3].
 
-    The scene is closed: every ray that starts in the room hits something.
+    The scene is closed: every ray that starts in the room, or under the sky, hits something.
     """
     count, total = len(origins), len(parts.kind)
     near = np.empty(total, np.int32)

@@ -8,11 +8,24 @@ import numba
 import numpy as np
 
 from core.arrays import Bool, Float64, Int32, Int64
-from core.data.synthetic.shapes import CAPSULE, CYLINDER, ELLIPSOID, PACKET, ROOM, Lamps, Parts, slab, to_local
+from core.data.synthetic.shapes import (
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    FAR,
+    PACKET,
+    ROOM,
+    SKY,
+    Lamps,
+    Parts,
+    slab,
+    to_local,
+)
 
 _OFFSET = 1e-4  # metres by which a ray to a lamp starts above its surface
 AIR = 0.4  # metres above a surface up to which ambient occlusion looks
 _REACHES = (0.04, 0.13, AIR)  # at which it samples the free space
+_SPOT_EDGE = 0.25  # share of a spot light's cone, from its edge inwards, over which it fades
 _WEIGHTS = (0.30, 0.38, 0.42)
 
 _jit = numba.njit(cache=True, nogil=True, fastmath=True)
@@ -21,6 +34,8 @@ _jit = numba.njit(cache=True, nogil=True, fastmath=True)
 @_jit
 def _distance(kind: int, sx: float, sy: float, sz: float, x: float, y: float, z: float) -> float:
     """Signed distance from a local point to a part's surface, negative inside (the room is inside out)."""
+    if kind == SKY:
+        return FAR
     if kind == ROOM:
         return min(sx - abs(x), sy - abs(y), sz - abs(z))
     if kind == ELLIPSOID:
@@ -120,6 +135,9 @@ def _shade(
         x, y, z = x / away, y / away, z / away
         facing = max(x * normal[0] + y * normal[1] + z * normal[2], 0.0)
         strength = visible[k] / (0.6 + away * away)
+        if lamps.cosine[k] > -1.0:
+            inside = -(x * lamps.axis[k, 0] + y * lamps.axis[k, 1] + z * lamps.axis[k, 2]) - lamps.cosine[k]
+            strength *= min(max(inside / (_SPOT_EDGE * (1.0 - lamps.cosine[k])), 0.0), 1.0)
         hx, hy, hz = x + towards[0], y + towards[1], z + towards[2]
         length = max(math.sqrt(hx * hx + hy * hy + hz * hz), 1e-6)
         shine = max((hx * normal[0] + hy * normal[1] + hz * normal[2]) / length, 0.0) ** (40.0 + 160.0 * gloss)

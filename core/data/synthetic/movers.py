@@ -1,4 +1,4 @@
-"""The parts that move: a bouncing ball, a person who waves, a visitor who looks over the sofa, a turning globe.
+"""Things that move, for any kind of place: a bouncing ball, a person who waves, a cat that looks over a sofa, a globe.
 
 Each function maps scene time in seconds to the same list of rigid parts, so that a part's pose now and one frame
 earlier is its exact motion.
@@ -15,11 +15,6 @@ from core.data.synthetic import textures as T
 from core.data.synthetic.parts import Part, ball, limb, turn
 
 _SKIN, _DENIM, _SHOE, _GINGER = (0.86, 0.64, 0.50), (0.20, 0.28, 0.46), (0.85, 0.84, 0.80), (0.86, 0.54, 0.24)
-
-
-def movers(time: float, cycle: float, phase: float) -> list[Part]:
-    """All moving parts at `time`; `cycle` seconds is the visitor's period, `phase` in [0, 1] shifts the rhythms."""
-    return bouncing_ball(time + phase) + person(time + phase) + visitor(time, cycle) + [globe(time)]
 
 
 def bouncing_ball(time: float) -> list[Part]:

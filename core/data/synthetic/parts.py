@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from core.arrays import Float64, Int32
-from core.data.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, Parts
-from core.data.synthetic.textures import GLOW, PLAIN, VIEW
+from core.data.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, SKY, Lamps, Parts
+from core.data.synthetic.textures import GLOW, PLAIN, SCREEN, VIEW
 
 Vector = tuple[float, float, float]
 _IDENTITY = np.eye(3)
@@ -39,14 +39,14 @@ class Part:
 
     @property
     def casts(self) -> bool:
-        """Whether it throws shadows: not the room, nothing that glows, nothing as thin as a picture on the wall."""
-        solid = self.kind not in (ROOM, BOX) or (self.kind == BOX and min(self.size) >= _THIN)
-        return solid and self.material not in (GLOW, VIEW)
+        """Whether it throws shadows: no enclosure, nothing that glows, nothing as thin as a picture on the wall."""
+        solid = self.kind not in (ROOM, SKY, BOX) or (self.kind == BOX and min(self.size) >= _THIN)
+        return solid and self.material not in (GLOW, SCREEN, VIEW)
 
     @property
     def bound(self) -> float:
         """Radius of the enclosing sphere round the part's origin."""
-        if self.kind == ROOM:
+        if self.kind in (ROOM, SKY):
             return math.inf
         if self.kind == BOX:
             return math.hypot(*self.size)
@@ -125,3 +125,35 @@ def limb(start: Float64, end: Float64, radius: float, material: int, tint: Vecto
     rotation = np.stack([side, np.cross(axis, side), axis], axis=1)
     size = (radius, length / 2, radius)
     return Part(CAPSULE, size, (start + end) / 2, material, tint, rotation=rotation, **more)  # type: ignore[arg-type]
+
+
+def shifted(parts: list[Part], by: Vector) -> list[Part]:
+    """`parts` moved by metres."""
+    return [replace(part, place=part.place + np.array(by)) for part in parts]
+
+
+@dataclass(frozen=True, slots=True)
+class Lamp:
+    """One lamp, as in `shapes.Lamps`; `spot` is what a spot light points at and half its cone's angle in radians."""
+
+    position: Vector
+    radius: float
+    colour: Vector
+    spot: tuple[Vector, float] | None = None
+
+
+def lamps(*some: Lamp) -> Lamps:
+    """The arrays of `some` lamps, in their order."""
+    axes, cosines = [], []
+    for lamp in some:
+        target, angle = lamp.spot or ((0.0, 0.0, 0.0), math.pi)
+        axis = np.subtract(target, lamp.position)
+        axes.append(axis / max(float(np.linalg.norm(axis)), 1e-12))
+        cosines.append(math.cos(angle) if lamp.spot else -2.0)
+    return Lamps(
+        position=np.array([lamp.position for lamp in some], np.float64),
+        radius=np.array([lamp.radius for lamp in some], np.float64),
+        colour=np.array([lamp.colour for lamp in some], np.float64),
+        axis=np.array(axes),
+        cosine=np.array(cosines),
+    )

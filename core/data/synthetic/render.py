@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from core.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from core.camera import Camera
 from core.data.synthetic.casting import balls_round, cast, cones_round
+from core.data.synthetic.kind import Kind
 from core.data.synthetic.lighting import AIR, distances, light, touched
-from core.data.synthetic.movers import movers
 from core.data.synthetic.parts import Scene, assemble
-from core.data.synthetic.room import AMBIENT, LAMPS, furniture
+from core.data.synthetic.shapes import FAR
 from core.data.synthetic.spec import SyntheticSpec, cameras, exposures
 from core.data.synthetic.textures import paint
 
@@ -28,7 +28,7 @@ _BATCH = 4096  # pixels that one thread renders at a time
 _MOVED = 2e-4  # metres a frame below which a surface counts as still
 _SAMPLES = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
 _CENTRE = np.array([[0.5, 0.5]])
-_BRIGHTNESS = 1.55  # of the film curve 1 - exp(-x)
+_SKY = 1e-3 * FAR  # metres; what lies deeper is sky
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class GroundTruth:
 
     Attributes:
         image: [H,W,3] uint8 RGB.
-        depth: [H,W] float32 metres along the camera's z axis.
+        depth: [H,W] float32 metres along the camera's z axis, infinite in the sky.
         motion: [H,W,3] float32 metres that the surface point moved in the world since the frame before.
         moving: [H,W] bool, the surface moved.
         mirror: [H,W] bool, the surface reflects: its picture may change although it stands still.
@@ -83,7 +83,7 @@ def scene_at(spec: SyntheticSpec, index: int) -> Scene:
     """All parts at frame `index`; the order of parts is the same at every frame."""
     generator = np.random.default_rng(spec.seed)
     phase = float(generator.uniform()) if spec.seed else 0.0
-    return assemble(furniture(generator) + movers(spec.time_of(index), spec.cycle, phase))
+    return assemble(spec.place.still(generator) + spec.place.moving(spec.time_of(index), spec.cycle, phase))
 
 
 def render_frame(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTruth:
@@ -98,7 +98,8 @@ def render_frame(spec: SyntheticSpec, index: int, camera_index: int) -> GroundTr
     camera = cameras(spec)[camera_index]
     scene, before = scene_at(spec, index), scene_at(spec, max(index - 1, 0))
     truth = _in_batches(np.arange(spec.width * spec.height), lambda pixels: _truth(scene, before, camera, pixels))
-    depth, motion, mirror = truth[:, 0], truth[:, 1:4], truth[:, 4] > 0
+    depth = np.where(truth[:, 0] < _SKY, truth[:, 0], np.float32(np.inf))
+    motion, mirror = truth[:, 1:4], truth[:, 4] > 0
     shape = (spec.height, spec.width)
     return GroundTruth(
         image=render_image(spec, index, camera_index),
@@ -122,16 +123,16 @@ def render_image(spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
     room = _empty_room(spec, camera_index)
     dirty = np.empty(len(room.reach), np.bool_)
     bounds = (camera.centre, room.centre, room.reach, room.axis, room.angle, room.far, room.air, room.air_reach)
-    touched(*bounds, scene.solid, room.parts, LAMPS, dirty)
+    touched(*bounds, scene.solid, room.parts, spec.place.lamps, dirty)
     pixels = np.flatnonzero(np.repeat(dirty | room.mirrored, _SPAN)[: spec.width * spec.height])
     colour = room.colour.astype(np.float64)
-    colour[pixels] = _in_batches(pixels, lambda some: _colour(scene, camera, some))
+    colour[pixels] = _in_batches(pixels, lambda some: _colour(spec.place, scene, camera, some))
     return develop(colour.reshape(spec.height, spec.width, 3), spec, index, camera_index)
 
 
 def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
     """What the camera makes of linear light [H,W,3]: exposure, film curve, gamma 2, noise, 8 bits."""
-    exposed = radiance * (_BRIGHTNESS * exposures(spec)[camera_index])
+    exposed = radiance * (spec.place.brightness * exposures(spec)[camera_index])
     levels = 255.0 * np.sqrt(1.0 - np.exp(-exposed))
     if spec.noise > 0:
         generator = np.random.default_rng([spec.seed, camera_index, index])
@@ -183,13 +184,15 @@ def surface_motion(spec: SyntheticSpec, index: int, camera: Camera) -> Float32:
 
 
 def depth_bounds(spec: SyntheticSpec) -> tuple[float, float]:
-    """Nearest and farthest depth that any camera sees at frame 0, with a margin, in metres."""
+    """Nearest and farthest depth that any camera sees at frame 0, the sky left out, with a margin, in metres."""
     depths = []
     scene = scene_at(spec, 0)
     for camera in cameras(spec):
         small = camera.scaled(64, 36)
         depths.append(_truth(scene, scene, small, np.arange(64 * 36))[:, 0])
-    return 0.8 * float(np.min(depths)), 1.1 * float(np.max(depths))
+    solid = np.concatenate(depths)
+    solid = solid[solid < _SKY]
+    return 0.8 * float(solid.min()), 1.1 * float(solid.max())
 
 
 def _check(spec: SyntheticSpec, index: int) -> None:
@@ -211,9 +214,9 @@ def _carry(points: Float64, part: int, now: Scene, before: Scene) -> Float64:
 
 @lru_cache(maxsize=64)
 def _empty_room(spec: SyntheticSpec, camera_index: int) -> _EmptyRoom:
-    camera, parts = cameras(spec)[camera_index], furniture(np.random.default_rng(spec.seed))
+    camera, parts = cameras(spec)[camera_index], spec.place.still(np.random.default_rng(spec.seed))
     scene, pixels = assemble(parts), np.arange(spec.width * spec.height)
-    colour = _in_batches(pixels, lambda some: _colour(scene, camera, some)).astype(np.float32)
+    colour = _in_batches(pixels, lambda some: _colour(spec.place, scene, camera, some)).astype(np.float32)
     origins, directions = _rays(camera, pixels, _CENTRE)
     hits = _hits(scene, origins, directions)
     spans = -(-len(pixels) // _SPAN)
@@ -258,7 +261,7 @@ def _hits(scene: Scene, origins: Float64, directions: Float64) -> _Hits:
     return _Hits(distance, part, point, normal, origins + distance[:, None] * directions, world_normal)
 
 
-def _radiance(scene: Scene, hits: _Hits, directions: Float64, footprint: Float64, group: int) -> Float64:
+def _radiance(place: Kind, scene: Scene, hits: _Hits, directions: Float64, footprint: Float64, group: int) -> Float64:
     """[N,3] light from surfaces without their mirror reflections."""
     albedo, radiance = np.empty((len(directions), 4)), np.empty((len(directions), 3))
     paint(
@@ -271,20 +274,20 @@ def _radiance(scene: Scene, hits: _Hits, directions: Float64, footprint: Float64
         -directions,
         albedo,
         scene.solid,
-        LAMPS,
-        AMBIENT,
+        place.lamps,
+        place.ambient,
         group,
         radiance,
     )
     return radiance
 
 
-def _colour(scene: Scene, camera: Camera, pixels: Int64) -> Float64:
+def _colour(place: Kind, scene: Scene, camera: Camera, pixels: Int64) -> Float64:
     """[N,3] linear light of `pixels` [N], four samples a pixel and one mirror reflection."""
     origins, directions = _rays(camera, pixels, _SAMPLES)
     hits = _hits(scene, origins, directions)
     angle = 0.5 / float(camera.intrinsics[0, 0])
-    radiance = _radiance(scene, hits, directions, angle * hits.distance, len(_SAMPLES))
+    radiance = _radiance(place, scene, hits, directions, angle * hits.distance, len(_SAMPLES))
     shiny = np.flatnonzero(scene.mirror[hits.part] > 0)
     if len(shiny):
         normal, incoming = hits.world_normal[shiny], directions[shiny]
@@ -295,7 +298,7 @@ def _colour(scene: Scene, camera: Camera, pixels: Int64) -> Float64:
         path = hits.distance[shiny] + seen.distance
         share = scene.mirror[hits.part[shiny], None]
         share = share + (1.0 - share) * np.clip(1.0 + facing, 0.0, 1.0) ** 5  # Schlick's Fresnel term
-        reflected = _radiance(scene, seen, bounced, 2.0 * angle * path, 1)
+        reflected = _radiance(place, scene, seen, bounced, 2.0 * angle * path, 1)
         radiance[shiny] += share * (reflected - radiance[shiny] * (scene.mirror[hits.part[shiny], None] > 0.5))
     return np.asarray(radiance.reshape(len(pixels), len(_SAMPLES), 3).mean(axis=1), np.float64)
 

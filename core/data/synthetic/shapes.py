@@ -12,18 +12,20 @@ import numba
 
 from core.arrays import Bool, Float64, Int32
 
-ROOM, BOX, ELLIPSOID, CAPSULE, CYLINDER = 0, 1, 2, 3, 4
+ROOM, BOX, ELLIPSOID, CAPSULE, CYLINDER, SKY = 0, 1, 2, 3, 4, 5
 PACKET = 128  # neighbouring rays that share one list of candidate parts
 FAR = 1e9
+SKY_DISTANCE = 1e8  # metres: no camera of a rig sees it shift
 
 
 class Parts(NamedTuple):
     """P rigid parts of the scene at one instant.
 
     Attributes:
-        kind: [P] int32; size: [P,3] metres: half extents (ROOM, BOX), radii (ELLIPSOID), or radius and half length.
+        kind: [P] int32; size: [P,3] metres: half extents (ROOM, BOX), radii (ELLIPSOID), or radius and half
+            length; the SKY has no size.
         rotation: [P,3,3], translation: [P,3] part to world, metres.
-        bound: [P] radius of a sphere round the part's origin that encloses it; infinite for the room.
+        bound: [P] radius of a sphere round the part's origin that encloses it; infinite for the ROOM and the SKY.
         casts: [P] bool, whether the part throws shadows.
         gloss: [P] strength of its highlights.
     """
@@ -38,11 +40,19 @@ class Parts(NamedTuple):
 
 
 class Lamps(NamedTuple):
-    """K lamps: position [K,3] and radius [K] in metres (a larger lamp throws softer shadows), colour [K,3] radiant."""
+    """K lamps.
+
+    Attributes:
+        position: [K,3] metres; radius: [K] metres, a larger lamp throws softer shadows; colour: [K,3] radiant.
+        axis: [K,3] unit vectors along which spot lights shine.
+        cosine: [K] of half the angle of a spot light's cone; -2 for a lamp that shines in all directions.
+    """
 
     position: Float64
     radius: Float64
     colour: Float64
+    axis: Float64
+    cosine: Float64
 
 
 _jit = numba.njit(cache=True, nogil=True, fastmath=True)

@@ -14,6 +14,7 @@ from core.data.synthetic.noise import Colour, fbm, line, mix, scale, scatter, st
 
 PLAIN, WOOD, PLANKS, BRICK, WALLPAPER, RUG, POSTER, BOOKS = 0, 1, 2, 3, 4, 5, 6, 7
 FABRIC, BEACH_BALL, GLOBE, FACE, SHIRT, LEAF, GLOW, VIEW, CHECKER, FUR, WALLS = 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18
+SMOOTH, SMOOTH_WALLS, SCREEN, HEAVEN, GRASS, FOLIAGE = 19, 20, 21, 22, 23, 24
 
 _jit = numba.njit(cache=True, nogil=True, fastmath=True)
 
@@ -289,6 +290,58 @@ def _wall_of(normal: Float64) -> tuple[Colour, int]:
 
 
 @_jit
+def _smooth_walls_of(normal: Float64, u: float, v: float, f: float, seed: int) -> Colour:
+    """Plain painted walls and ceiling; below, pale boards with hardly any grain."""
+    if normal[2] > 0.5:
+        return mix(_planks(u, v, f, seed, (0.78, 0.70, 0.60)), (0.76, 0.69, 0.60), 0.75)
+    if normal[2] < -0.5:
+        return 0.93, 0.93, 0.92
+    if normal[1] < -0.5:
+        return 0.88, 0.87, 0.84
+    return 0.86, 0.88, 0.88
+
+
+@_jit
+def _screen(u: float, v: float, f: float, seed: int) -> Colour:
+    """What a screen shows: a bar above, lines of text, a chart."""
+    colour = (0.90, 0.93, 0.97)
+    row = math.floor(v / 0.045)
+    length = 0.15 + 0.35 * scatter(row, 1, seed)
+    text = line(v / 0.045 - row - 0.5, 0.18, f / 0.045) * (1.0 - step(length - 0.55, u, f)) * step(-0.55, u, f)
+    colour = mix(colour, (0.25, 0.28, 0.34), 0.8 * text * (1.0 - step(-0.02, u, f)))
+    bar = math.floor(u / 0.07)
+    height = -0.25 + 0.35 * scatter(bar, 2, seed)
+    chart = line(u / 0.07 - bar - 0.5, 0.35, f / 0.07) * (1.0 - step(height, v, f)) * step(0.06, u, f)
+    colour = mix(colour, _hue(scatter(bar, 3, seed)), chart)
+    return mix(colour, (0.12, 0.30, 0.55), step(0.26, v, f))
+
+
+@_jit
+def _heaven(x: float, y: float, z: float, f: float, seed: int) -> Colour:
+    """The sky in a direction: blue, paler towards the horizon, with clouds on a flat ceiling far above."""
+    away = math.sqrt(x * x + y * y + z * z)
+    height = max(z / away, 0.0) + 0.12
+    u, v, f = x / away / height, y / away / height, f / away / (height * height)
+    cloud = min(max(0.25 + 1.7 * fbm(u * 1.1, v * 1.1, f * 1.1, seed), 0.0), 1.0)
+    colour = mix((0.86, 0.91, 0.96), (0.36, 0.58, 0.90), min(1.6 * (height - 0.12), 1.0))
+    return mix(colour, (0.97, 0.97, 0.97), 0.9 * cloud * min(12.0 * (height - 0.12), 1.0))
+
+
+@_jit
+def _grass(u: float, v: float, f: float, seed: int, tint: Colour) -> Colour:
+    patch = fbm(u * 0.35, v * 0.35, f * 0.35, seed)
+    blades = fbm(u * 8.0, v * 8.0, f * 8.0, seed + 1) + 0.6 * fbm(u * 45.0, v * 45.0, f * 45.0, seed + 2)
+    return scale(mix(tint, (0.55, 0.52, 0.26), min(max(0.3 + 0.8 * patch, 0.0), 1.0)), 1.0 + 0.35 * blades)
+
+
+@_jit
+def _foliage(x: float, y: float, z: float, f: float, seed: int, tint: Colour) -> Colour:
+    clumps = fbm(4.0 * x + 3.0 * z, 4.0 * y - 2.0 * z, 4.0 * f, seed)
+    leaves = fbm(17.0 * x - 9.0 * z, 17.0 * y + 14.0 * z, 17.0 * f, seed + 1)
+    return scale(tint, 0.85 + 0.55 * clumps + 0.5 * leaves)
+
+
+@_jit
 def paint(  # noqa: PLR0912, PLR0915 - one branch a texture is the table that compiles
     part: Int32,
     point: Float64,
@@ -350,6 +403,18 @@ def paint(  # noqa: PLR0912, PLR0915 - one branch a texture is the table that co
             base, glow = scale(base, 1.0 + 0.05 * fbm(u * 60.0, v * 60.0, f * 60.0, s)), 2.2
         elif kind == CHECKER:
             base = _checker(u, v, size[p, 0], f, s, base)
+        elif kind == SMOOTH:
+            pass
+        elif kind == SMOOTH_WALLS:
+            base = _smooth_walls_of(normal[i], x, y, f, s)
+        elif kind == SCREEN:
+            base, glow = _screen(u, v, f, s), 1.1
+        elif kind == HEAVEN:
+            base, glow = _heaven(x, y, z, f, s), 1.0
+        elif kind == GRASS:
+            base = _grass(u, v, f, s, base)
+        elif kind == FOLIAGE:
+            base = _foliage(x, y, z, f, s, base)
         elif kind == FUR:
             base = _fur(x, y, z, f, s, base)
         else:

@@ -19,6 +19,7 @@ from core.data.synthetic import (
     surface_motion,
 )
 from core.data.synthetic import render as inside
+from core.data.synthetic.kinds import KINDS
 from core.errors import InputError
 from core.initialise.views import pixel_centres, project, unproject
 
@@ -46,12 +47,13 @@ def test_equal_specs_give_equal_pictures_and_another_seed_gives_others() -> None
     assert not np.array_equal(render_image(noisy, 7, 1), render_image(noisy, 8, 1))
 
 
-@pytest.mark.parametrize("index", [0, 17, 44])
-def test_reusing_the_empty_room_changes_nothing(index: int) -> None:
-    camera = cameras(SPEC)[3]
-    full = inside._colour(inside.scene_at(SPEC, index), camera, np.arange(SPEC.width * SPEC.height))
-    expected = inside.develop(full.reshape(SPEC.height, SPEC.width, 3), SPEC, index, 3)
-    difference = np.abs(expected.astype(int) - render_image(SPEC, index, 3))
+@pytest.mark.parametrize(("kind", "index"), [("room", 0), ("room", 17), ("room", 44), *((kind, 17) for kind in KINDS)])
+def test_reusing_the_empty_room_changes_nothing(kind: str, index: int) -> None:
+    spec = replace(SPEC, kind=kind)
+    camera = cameras(spec)[3]
+    full = inside._colour(spec.place, inside.scene_at(spec, index), camera, np.arange(spec.width * spec.height))
+    expected = inside.develop(full.reshape(spec.height, spec.width, 3), spec, index, 3)
+    difference = np.abs(expected.astype(int) - render_image(spec, index, 3))
     assert difference.max() <= 1  # the empty room is kept in float32
     assert (difference > 0).mean() < 1e-3
 

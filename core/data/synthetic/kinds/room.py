@@ -1,7 +1,4 @@
-"""The parts of the synthetic scene that stay: a living room, 5.8 m wide, seen from its open side.
-
-World axes: x right, y away from the cameras, z up, metres; the floor is z = 0.
-"""
+"""A living room, 5.8 m wide, full of texture: brick, wallpaper, books, a rug, a mirror."""
 
 from __future__ import annotations
 
@@ -9,32 +6,27 @@ import math
 
 import numpy as np
 
+from core.data.synthetic import movers as M
 from core.data.synthetic import textures as T
-from core.data.synthetic.parts import Part, ball, box, limb, tube, turn
-from core.data.synthetic.shapes import ROOM, Lamps
+from core.data.synthetic.kind import Kind, Rig
+from core.data.synthetic.parts import Lamp, Part, ball, box, lamps, limb, tube, turn
+from core.data.synthetic.shapes import ROOM
 
-HALF = (2.9, 3.45, 1.35)
-MIDDLE = (0.0, 0.85, 1.35)
-BACK = MIDDLE[1] + HALF[1]
+_HALF = (2.9, 3.45, 1.35)
+_MIDDLE = (0.0, 0.85, 1.35)
+_BACK = _MIDDLE[1] + _HALF[1]
 _OAK, _WALNUT, _WHITE, _STEEL = (0.72, 0.52, 0.32), (0.40, 0.24, 0.15), (0.90, 0.89, 0.85), (0.80, 0.82, 0.85)
 
-LAMPS = Lamps(
-    position=np.array([[0.35, 1.35, 2.30], [-2.75, 1.75, 1.65]]),
-    radius=np.array([0.11, 0.30]),
-    colour=np.array([[7.0, 6.2, 5.0], [0.85, 1.0, 1.2]]),
-)
-AMBIENT = np.array([0.115, 0.12, 0.14])
 
-
-def furniture(generator: np.random.Generator) -> list[Part]:
+def _still(generator: np.random.Generator) -> list[Part]:
     """Everything that never moves; `generator` varies tints, leaves and texture seeds."""
     seeds = iter(generator.integers(0, 1 << 20, 200).tolist())
     parts = [
-        Part(ROOM, HALF, np.array(MIDDLE), T.WALLS, _WHITE, seed=next(seeds)),
+        Part(ROOM, _HALF, np.array(_MIDDLE), T.WALLS, _WHITE, seed=next(seeds)),
         box((0, 2.05, 0.006), (1.25, 0.95, 0.006), T.RUG, (0.60, 0.16, 0.16), seed=next(seeds), gloss=0.0),
-        box((0, BACK - 0.012, 0.05), (HALF[0], 0.012, 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
-        box((-HALF[0] + 0.012, 0.85, 0.05), (0.012, HALF[1], 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
-        box((HALF[0] - 0.012, 0.85, 0.05), (0.012, HALF[1], 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
+        box((0, _BACK - 0.012, 0.05), (_HALF[0], 0.012, 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
+        box((-_HALF[0] + 0.012, 0.85, 0.05), (0.012, _HALF[1], 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
+        box((_HALF[0] - 0.012, 0.85, 0.05), (0.012, _HALF[1], 0.05), T.PLAIN, _WHITE, seed=next(seeds)),
     ]
     hue = generator.uniform(-0.04, 0.04)
     parts += _sofa((0.22 + hue, 0.36, 0.46 - hue), seeds)
@@ -82,8 +74,8 @@ def _table(seeds: object) -> list[Part]:
 
 def _shelf(seeds: object) -> list[Part]:
     draw = seeds.__next__  # type: ignore[attr-defined]
-    x, y, half = -2.25, BACK - 0.17, 0.52
-    parts = [box((x, BACK - 0.02, 0.98), (half, 0.012, 0.95), T.WOOD, _WALNUT, seed=draw())]
+    x, y, half = -2.25, _BACK - 0.17, 0.52
+    parts = [box((x, _BACK - 0.02, 0.98), (half, 0.012, 0.95), T.WOOD, _WALNUT, seed=draw())]
     for side in (-1, 1):
         parts.append(box((x + side * half, y, 0.98), (0.018, 0.15, 0.98), T.WOOD, _OAK, seed=draw()))
     for k in range(6):
@@ -107,9 +99,9 @@ def _walls(seeds: object) -> list[Part]:
     for (x, z, w, h), mood in zip(
         ((-0.95, 1.62, 0.34, 0.25), (0.02, 1.74, 0.42, 0.32), (0.92, 1.60, 0.27, 0.34)), moods, strict=True
     ):
-        parts.append(box((x, BACK - 0.014, z), (w + 0.03, 0.014, h + 0.03), T.WOOD, _WALNUT, seed=draw()))
-        parts.append(box((x, BACK - 0.030, z), (w, 0.004, h), T.POSTER, mood, seed=draw(), gloss=0.06))
-    window, mirror = -HALF[0], HALF[0]
+        parts.append(box((x, _BACK - 0.014, z), (w + 0.03, 0.014, h + 0.03), T.WOOD, _WALNUT, seed=draw()))
+        parts.append(box((x, _BACK - 0.030, z), (w, 0.004, h), T.POSTER, mood, seed=draw(), gloss=0.06))
+    window, mirror = -_HALF[0], _HALF[0]
     parts.append(box((window + 0.01, 1.95, 1.55), (0.01, 0.80, 0.62), T.VIEW, _WHITE, seed=draw()))
     for y in (1.13, 1.95, 2.77):
         parts.append(box((window + 0.03, y, 1.55), (0.03, 0.03, 0.66), T.PLAIN, _WHITE, seed=draw()))
@@ -158,3 +150,19 @@ def _toys(seeds: object) -> list[Part]:
     for x, y, z, half, spin, tint in blocks:
         parts.append(box((x, y, z), (half,) * 3, T.CHECKER, tint, seed=draw(), rotation=turn("z", spin), gloss=0.05))
     return parts
+
+
+def _moving(time: float, cycle: float, phase: float) -> list[Part]:
+    return M.bouncing_ball(time + phase) + M.person(time + phase) + M.visitor(time, cycle) + [M.globe(time)]
+
+
+KIND = Kind(
+    still=_still,
+    moving=_moving,
+    lamps=lamps(
+        Lamp((0.35, 1.35, 2.30), 0.11, (7.0, 6.2, 5.0)),
+        Lamp((-2.75, 1.75, 1.65), 0.30, (0.85, 1.0, 1.2)),
+    ),
+    ambient=np.array([0.115, 0.12, 0.14]),
+    rig=Rig(target=(0.0, 2.5, 0.95), radius=4.0, half_arc=math.radians(19.0), heights=(1.25, 1.75), focal=0.78),
+)
