@@ -30,7 +30,9 @@ def _still(generator: np.random.Generator) -> list[Part]:
         box((-0.2, 2.1, 0.004), (1.5, 1.0, 0.004), T.SMOOTH, (0.72, 0.74, 0.76), gloss=0.0),
     ]
     accent = (0.20 + float(generator.uniform(0, 0.2)), 0.42, 0.46)
-    parts += _windows(seeds[1:3]) + _table() + _sideboard(accent, seeds[3:9]) + _sofa(accent) + _plant(seeds[9:25])
+    parts += (
+        _windows(seeds[1:3]) + _table() + _sideboard(accent, seeds[3:9]) + _sofa(accent) + _near() + _plant(seeds[9:25])
+    )
     parts += [
         tube((-1.0, 2.0, 2.35), 0.26, 0.07, T.GLOW, (0.96, 0.94, 0.90), seed=seeds[25]),
         limb(np.array([-1.0, 2.0, 2.42]), np.array([-0.9999, 2.0, 2.79]), 0.01, T.SMOOTH, _BLACK),
@@ -69,6 +71,21 @@ def _table() -> list[Part]:
     ]
     for side in (-1, 1):
         parts += _chair(x + 0.35 * side, y + 0.72)
+    return parts
+
+
+def _near() -> list[Part]:
+    """An armchair and a side table close to the cameras: depth begins at less than a metre."""
+    x, y = 1.25, 0.1
+    parts = [
+        box((x, y, 0.22), (0.36, 0.36, 0.20), T.SMOOTH, _WHITE, gloss=0.0),
+        box((x + 0.30, y, 0.60), (0.07, 0.36, 0.30), T.SMOOTH, _WHITE, gloss=0.0),
+        tube((-1.75, 0.15, 0.48), 0.25, 0.012, T.SMOOTH, _WHITE, gloss=0.4, mirror=0.15),
+        tube((-1.75, 0.15, 0.24), 0.02, 0.24, T.SMOOTH, _GREY, gloss=0.3),
+        tube((-1.80, 0.20, 0.61), 0.05, 0.12, T.SMOOTH, _PALE, gloss=0.5),
+    ]
+    for side in (-1, 1):
+        parts.append(box((x - 0.04, y + 0.36 * side, 0.38), (0.38, 0.06, 0.22), T.SMOOTH, _WHITE, gloss=0.0))
     return parts
 
 
