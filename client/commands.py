@@ -13,15 +13,15 @@ import numpy as np
 from tqdm import tqdm
 
 from client.connection import Wishes
-from client.evaluation import FrameScore, evaluate_file
+from client.evaluation.file_scores import FrameScore, evaluate_file
 from client.inspection import describe_file
 from client.recording import decode_frames, decode_version, versions
 from client.viewing import record_stream
 from client.viewpoints import Path3D, camera_named, orbit, read_poses
 from codec.export import FORMATS, bake, write_snapshot
-from core.anchors import Scene, SceneHeader
 from core.arrays import Float64
 from core.errors import InputError
+from core.scene.anchors import Scene, SceneHeader
 
 AVERAGE = "average"
 TOKEN_VARIABLE = "STREAMLOD_TOKEN"

@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, W
 
 from client.events import Disconnected, Event, NewScene
 from client.playback import Playback
-from codec.limits import DEFAULT_LIMITS
+from codec.packet.limits import DEFAULT_LIMITS
 from core.errors import InputError, SessionError
 
 _log = logging.getLogger(__name__)

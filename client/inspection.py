@@ -10,10 +10,10 @@ from typing import Any
 from client.recording import require_whole
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
-from codec.packet import PacketKind
-from codec.packet_info import PacketInfo, peek
-from core.anchors import Scene
+from codec.packet.info import PacketInfo, peek
+from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError
+from core.scene.anchors import Scene
 
 
 def describe_file(path: Path) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from client.events import Event, NewScene, Notice, Welcome
 from codec.decoder import SceneDecoder
-from codec.limits import DEFAULT_LIMITS, Limits
+from codec.packet.limits import DEFAULT_LIMITS, Limits
 from core.errors import BitstreamError, SessionError
 
 PROTOCOL_VERSION = 1

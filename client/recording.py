@@ -9,9 +9,9 @@ from pathlib import Path
 
 from codec.container import Entry, SlodReader
 from codec.decoder import SceneDecoder
-from codec.packet import PacketKind
-from core.anchors import Scene
+from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError
+from core.scene.anchors import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)

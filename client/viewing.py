@@ -10,11 +10,11 @@ from pathlib import Path
 
 from client.connection import Wishes, watch
 from client.events import Event, NewScene, Notice, Welcome
-from client.record import Recorder, open_recorder
+from client.recorder import Recorder, open_recorder
 from client.viewpoints import Path3D
-from core.anchors import SceneHeader
 from core.errors import InputError
-from core.splat import Splatter
+from core.render.splatter import Splatter
+from core.scene.anchors import SceneHeader
 
 _log = logging.getLogger(__name__)
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when nothing comes for so long

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from core.anchors import SceneHeader
 from core.arrays import Float64
 from core.camera import Camera, look_at, pinhole
 from core.errors import InputError
+from core.scene.anchors import SceneHeader
 
 Path3D = Callable[[int], Camera]  # picture number to camera
 _POSE_FILE_BYTES = 16_000_000

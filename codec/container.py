@@ -14,9 +14,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from codec.limits import DEFAULT_LIMITS, Limits
-from codec.packet import PacketKind
-from codec.packet_info import PacketInfo, peek
+from codec.packet.info import PacketInfo, peek
+from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError
 
 _FILE_HEAD = b"SLOD\x01\x00\x00\x00"

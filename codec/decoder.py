@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec import chunks
-from codec.change import Elapsed
-from codec.header import decode_header, decode_weights
-from codec.limits import DEFAULT_LIMITS, Limits
-from codec.packet import ChunkKind, Packet, PacketKind
-from codec.packet_bytes import parse
-from codec.packet_info import PacketInfo, describe
-from core.anchors import LATENTS, AnchorLevel, Scene, empty_level
+from codec.chunks import level as chunks
+from codec.chunks.change import Elapsed
+from codec.chunks.header import decode_header, decode_weights
+from codec.packet.bytes import parse
+from codec.packet.info import PacketInfo, describe
+from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.packet import ChunkKind, Packet, PacketKind
 from core.arrays import Int32, Int64
 from core.errors import BitstreamError
-from core.residual import LevelResidual, apply_level
+from core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
+from core.scene.residual import LevelResidual, apply_level
 
 ABSENT = -1
 

@@ -6,27 +6,27 @@ import struct
 
 import numpy as np
 
-from codec import chunks
-from codec.change import Elapsed
-from codec.header import encode_header, encode_weights
-from codec.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
-from codec.packet_bytes import build
-from core.anchors import AnchorLevel, Scene
-from core.residual import LevelResidual, Residual, apply_level
+from codec.chunks import level as chunks
+from codec.chunks.change import Elapsed
+from codec.chunks.header import encode_header, encode_weights
+from codec.packet.bytes import build
+from codec.packet.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
+from core.scene.anchors import AnchorLevel, Scene
+from core.scene.residual import LevelResidual, Residual, apply_level
 
 HASH_INTERVAL = 30  # frames between state hashes in predicted packets
 
 
 def encode_keyframe(scene: Scene, *, time_ns: int, profile: int = 1) -> bytes:
-    """The key packet of a scene; `codec.packet_levels.split_levels` makes it trickle.
+    """The key packet of a scene; `codec.packet.levels.split_levels` makes it trickle.
 
     Args:
         time_ns: presentation time in nanoseconds.
         profile: 0 for deflate alone, 1 for the entropy coder.
 
     Raises:
-        ValueError: the scene is not a fresh keyframe (`core.rekey.rekey` makes one), or holds numbers that the format
-            does not.
+        ValueError: the scene is not a fresh keyframe (`core.scene.rekey` makes one), or holds numbers that the
+            format does not.
     """
     if scene.version != scene.keyframe:
         raise ValueError(f"version {scene.version} of keyframe {scene.keyframe} is not a keyframe; rekey it first")

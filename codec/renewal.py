@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import Scene
-from core.residual import difference
+from codec.packet.packet import PacketKind
+from core.scene.anchors import Scene
+from core.scene.residual import difference
 
 Reason = Literal["time", "churn", "catch-up"]
 

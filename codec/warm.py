@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from codec.coder.trend import add_trend
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from codec.trend import add_trend
-from core.anchors import (
+from codec.packet.packet import PacketKind
+from core.scene.anchors import (
     FEATURE_LATENTS,
     HIDDEN,
     OFFSET_LATENTS,
@@ -21,8 +21,8 @@ from core.anchors import (
     SceneHeader,
     empty_level,
 )
-from core.octree import Octree
-from core.residual import difference
+from core.scene.octree import Octree
+from core.scene.residual import difference
 
 
 def warm_up() -> None:

@@ -8,18 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 from pathlib import Path
 
-# The rasteriser's kernels, the entropy coder, and what is compiled into them: numba's cache notices a change of the
-# calling file only, and code that mixes two versions writes where it must not.
-_CORE = Path(__file__).parent
-_INLINED = (
-    _CORE / "render" / "tiles.py",
-    *sorted((_CORE / "render" / "cpu" / "kernels").rglob("*.py")),
-    _CORE / "entropy_model.py",
-    *(_CORE.parent / "codec" / name for name in ("rans.py", "column_model.py")),
-)
+_ROOT = Path(__file__).parents[1]
+_IMPORT = re.compile(r"^(?:from ([\w.]+) import \(?([\w, ]*)|import ([\w.]+))", re.MULTILINE)
 
 
 def prepare_environment() -> None:
@@ -46,9 +40,40 @@ def prepare_environment() -> None:
 
 
 def kernel_cache_folder() -> Path:
-    """Where compiled kernels are kept: below ``XDG_CACHE_HOME`` (``~/.cache``), a folder a version of the kernels."""
+    """Where compiled kernels are kept: below ``XDG_CACHE_HOME`` (``~/.cache``), a folder a version of the kernels.
+
+    Numba notices a change of the file that calls a kernel only, and code that mixes two versions of kernels writes
+    where it must not. So the folder's name is a digest of all sources that compiled code can come from.
+    """
     digest = hashlib.blake2b(digest_size=6)
-    for path in _INLINED:
-        digest.update(path.read_bytes())
+    for source in kernel_sources(_ROOT).values():
+        digest.update(source)
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(root) / "streamlod" / "numba" / digest.hexdigest()
+
+
+def kernel_sources(root: Path) -> dict[str, bytes]:
+    """Sources of the modules in `root`'s core and codec that numba compiles, and of what these import, by name."""
+    sources = {}
+    for package in ("core", "codec"):
+        for path in (root / package).rglob("*.py"):
+            sources[".".join(path.relative_to(root).with_suffix("").parts)] = path.read_bytes()
+    imported = {name: _imported(source.decode()) & sources.keys() for name, source in sources.items()}
+    waiting = [name for name, source in sources.items() if re.search(rb"\bnjit\(", source)]
+    waiting += [name for name, modules in imported.items() if "codec.coder.compiled" in modules]
+    found: set[str] = set()
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting.extend(imported[name])
+    return {name: sources[name] for name in sorted(found)}
+
+
+def _imported(source: str) -> set[str]:
+    """Names of modules that `source` may import at its top level."""
+    names = set()
+    for package, members, module in _IMPORT.findall(source):
+        names.add(module or package)
+        names.update(f"{package}.{member.strip()}" for member in members.split(","))
+    return names

@@ -18,12 +18,12 @@ from starlette.exceptions import HTTPException
 from server.api import downloads, live, push, streams
 from server.api.access import PROBLEMS, Problem, need, problem_response, registry_of
 from server.api.schemas import Health
-from server.auth import Right
+from server.auth.gate import Right
+from server.http.static_page import PageFiles
 from server.metrics import collector_registry
-from server.page import PageFiles
+from server.pipeline.spec import StreamSpec
 from server.registry import Registry
 from server.settings import Settings
-from server.spec import StreamSpec
 
 _DESCRIPTION = """
 Live free-viewpoint video. Streams are watched over the websocket `/v1/streams/{id}/live` (docs/protocol.md);

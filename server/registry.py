@@ -10,13 +10,13 @@ from collections import Counter
 from pathlib import Path
 
 from core.errors import InputError
-from server.auth import Gate
-from server.painting import Painter
+from server.auth.gate import Gate
+from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
-from server.spec import StreamSpec, spec_from_json
-from server.store import Store
-from server.stream import Stream
-from server.viewer import ViewerSession
+from server.stream.store import Store
+from server.stream.stream import Stream
+from server.viewer.renderer import Painter
+from server.viewer.session import ViewerSession
 
 _LOG = logging.getLogger(__name__)
 

@@ -19,13 +19,13 @@ from prometheus_client import start_http_server
 
 from core.errors import InputError, StreamlodError
 from server.app import create_app
-from server.guard import http_class
+from server.http.limits import http_class
+from server.http.websocket import websocket_class
 from server.metrics import collector_registry
+from server.pipeline.spec import StreamSpec
+from server.pipeline.warming import warm_codec
 from server.registry import Registry
 from server.settings import Settings
-from server.spec import StreamSpec
-from server.warming import warm_codec
-from server.wire import websocket_class
 
 _LOG = logging.getLogger(__name__)
 _BACKLOG = 2048

@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from core.errors import InputError
-from server.api.schemas import NewStream
+from server.pipeline.options import NewStream
 
 MEGABYTE = 1_000_000
 

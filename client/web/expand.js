@@ -1,5 +1,5 @@
 /**
- * Anchors to Gaussians for one view, the arithmetic of core/expand.py; the matrix products run in kernel.wasm.
+ * Anchors to Gaussians for one view, the arithmetic of core/scene/expand.py; the matrix products run in kernel.wasm.
  *
  * Splats live in one array that mirrors the renderer's texture: anchor number a (in order of arrival, all levels) owns
  * splats K a to K a + K - 1, RECORD numbers each: mean 3, opacity 1, covariance xx xy xz yy yz zz, colour as two

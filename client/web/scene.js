@@ -1,4 +1,4 @@
-/** The integer state that travels, as in core/anchors.py and core/residual.py: levels of anchors, keyframes, residuals. */
+/** The integer state that travels, as in core/scene/anchors.py and core/scene/residual.py: levels of anchors, keyframes, residuals. */
 
 export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
 

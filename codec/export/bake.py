@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.anchors import Scene
 from core.arrays import Float32, Float64
-from core.expand import expand_slots, visible
-from core.gaussians import GaussianCloud, concatenate
+from core.scene.anchors import Scene
+from core.scene.expand import expand_slots, visible
+from core.scene.gaussians import GaussianCloud, concatenate
 
 
 def bake(scene: Scene, viewpoints: Float64) -> GaussianCloud:

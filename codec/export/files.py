@@ -8,7 +8,7 @@ from pathlib import Path
 from codec.export.ply import encode_ply
 from codec.export.spz import encode_spz
 from core.errors import InputError
-from core.gaussians import GaussianCloud
+from core.scene.gaussians import GaussianCloud
 
 FORMATS = ("ply", "spz")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from core.arrays import Float32
-from core.gaussians import GaussianCloud
+from core.scene.gaussians import GaussianCloud
 
 SH_C0 = 0.28209479177387814  # Y_00, so that colour = 0.5 + SH_C0 * f_dc
 _PROPERTIES = (

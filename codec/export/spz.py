@@ -13,7 +13,7 @@ import numpy as np
 
 from codec.export.ply import SH_C0, unit_quaternions
 from core.arrays import Float32, Float64, UInt8
-from core.gaussians import GaussianCloud
+from core.scene.gaussians import GaussianCloud
 
 _MAGIC = 0x5053474E  # "NGSP"
 _VERSION = 3

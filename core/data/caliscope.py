@@ -22,7 +22,7 @@ import numpy as np
 
 from core.arrays import UInt8
 from core.camera import Camera
-from core.data.colmap import fitted
+from core.data.colmap.reader import fitted
 from core.data.dataset import Recording
 from core.data.files import blaming, numbers, read_text
 from core.data.lens import opencv_camera

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from core.data import caliscope, transforms
 from core.data.caliscope import read_caliscope
-from core.data.colmap import is_colmap, read_colmap
+from core.data.colmap.reader import is_colmap, read_colmap
 from core.data.dataset import Dataset, Recording, dataset
 from core.data.transforms import read_transforms
 from core.data.video_folder import read_video_folder, video_files

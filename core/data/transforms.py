@@ -16,7 +16,7 @@ import numpy as np
 
 from core.arrays import Float64
 from core.camera import Camera
-from core.data.colmap import fitted
+from core.data.colmap.reader import fitted
 from core.data.dataset import Recording, Source
 from core.data.files import blaming, number, numbers, read_json
 from core.data.names import listed, numeric_key

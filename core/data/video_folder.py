@@ -23,8 +23,8 @@ import numpy as np
 
 from core.arrays import Float64
 from core.camera import Camera
-from core.data.colmap import fitted
-from core.data.colmap_model import find_model, read_model, read_points
+from core.data.colmap.model import find_model, read_model, read_points
+from core.data.colmap.reader import fitted
 from core.data.dataset import Recording
 from core.data.files import blaming, number, read_array, read_json
 from core.data.names import files_in, listed

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from core.anchors import Scene
 from core.arrays import Bool
-from core.residual import Residual
+from core.scene.anchors import Scene
+from core.scene.residual import Residual
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,33 +10,33 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.anchors import Scene
 from core.camera import Camera
 from core.errors import ModelError
 from core.frames import FrameSet, PointCloud
-from core.rekey import rekey
 from core.render import select
-from core.residual import apply
-from core.train.budget import FrameBudget, Pace, StepPace
+from core.scene.anchors import Scene
+from core.scene.rekey import rekey
+from core.scene.residual import apply
 from core.train.config import PredictConfig, TrainConfig
-from core.train.convert import scene_of
-from core.train.drift import drifting
-from core.train.exposure import fitted, neutral
-from core.train.field import Field
-from core.train.keyframe import KeyframeTrainer
-from core.train.online import ResidualTrainer
-from core.train.partition import Parts, change_masks, partition
+from core.train.control.frame_budget import FrameBudget, Pace, StepPace
+from core.train.control.rate_control import RateControl
+from core.train.field.convert import scene_of
+from core.train.field.exposure import fitted, neutral
+from core.train.field.field import Field
+from core.train.field.rendered import rendered
+from core.train.field.rounding import Precision
+from core.train.keyframe.seeding import seed_field
+from core.train.keyframe.trainer import KeyframeTrainer
+from core.train.motion.drift import drifting
+from core.train.motion.partition import Parts, change_masks, partition
+from core.train.pictures.uploading import Uploader
+from core.train.pictures.views import Views
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
-from core.train.quanta import no_quanta, residual_of, strongest_changes
-from core.train.rate_control import RateControl
-from core.train.renewing import renewal_config
-from core.train.rounding import Precision
-from core.train.seeding import seed_field
-from core.train.showing import rendered
-from core.train.state import State, fresh_state
-from core.train.upcoming import Upcoming
-from core.train.uploading import Uploader
-from core.train.views import Views
+from core.train.refresh.config import renewal_config
+from core.train.refresh.pending import Upcoming
+from core.train.residual.state import State, fresh_state
+from core.train.residual.trainer import ResidualTrainer
+from core.train.residual.update import no_quanta, residual_of, strongest_changes
 
 _REPORT_EVERY = 25
 _AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for

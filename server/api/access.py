@@ -17,10 +17,10 @@ from starlette.websockets import WebSocket
 
 from core.errors import SessionError
 from server.api.schemas import ProblemBody
-from server.auth import Gate, Right
-from server.messages import FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
+from server.auth.gate import Gate, Right
+from server.protocol.messages import FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
 from server.registry import Registry
-from server.stream import Stream
+from server.stream.stream import Stream
 
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, and cannot read the answer
 _REFUSAL_SECONDS = 0.5  # every refusal takes so long, whatever was wrong

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
+from codec.splice import size_of, splice
 from server.api.access import PROBLEMS, Problem, StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
-from server.packets import Position, StreamPacket
-from server.splice import size_of, splice
-from server.stream import Stream
+from server.protocol.packets import Position, StreamPacket
+from server.stream.stream import Stream
 
 Group = pathlib.Path | list[StreamPacket]  # a recorded file, or packets in memory
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
@@ -85,7 +85,11 @@ def _groups(stream: Stream) -> dict[Position, Group]:
 
 
 async def _file(stream: Stream, groups: dict[Position, Group], caching: str, name: str) -> Download:
-    pieces = await asyncio.to_thread(splice, [groups[place] for place in sorted(groups)])
+    parts = [
+        [(packet.info, packet.data) for packet in group] if isinstance(group, list) else group
+        for _, group in sorted(groups.items())
+    ]
+    pieces = await asyncio.to_thread(splice, parts)
     state = f"{stream.spec.id} {stream.created_at.isoformat()} {sorted(groups)} {list(map(size_of, pieces))}"
     return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{stream.spec.id}-{name}.slod")
 

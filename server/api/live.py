@@ -13,8 +13,9 @@ from uvicorn.protocols.utils import ClientDisconnected
 
 from core.errors import SessionError
 from server.api.access import address_of, admit, registry_of
-from server.auth import Right
-from server.messages import (
+from server.auth.gate import Right
+from server.http.websocket import CONNECTION, Connection
+from server.protocol.messages import (
     BAD_MESSAGE,
     BAD_VERSION,
     BUSY,
@@ -26,11 +27,10 @@ from server.messages import (
     parse_control,
     parse_hello,
 )
-from server.packets import text_frame
+from server.protocol.packets import text_frame
 from server.registry import Registry
-from server.thin import ThinSession
-from server.viewer import ViewerSession
-from server.wire import CONNECTION, Connection
+from server.viewer.session import ViewerSession
+from server.viewer.thin_session import ThinSession
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5

@@ -8,12 +8,12 @@ from starlette.websockets import WebSocket
 
 from core.errors import InputError, SessionError
 from server.api.access import admit
-from server.auth import Right
-from server.ingest.push import MAX_MESSAGE_BYTES
-from server.ingest.relay import RelayedIntake
-from server.ingest.router import push_router
-from server.messages import BUSY, FORBIDDEN
-from server.wire import CONNECTION, Connection
+from server.auth.gate import Right
+from server.http.websocket import CONNECTION, Connection
+from server.ingest.push.message import MAX_MESSAGE_BYTES
+from server.ingest.push.relay import RelayedIntake
+from server.ingest.push.router import push_router
+from server.protocol.messages import BUSY, FORBIDDEN
 
 
 async def open_intake(websocket: WebSocket, stream_id: str) -> RelayedIntake:

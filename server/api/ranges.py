@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
+from codec.splice import FilePart, Piece, size_of
 from server.api.access import Problem, registry_of
-from server.splice import FilePart, Piece, size_of
 
 _CHUNK_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")

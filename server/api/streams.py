@@ -12,11 +12,12 @@ from fastapi import APIRouter, Query, Request, Response
 
 from core.errors import InputError
 from server.api.access import PROBLEMS, Problem, StreamOf, need, refusal, registry_of
-from server.api.schemas import Link, Manifest, NewLink, NewStream, StreamBody, StreamList
-from server.auth import Right
-from server.packets import Position
+from server.api.schemas import Link, Manifest, NewLink, StreamBody, StreamList
+from server.auth.gate import Right
+from server.pipeline.options import NewStream
+from server.protocol.packets import Position
 from server.registry import Registry
-from server.stream import Stream
+from server.stream.stream import Stream
 
 _USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 422, 429)}
 

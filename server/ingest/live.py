@@ -21,14 +21,14 @@ from core.data.lens import Development, development
 from core.errors import InputError
 from core.frames import FrameSet, PointCloud
 from server.ingest.ahead import just_in_time
-from server.ingest.definition import RigDefinition, read_definition
-from server.ingest.grid import period_of
-from server.ingest.intake import Intake
-from server.ingest.picture import Picture
-from server.ingest.relay import listening
+from server.ingest.cameras.definition import RigDefinition, read_definition
+from server.ingest.push.intake import Intake
+from server.ingest.push.relay import listening
 from server.ingest.rig import Rig
 from server.ingest.statistics import Statistics
-from server.ingest.synchroniser import Slot
+from server.ingest.sync.grid import period_of
+from server.ingest.sync.picture import Picture
+from server.ingest.sync.synchroniser import Slot
 
 _Developed = tuple[Slot, UInt8, Bool]  # an instant, its pictures' pixels [C,H,W,3], which cameras [C] have one
 

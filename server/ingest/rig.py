@@ -13,14 +13,14 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from server.ingest.clock import ClockSource
-from server.ingest.definition import RigDefinition
-from server.ingest.grid import period_of
-from server.ingest.picture import Picture
-from server.ingest.sources import Reader
+from server.ingest.cameras.definition import RigDefinition
+from server.ingest.cameras.reader import Reader
 from server.ingest.statistics import CameraStatistics, Statistics
-from server.ingest.synchroniser import Slot, Synchroniser
-from server.ingest.timeline import Timeline
+from server.ingest.sync.clock import ClockSource
+from server.ingest.sync.grid import period_of
+from server.ingest.sync.picture import Picture
+from server.ingest.sync.synchroniser import Slot, Synchroniser
+from server.ingest.sync.timeline import Timeline
 
 _LOG = logging.getLogger(__name__)
 _LEAD = 4  # pictures that the reader of an unpaced file may be ahead of the others

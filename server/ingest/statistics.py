@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from server.ingest.clock import ClockSource
-from server.ingest.synchroniser import CameraState, Counts
+from server.ingest.sync.clock import ClockSource
+from server.ingest.sync.synchroniser import CameraState, Counts
 
 
 @dataclass(frozen=True, slots=True)

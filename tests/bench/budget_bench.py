@@ -13,15 +13,15 @@ import time
 import numpy as np
 
 from codec.encoder import encode_residual
-from codec.packet import PacketKind
-from core.anchors import Scene
+from codec.packet.packet import PacketKind
 from core.data import linspace_split
-from core.data.synthetic import SyntheticSpec, open_synthetic
-from core.expand import expand
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
+from core.scene.anchors import Scene
+from core.scene.expand import expand
+from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import Trainer, preset
 
 STILL, BURST, CALM, SPEED = 5, 10, 20, 3  # frames, frames, frames, times the clip's own speed

@@ -15,19 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from codec import change_model
-from codec.change import Elapsed, history, predicted_positions
+from codec.chunks.change import Elapsed, history, predicted_positions
+from codec.coder import change_model
+from codec.coder.entropy import encode_scales, scale_of
 from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.entropy import encode_scales, scale_of
-from codec.packet import PacketKind
-from codec.packet_info import PacketInfo, peek
-from core.anchors import AnchorLevel, Scene
+from codec.packet.info import PacketInfo, peek
+from codec.packet.packet import PacketKind
 from core.arrays import Float64
-from core.entropy_model import SCALES
-from core.quantise import trailing_zeros
-from core.residual import LevelResidual, Residual, difference
+from core.scene.anchors import AnchorLevel, Scene
+from core.scene.entropy_model import SCALES
+from core.scene.quantise import trailing_zeros
+from core.scene.residual import LevelResidual, Residual, difference
 from tests.bench.codec_bounds import item_bits, latents_bits, latents_report
 from tests.bench.codec_timing import javascript_speed, python_speed
 from tests.codec.scenes import make_scene, steps

@@ -8,14 +8,14 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from codec import change_model, column_model, rans
-from codec.change_model import raised_bins
-from codec.compiled import compiled
-from codec.entropy import encode_scales
-from core.anchors import LATENTS, Scene
+from codec.coder import change_model, column_model, rans
+from codec.coder.change_model import raised_bins
+from codec.coder.compiled import compiled
+from codec.coder.entropy import encode_scales
 from core.arrays import Float64, Int16, Int32, Int64
-from core.entropy_model import BINS
-from core.residual import Residual
+from core.scene.anchors import LATENTS, Scene
+from core.scene.entropy_model import BINS
+from core.scene.residual import Residual
 
 _LZMA = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0}]
 _CLIP = 64  # magnitudes beyond are counted as this one

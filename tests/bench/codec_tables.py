@@ -16,15 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from codec import columns, oracle
-from codec.change import Elapsed, predicted_positions
-from codec.change_model import steady_motion
-from codec.entropy import encode_scales, scale_of
-from codec.matrices import base_matrix, shifted_of
-from core.anchors import Scene
+from codec.chunks import columns
+from codec.chunks.change import Elapsed, predicted_positions
+from codec.chunks.matrices import base_matrix, shifted_of
+from codec.coder import oracle
+from codec.coder.change_model import steady_motion
+from codec.coder.entropy import encode_scales, scale_of
 from core.arrays import Float64, Int64
-from core.entropy_model import BINS, ESCAPE, FREQUENCIES, SCALES, SYMBOLS, UNIT_BIN
-from core.residual import difference
+from core.scene.anchors import Scene
+from core.scene.entropy_model import BINS, ESCAPE, FREQUENCIES, SCALES, SYMBOLS, UNIT_BIN
+from core.scene.residual import difference
 from tests.bench.codec_bench import load
 
 ROOT = Path(__file__).parents[2]
@@ -35,7 +36,7 @@ _PRIOR = 60.0  # symbols of the geometric law in each bin
 
 
 class Counter:
-    """A coder of `codec.oracle` that writes nothing: it counts symbols [BINS,SYMBOLS]."""
+    """A coder of `codec.coder.oracle` that writes nothing: it counts symbols [BINS,SYMBOLS]."""
 
     def __init__(self) -> None:
         self.counts = np.zeros((BINS, SYMBOLS))
@@ -149,7 +150,7 @@ def write(tables: Int64) -> None:
     plain = [" ".join(map(str, row)) for row in rows]
     listed = "\n".join(f"{number:2d}: {row}" for number, row in enumerate(plain))
     for name, pattern, text in (
-        ("core/entropy_model.py", r"(?<=FREQUENCIES: Int64 = np.array\(\(\n).*?(?=\n\), np.int64\))", python),
+        ("core/scene/entropy_model.py", r"(?<=FREQUENCIES: Int64 = np.array\(\(\n).*?(?=\n\), np.int64\))", python),
         ("codec/FORMAT.md", r"(?<=sums to 4096.\n\n```\n).*?(?=\n```)", listed),
         ("client/web/tables.js", r"(?<=const FREQUENCIES = `).*?(?=`)", "\n".join(plain)),
     ):

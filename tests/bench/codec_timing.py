@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from codec import column_model, rans
+from codec.coder import column_model, rans
+from codec.coder.entropy import encode_scales
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.entropy import encode_scales
-from codec.packet import PacketKind
-from core.anchors import LATENTS, Scene
-from core.residual import Residual
+from codec.packet.packet import PacketKind
+from core.scene.anchors import LATENTS, Scene
+from core.scene.residual import Residual
 
 _SYMBOLS_PER_ROW = LATENTS + 3
 _ROUNDS = 3  # the first compiles

@@ -11,10 +11,10 @@ import struct
 from dataclasses import dataclass, replace
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import FIRST_EXTENSION, PacketKind, make_chunk
-from codec.packet_bytes import build, parse
-from core.anchors import Scene
-from core.residual import difference
+from codec.packet.bytes import build, parse
+from codec.packet.packet import FIRST_EXTENSION, PacketKind, make_chunk
+from core.scene.anchors import Scene
+from core.scene.residual import difference
 from tests.codec.scenes import make_scene, move
 
 _STEP_NS = 100_000_000

@@ -18,16 +18,16 @@ import numpy as np
 import torch
 
 from codec.encoder import encode_keyframe
-from core.anchors import empty_level
 from core.arrays import Float32
 from core.data import linspace_split, open_dataset
-from core.expand import expand
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.metrics import psnr, ssim
 from core.render.cpu import render
+from core.scene.anchors import empty_level
+from core.scene.expand import expand
 from core.train import TrainConfig, Trainer, preset
-from core.train.views import Views
+from core.train.pictures.views import Views
 from tests.bench.plain_gaussians import PlainGaussians
 
 

@@ -10,19 +10,19 @@ import numpy as np
 import torch
 
 from codec.encoder import encode_residual
-from codec.packet import PacketKind
-from core.anchors import Scene
+from codec.packet.packet import PacketKind
 from core.camera import Camera, pinhole
 from core.data import linspace_split
-from core.data.synthetic import SyntheticSpec, open_synthetic
 from core.frames import FrameSet
 from core.initialise import first_points
-from core.octree import Octree
 from core.render import Backend, rasterise, select
+from core.scene.anchors import Scene
+from core.scene.octree import Octree
+from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
-from core.train.convert import field_of, scene_of
-from core.train.decode import Network
-from core.train.field import Field, visible_levels
+from core.train.field.convert import field_of, scene_of
+from core.train.field.decode import Network
+from core.train.field.field import Field, visible_levels
 from tests.bench.raster_subjects import convolution_loss
 
 SLOTS, FEATURES, HIDDEN = 10, 16, 32

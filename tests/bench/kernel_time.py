@@ -8,10 +8,10 @@ from types import ModuleType
 from typing import Any, Self
 
 import core.render.cpu.backdrop
+import core.render.cpu.dirty_tiles
 import core.render.cpu.frame
 import core.render.cpu.listing
 import core.render.cpu.photometric
-import core.render.dirty
 
 _FRAME, _LISTING = core.render.cpu.frame, core.render.cpu.listing
 _KERNELS: dict[str, tuple[tuple[ModuleType, str], ...]] = {
@@ -22,7 +22,7 @@ _KERNELS: dict[str, tuple[tuple[ModuleType, str], ...]] = {
         (_LISTING, "fill_lists"),
         (_LISTING, "find_touching"),
         (core.render.cpu.backdrop, "merge_lists"),
-        (core.render.dirty, "mark_tiles"),
+        (core.render.cpu.dirty_tiles, "mark_tiles"),
     ),
     "blend": ((_FRAME, "blend_tiles"),),
     "gradients": ((_FRAME, "differentiate_tiles"), (_FRAME, "differentiate_projection")),

@@ -19,21 +19,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from client.evaluation.measure.truth import dynamic_precision_recall
+from client.evaluation.systems import with_steps
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
+from codec.packet.packet import PacketKind
 from codec.renewal import Renewal, RenewalRule
-from core.anchors import Scene
 from core.arrays import Float32, UInt8
 from core.camera import Camera
 from core.data import linspace_split
-from core.data.synthetic import SyntheticSpec, open_synthetic, surface_motion
-from core.evaluate.systems import with_steps
-from core.evaluate.truth import dynamic_precision_recall
-from core.expand import expand
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
+from core.scene.anchors import Scene
+from core.scene.expand import expand
+from core.synthetic import SyntheticSpec, open_synthetic, surface_motion
 from core.train import PredictConfig, Trainer, preset
 
 MOTION_EVERY, SHOWN_EVERY = 4, 10  # frames

@@ -17,10 +17,10 @@ from torch import Tensor
 from core.frames import PointCloud
 from core.render.differentiable import rasterise
 from core.render.raster import Raster
-from core.train.losses import photometric_loss
-from core.train.optimiser import RowAdam
-from core.train.schedule import ViewOrder
-from core.train.views import Views
+from core.train.optimise.adam import RowAdam
+from core.train.optimise.losses import photometric_loss
+from core.train.optimise.schedule import ViewOrder
+from core.train.pictures.views import Views
 
 _INTERVAL, _FROM, _UNTIL, _PRUNE, _FIRST_OPACITY = 100, 0.05, 0.65, 0.01, 0.5
 _RATES = {"means": 1.6e-3, "scales": 0.01, "quaternions": 0.002, "opacities": 0.05, "colours": 0.005 * 0.2821}

@@ -14,12 +14,12 @@ import time
 import numpy as np
 
 from core.data import linspace_split
-from core.data.synthetic import SyntheticSpec, open_synthetic, render_frame
 from core.frames import FrameSet
 from core.initialise.bounds import estimate_bounds
 from core.initialise.consistency import trusted
 from core.initialise.sweep import sweep_views
 from core.initialise.views import working_views
+from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 
 def main() -> None:

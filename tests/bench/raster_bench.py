@@ -23,14 +23,14 @@ import numpy as np
 import torch
 
 from core.errors import BackendUnavailable
-from core.gaussians import GaussianCloud
 from core.render import rasterise, select
 from core.render.cpu.frame import backward, forward
 from core.render.cpu.listing import pack_camera
 from core.render.cpu.workspace import Workspace
-from core.train.decode import Splats
-from core.train.losses import photometric_loss
-from core.train.stage import Stage, make_stage
+from core.scene.gaussians import GaussianCloud
+from core.train.field.decode import Splats
+from core.train.optimise.losses import photometric_loss
+from core.train.residual.tile_cache import Stage, make_stage
 from tests.bench.growth_plot import growth_plot
 from tests.bench.raster_gpu import gpu_report
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles

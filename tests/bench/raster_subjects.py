@@ -11,8 +11,8 @@ from torch.nn import functional
 
 from core.arrays import Float64
 from core.camera import Camera, pinhole
-from core.gaussians import GaussianCloud
 from core.render.reference import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, project
+from core.scene.gaussians import GaussianCloud
 
 NAMES = ("means", "quaternions", "scales", "opacities", "colours")
 _TILE = 32

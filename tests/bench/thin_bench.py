@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 import time
 
-from core.splat import Splatter
-from server.painting import GRADES, Painter
+from core.render.splatter import Splatter
+from server.viewer.renderer import GRADES, Painter
 from tests.client.web.scenes import make_scene, moved
 
 _REPEATS = 5

@@ -19,9 +19,9 @@ from playwright.sync_api import sync_playwright
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import AnchorLevel, Scene, append_rows
-from core.octree import morton_key
+from codec.packet.packet import PacketKind
+from core.scene.anchors import AnchorLevel, Scene, append_rows
+from core.scene.octree import morton_key
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene

@@ -10,9 +10,9 @@ import numpy as np
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import Scene
-from core.residual import difference
+from codec.packet.packet import PacketKind
+from core.scene.anchors import Scene
+from core.scene.residual import difference
 from tests.codec.scenes import make_scene, move
 
 FRAME_NS = 33_333_333

@@ -9,7 +9,7 @@ import pytest
 
 from client.events import NewScene, Notice, Welcome
 from client.playback import Playback
-from codec.packet_levels import drop_levels, split_levels
+from codec.packet.levels import drop_levels, split_levels
 from core.errors import SessionError
 from tests.client.clips import packets, states
 from tests.codec.scenes import assert_same_state

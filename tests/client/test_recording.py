@@ -12,11 +12,11 @@ from client.inspection import describe_file
 from client.recording import decode_frames, decode_version, versions
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from codec.packet_levels import split_levels
+from codec.packet.levels import split_levels
+from codec.packet.packet import PacketKind
 from core.errors import InputError
-from core.rekey import rekey
-from core.residual import difference
+from core.scene.rekey import rekey
+from core.scene.residual import difference
 from tests.client.clips import FRAME_NS, packets, plain_scene, states, write_clip
 from tests.codec.scenes import assert_same_state
 

@@ -9,11 +9,11 @@ import pytest
 from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from codec.packet_levels import split_levels
-from core.anchors import Scene
+from codec.packet.levels import split_levels
+from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError
-from core.residual import difference
+from core.scene.anchors import Scene
+from core.scene.residual import difference
 from tests.codec.scenes import assert_same_state, make_scene, steps
 
 FRAMES = 6

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec import change_model, class_model, column_model, octree_model, oracle, rans, trend
-from codec.entropy import encode_items
+from codec.coder import change_model, class_model, column_model, octree_model, oracle, rans, trend
+from codec.coder.entropy import encode_items
 from core.arrays import Int64
-from core.entropy_model import FREQUENCIES, SCALES
+from core.scene.entropy_model import FREQUENCIES, SCALES
 
 EXTREME = rans.VALUE_LIMIT - 1
 seeds = st.integers(0, 2**32 - 1)

@@ -8,8 +8,8 @@ import pytest
 
 from codec.encoder import encode_keyframe
 from codec.renewal import Renewal, RenewalRule, catch_up_bytes, churn
-from core.anchors import Scene
-from core.rekey import rekey
+from core.scene.anchors import Scene
+from core.scene.rekey import rekey
 from tests.codec.scenes import grow, make_scene, move
 
 KEY = make_scene((100, 1500), slots=2, features=4)

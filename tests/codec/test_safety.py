@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from codec.decoder import SceneDecoder
-from codec.limits import Limits
-from codec.packet_info import peek
+from codec.packet.info import peek
+from codec.packet.limits import Limits
 from core.errors import BitstreamError
 from tests.codec.scenes import grow, make_scene, move
 from tests.fuzz.corpus import SEEDS, kept, mutants

@@ -6,11 +6,11 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from codec.packet_info import peek
-from codec.packet_levels import drop_levels, select_levels, split_levels
+from codec.packet.info import peek
+from codec.packet.levels import drop_levels, select_levels, split_levels
+from codec.packet.packet import PacketKind
 from core.errors import BitstreamError
-from core.residual import difference
+from core.scene.residual import difference
 from tests.codec.scenes import assert_same_level, assert_same_state, grow, make_scene, move, steps
 
 PROFILES = (0, 1)

@@ -9,9 +9,9 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
+from codec.packet.packet import PacketKind
 from core.errors import BitstreamError
-from core.residual import difference
+from core.scene.residual import difference
 from tests.vectors.make import FOLDER, read_stream, state_of
 
 MANIFEST: dict[str, Any] = json.loads((FOLDER / "manifest.json").read_text())

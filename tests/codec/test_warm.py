@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from codec import change_model, column_model, octree_model, rans, trend
+from codec.coder import change_model, column_model, octree_model, rans, trend
 from codec.decoder import SceneDecoder
 from codec.warm import warm_up
 from tests.codec.scenes import grow, move

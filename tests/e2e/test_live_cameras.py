@@ -20,8 +20,8 @@ from websockets.exceptions import ConnectionClosed
 
 from codec.container import SlodReader
 from core.arrays import UInt8
-from core.data.synthetic import SyntheticSpec, write_clip
 from core.metrics import psnr
+from core.synthetic import SyntheticSpec, write_clip
 from tests.e2e.test_server_process import PROGRAM, family, get, live, serving
 from tests.server.conftest import Viewer
 from tests.server.ingest.rig import NEEDS_FFMPEG, free_ports, rtsp, sending

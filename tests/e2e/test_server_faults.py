@@ -40,7 +40,7 @@ def step(number, frame):
     shift += 3600 if number == signal.SIGUSR1 else -7200
 signal.signal(signal.SIGUSR1, step)
 signal.signal(signal.SIGUSR2, step)
-from server.cli import main
+from server.cli.main import main
 main()
 """
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from client.playback import Playback
 from codec.container import SlodWriter
-from codec.packet_bytes import parse
+from codec.packet.bytes import parse
 from core.errors import BitstreamError
 from tests.fuzz.targets import PACKET_TO_VIEWER, TEXT_TO_SERVER, TEXT_TO_VIEWER, joined
 from tests.vectors.make import FOLDER, read_stream

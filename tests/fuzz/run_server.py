@@ -11,8 +11,11 @@ def main() -> None:
     """Run one target until it fails or the options say stop."""
     import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
-    include = ["server.messages", "server.views", "server.auth", "server.keys", "server.links", "server.settings",
-               "server.spec", "server.job", "server.ingest.definition", "server.api.ranges", "json", "jwt"]  # fmt: skip
+    include = [
+        *("server.protocol.messages", "server.protocol.thin_messages", "server.auth.gate", "server.auth.keys"),
+        *("server.auth.links", "server.settings", "server.pipeline.spec", "server.pipeline.job"),
+        *("server.ingest.cameras.definition", "server.api.ranges", "json", "jwt"),
+    ]
     with atheris.instrument_imports(include=include):
         from tests.fuzz.server_targets import SEEDS, TARGETS
 

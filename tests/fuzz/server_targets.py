@@ -18,11 +18,12 @@ from pydantic import ValidationError
 from core.errors import InputError, SessionError
 from server.api.access import Problem
 from server.api.ranges import _parse_range
-from server.api.schemas import NewLink, NewStream
-from server.auth import Gate, hash_token, read_tokens
-from server.keys import parse_keys
-from server.links import LinkSigner
-from server.messages import parse_control, parse_hello
+from server.api.schemas import NewLink
+from server.auth.gate import Gate, hash_token, read_tokens
+from server.auth.keys import parse_keys
+from server.auth.links import LinkSigner
+from server.pipeline.options import NewStream
+from server.protocol.messages import parse_control, parse_hello
 from server.settings import Settings, load_settings
 
 _SECRET = "fuzz" * 10

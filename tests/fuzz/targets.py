@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from client.playback import Playback
-from codec import chunks
-from codec.change import Elapsed
+from codec.chunks import level as chunks
+from codec.chunks.change import Elapsed
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
-from codec.limits import Limits
-from core.anchors import AnchorLevel, empty_level
+from codec.packet.limits import Limits
 from core.errors import BitstreamError, InputError, SessionError
-from server.messages import parse_control, parse_hello
+from core.scene.anchors import AnchorLevel, empty_level
+from server.protocol.messages import parse_control, parse_hello
 from tests.codec.scenes import make_header
 from tests.vectors.make import FOLDER, read_stream
 

@@ -24,5 +24,5 @@ def brief_training() -> Iterator[None]:
         )
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("server.pipeline.preset", brief)
+        patch.setattr("server.pipeline.stages.preset", brief)
         yield

@@ -20,14 +20,14 @@ from websockets.sync.client import ClientConnection, connect
 from codec.container import SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import Scene
-from core.residual import difference
+from codec.packet.packet import PacketKind
+from core.scene.anchors import Scene
+from core.scene.residual import difference
 from server.app import create_app
+from server.pipeline.spec import StreamSpec
 from server.registry import Registry
 from server.run import Server, server_config
 from server.settings import Settings
-from server.spec import StreamSpec
 from tests.codec.scenes import make_scene, move
 
 FRAME_NS = 20_000_000

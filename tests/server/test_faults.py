@@ -18,15 +18,15 @@ from websockets.exceptions import ConnectionClosed
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
+from codec.packet.packet import PacketKind
 from core.errors import SessionError
-from core.residual import difference
-from server.counters import Counters
-from server.hub import Hub
-from server.messages import parse_hello
-from server.packets import stream_packet
+from core.scene.residual import difference
+from server.pipeline.spec import StreamSpec
+from server.protocol.messages import parse_hello
+from server.protocol.packets import stream_packet
 from server.settings import Limits, Settings
-from server.spec import StreamSpec
+from server.stream.counters import Counters
+from server.stream.hub import Hub
 from tests.codec.scenes import assert_same_level, assert_same_state, make_scene, move
 from tests.server.conftest import Clip, make_clip, running, viewing
 

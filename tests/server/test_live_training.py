@@ -22,21 +22,21 @@ from prometheus_client.registry import Collector
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from codec.packet_info import peek
-from core.data.synthetic import SyntheticSpec, open_synthetic
+from codec.packet.info import peek
 from core.errors import InputError, ModelError
-from server.ingest.clock import ClockSource
+from core.synthetic import SyntheticSpec, open_synthetic
 from server.ingest.metrics import ingest_families
-from server.ingest.push import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
-from server.ingest.relay import RelayedIntake
+from server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
+from server.ingest.push.relay import RelayedIntake
 from server.ingest.statistics import CameraStatistics, Statistics
-from server.ingest.synchroniser import CameraState, Counts
-from server.job import TrainJob
-from server.pipeline import open_job, train_stream
+from server.ingest.sync.clock import ClockSource
+from server.ingest.sync.synchroniser import CameraState, Counts
+from server.pipeline.job import TrainJob
+from server.pipeline.spec import StreamSpec
+from server.pipeline.stages import open_job, train_stream
 from server.settings import Settings, load_settings
-from server.spec import StreamSpec
-from server.stream import Stream
-from server.worker import Sender, Tag, train
+from server.stream.stream import Stream
+from server.worker.process import Sender, Tag, train
 from tests.server.brief import brief_training
 from tests.server.conftest import Clip, running
 
@@ -135,7 +135,7 @@ def test_a_failing_encoder_ends_training_that_waits_for_cameras(
             time.sleep(0.05)
         raise ModelError("the encoder broke")
 
-    monkeypatch.setattr("server.pipeline.encode_keyframe", broken)
+    monkeypatch.setattr("server.pipeline.stages.encode_keyframe", broken)
     with brief_training(), pytest.raises(ModelError, match="the encoder broke"):
         next(train_stream(opened))
     assert "training" not in {thread.name for thread in threading.enumerate()}

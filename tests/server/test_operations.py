@@ -12,8 +12,8 @@ from prometheus_client import generate_latest
 from pydantic import BaseModel
 
 from server.metrics import collector_registry
+from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Retention, Settings, WorkerSettings, load_settings
-from server.spec import StreamSpec
 from tests.server.conftest import Clip, running, viewing
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.packet import ChunkKind, Packet, make_chunk
-from codec.packet_bytes import build, parse
-from codec.plain import encode_plain
-from core.anchors import Scene
+from codec.chunks.plain import encode_plain
+from codec.packet.bytes import build, parse
+from codec.packet.packet import ChunkKind, Packet, make_chunk
+from core.scene.anchors import Scene
 from tests.codec.scenes import grow, move
 from tests.vectors.valid import key, later, packet, small
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from codec.decoder import SceneDecoder
-from core.anchors import AnchorLevel
 from core.errors import BitstreamError
+from core.scene.anchors import AnchorLevel
 from tests.vectors.broken import broken_streams
 from tests.vectors.valid import valid_streams
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind, make_chunk
-from codec.packet_bytes import build, parse
-from codec.packet_levels import drop_levels, select_levels, split_levels
-from core.anchors import Scene, empty_level
-from core.residual import difference
+from codec.packet.bytes import build, parse
+from codec.packet.levels import drop_levels, select_levels, split_levels
+from codec.packet.packet import PacketKind, make_chunk
+from core.scene.anchors import Scene, empty_level
+from core.scene.residual import difference
 from tests.codec.scenes import grow, make_scene, move
 
 Streams = Iterator[tuple[str, list[bytes]]]

@@ -11,15 +11,13 @@ import numpy as np
 
 from core.arrays import Float32, check_array
 from core.camera import Camera
-from core.gaussians import GaussianCloud
-from core.render.cpu.frame import forward
+from core.render.cpu.frame import contiguous, forward
 from core.render.cpu.listing import MAX_PAIRS
 from core.render.cpu.warming import warm
-from core.render.cpu.workspace import Pool
+from core.render.cpu.workspace import POOL
+from core.scene.gaussians import GaussianCloud
 
-__all__ = ["POOL", "Rendered", "render", "warm"]
-
-POOL = Pool()  # work memory shared by all renderings of this process
+__all__ = ["Rendered", "render", "warm"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +46,3 @@ def render(cloud: GaussianCloud, camera: Camera, background: Float32, most_pairs
     frame = forward(workspace, contiguous(cloud), camera, background, most_pairs=most_pairs)
     POOL.release(workspace)
     return Rendered(frame.image, frame.transmittance)
-
-
-def contiguous(cloud: GaussianCloud) -> GaussianCloud:
-    """The same cloud in C-contiguous arrays, as kernels need it; without a copy where it is so already."""
-    names = ("means", "quaternions", "scales", "opacities", "colours")
-    return GaussianCloud(*(np.ascontiguousarray(getattr(cloud, name)) for name in names))

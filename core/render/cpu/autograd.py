@@ -10,12 +10,11 @@ import torch
 from torch import Tensor
 
 from core.camera import Camera
-from core.gaussians import GaussianCloud
-from core.render.cpu import POOL
 from core.render.cpu.backdrop import Backdrop, forward_over
 from core.render.cpu.frame import Frame, backward, forward
-from core.render.cpu.workspace import Workspace
+from core.render.cpu.workspace import POOL, Workspace
 from core.render.raster import Probe, Raster
+from core.scene.gaussians import GaussianCloud
 
 
 class _Call:

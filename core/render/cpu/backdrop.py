@@ -8,12 +8,11 @@ import numpy as np
 
 from core.arrays import Bool, Float32, Int32, Int64
 from core.camera import Camera
-from core.gaussians import GaussianCloud
-from core.render.cpu import POOL, contiguous
-from core.render.cpu.frame import Frame, blend
+from core.render.cpu.frame import Frame, blend, contiguous
 from core.render.cpu.kernels.binning import merge_lists
 from core.render.cpu.listing import check_pairs, list_gaussians, pack_camera, projected, reaching, share_tiles
-from core.render.cpu.workspace import Workspace
+from core.render.cpu.workspace import POOL, Workspace
+from core.scene.gaussians import GaussianCloud
 
 _NEVER = np.iinfo(np.int32).max  # slot of a Gaussian that wants no gradients
 

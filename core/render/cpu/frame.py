@@ -8,7 +8,6 @@ import numpy as np
 
 from core.arrays import Bool, Float32, Int32, Int64
 from core.camera import Camera
-from core.gaussians import GaussianCloud
 from core.render.cpu.kernels.backward import differentiate_tiles
 from core.render.cpu.kernels.forward import blend_tiles
 from core.render.cpu.kernels.inline.constants import SUMS
@@ -16,6 +15,7 @@ from core.render.cpu.kernels.project_backward import differentiate_projection
 from core.render.cpu.listing import MAX_PAIRS, list_gaussians, pack_camera, projected, reaching, share_tiles
 from core.render.cpu.workspace import Workspace
 from core.render.tiles import tile_grid
+from core.scene.gaussians import GaussianCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,3 +165,9 @@ def backward(
         into = (out.means, out.quaternions, out.scales, out.opacities, out.colours, out.screen)
         differentiate_projection(workers, wanted, frame.records, sums, *parameters, *into)
     return out
+
+
+def contiguous(cloud: GaussianCloud) -> GaussianCloud:
+    """The same cloud in C-contiguous arrays, as kernels need it; without a copy where it is so already."""
+    names = ("means", "quaternions", "scales", "opacities", "colours")
+    return GaussianCloud(*(np.ascontiguousarray(getattr(cloud, name)) for name in names))

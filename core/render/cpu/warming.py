@@ -10,11 +10,13 @@ import numpy as np
 
 from core.arrays import Float32
 from core.camera import pinhole
-from core.gaussians import GaussianCloud
+from core.render.cpu.backdrop import forward_over, prepare
+from core.render.cpu.dirty_tiles import touched_tiles
 from core.render.cpu.frame import backward, forward
 from core.render.cpu.photometric import photometric_sums
 from core.render.cpu.workspace import Workspace
 from core.render.tiles import Box
+from core.scene.gaussians import GaussianCloud
 
 _LOG = logging.getLogger(__name__)
 
@@ -25,9 +27,6 @@ def warm(tell: Callable[[str], None] | None = None) -> None:
     Args:
         tell: called with one sentence before and after each group of kernels; the log by default.
     """
-    from core.render.cpu.backdrop import forward_over, prepare  # which import this package
-    from core.render.dirty import touched_tiles
-
     tell = tell or _LOG.info
     workspace, background = Workspace(), np.zeros(3, np.float32)
     camera = pinhole("warm", (8.0, 8.0), (4.0, 4.0), (32, 8), np.eye(4))

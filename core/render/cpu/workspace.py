@@ -51,3 +51,6 @@ class Pool:
     def release(self, workspace: Workspace) -> None:
         """Give a workspace back; none of its arrays may be used any more."""
         self._free.append(workspace)
+
+
+POOL = Pool()  # work memory shared by all renderings of this process

@@ -1,4 +1,4 @@
-"""What follows the network when anchors become Gaussians, and its derivative: the kernels behind `core.train.decode`.
+"""Kernels behind `core.train.field.decode`: from the network's outputs to Gaussians, and the derivative.
 
 A row is an anchor; the network's outputs are opacity [K], colour [3K], relative scale [3K] and rotation [4K].
 """
@@ -12,8 +12,8 @@ import numba
 import numpy as np
 
 from core.arrays import Float32
-from core.expand import LOG_SCALE_LIMIT
 from core.render.cpu.kernels.inline.constants import INLINE, KERNEL, ONE, TWO, ZERO
+from core.scene.expand import LOG_SCALE_LIMIT
 
 _LIMIT = np.float32(LOG_SCALE_LIMIT)
 _LOWEST, _HIGHEST = np.float32(-87), np.float32(88)  # exponents whose exp is a normal float32
@@ -57,7 +57,7 @@ def activate(
     opacities: Float32,
     colours: Float32,
 ) -> None:
-    """Gaussians of n anchors, as `core.train.decode.decode_reference` makes them of the network's outputs.
+    """Gaussians of n anchors, as `core.train.field.decode.decode_reference` makes them of the network's outputs.
 
     Args:
         outputs: [n,11K]. offset: [n,3K]. scaling: [n,6]. position: [n,3].

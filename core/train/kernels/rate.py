@@ -1,4 +1,4 @@
-"""Bits of a residual and their gradient: the kernel behind `core.train.rate`."""
+"""Bits of a residual and their gradient: the kernel behind `core.train.optimise.rate`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numba
 import numpy as np
 
 from core.arrays import Float32, Float64, Int64
-from core.entropy_model import BINS, UNIT_BIN
-from core.quantise import DEFAULT_OFFSET
 from core.render.cpu.kernels.inline.constants import KERNEL, ONE, SERIAL, ZERO
+from core.scene.entropy_model import BINS, UNIT_BIN
+from core.scene.quantise import DEFAULT_OFFSET
 
 _OFFSET = np.float32(DEFAULT_OFFSET)
 
@@ -127,7 +127,7 @@ def residual_bits(
     to_latent: Float32,
     to_position: Float32,
 ) -> float:
-    """Bits as `core.train.rate` says, and their derivatives.
+    """Bits as `core.train.optimise.rate` says, and their derivatives.
 
     Args:
         sums: [workers,3] work memory.

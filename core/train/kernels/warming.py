@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from core.arrays import Float32
-from core.entropy_model import BINS
+from core.scene.entropy_model import BINS
 from core.train.kernels.adam import adam_step
 from core.train.kernels.decode import activate, differentiate
 from core.train.kernels.rate import residual_bits

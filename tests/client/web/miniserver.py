@@ -18,10 +18,10 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from fastapi.staticfiles import StaticFiles
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import Scene
-from core.residual import difference
-from server.page import PageFiles
+from codec.packet.packet import PacketKind
+from core.scene.anchors import Scene
+from core.scene.residual import difference
+from server.http.static_page import PageFiles
 from tests.client.web.scenes import moved
 
 WEB = Path(__file__).parents[3] / "client" / "web"

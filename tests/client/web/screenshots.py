@@ -12,7 +12,7 @@ from playwright.sync_api import sync_playwright
 
 from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
-from core.anchors import Scene
+from core.scene.anchors import Scene
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene

@@ -18,10 +18,10 @@ import pytest
 from PIL import Image
 
 from codec.container import SlodWriter
-from core.anchors import Scene
 from core.camera import Camera
-from core.expand import expand
 from core.render import cpu
+from core.scene.anchors import Scene
+from core.scene.expand import expand
 from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import Behaviour, Clip, create_app, free_port, make_clip, serving
 from tests.client.web.scenes import make_scene
@@ -336,8 +336,8 @@ def test_embedding_page_hears_and_commands(page: Any, clip: Clip, tmp_path: Path
 
 def test_real_server_live_seek_restart(page: Any, clip: Clip, tmp_path: Path) -> None:
     """The real server plays a file: the page follows it to its end, seeks in the window, steps, and goes on."""
+    from server.pipeline.spec import StreamSpec
     from server.settings import Settings
-    from server.spec import StreamSpec
     from tests.server.conftest import running
 
     recording = tmp_path / "clip.slod"
@@ -368,8 +368,8 @@ def test_real_server_live_seek_restart(page: Any, clip: Clip, tmp_path: Path) ->
 
 def test_real_server_restarted_in_mid_stream(page: Any, clip: Clip, tmp_path: Path) -> None:
     """A server stops while frames arrive, and another takes its place: the page waits, then shows that one's stream."""
+    from server.pipeline.spec import StreamSpec
     from server.settings import Settings
-    from server.spec import StreamSpec
     from tests.server.conftest import running
 
     recording = tmp_path / "clip.slod"

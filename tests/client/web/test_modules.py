@@ -16,10 +16,10 @@ import pytest
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import Scene
-from core.expand import expand
-from core.residual import difference
+from codec.packet.packet import PacketKind
+from core.scene.anchors import Scene
+from core.scene.expand import expand
+from core.scene.residual import difference
 from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene

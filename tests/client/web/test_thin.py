@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from codec.container import SlodWriter
-from core.splat import Splatter
+from core.render.splatter import Splatter
+from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Settings
-from server.spec import StreamSpec
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Clip, make_clip
 from tests.client.web.scenes import make_scene

@@ -13,8 +13,8 @@ import pytest
 from codec.export import bake, encode_ply, encode_spz, write_snapshot
 from core.arrays import Float32
 from core.errors import InputError
-from core.expand import expand
-from core.gaussians import GaussianCloud
+from core.scene.expand import expand
+from core.scene.gaussians import GaussianCloud
 from tests.codec.scenes import make_scene
 
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"

@@ -15,7 +15,7 @@ import pytest
 from core.arrays import UInt8
 from core.camera import Camera
 from core.data import open_dataset
-from core.data.colmap_model import read_model, read_points
+from core.data.colmap.model import read_model, read_points
 from core.errors import InputError
 from core.frames import PointCloud
 from tests.core.data.writers import (

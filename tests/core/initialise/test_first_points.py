@@ -10,12 +10,12 @@ import pytest
 
 from core.camera import look_at, pinhole
 from core.data import open_dataset
-from core.data.synthetic import SyntheticSpec, open_synthetic, render_frame
 from core.errors import InputError
 from core.frames import FrameSet, PointCloud
 from core.initialise import first_points
 from core.initialise.bounds import geometric_bounds
 from core.initialise.views import inside, project
+from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 SPEC = SyntheticSpec(cameras=5, frames=1, width=160, height=90)
 DATASET = open_synthetic(SPEC)

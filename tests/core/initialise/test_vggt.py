@@ -7,11 +7,11 @@ import importlib.util
 import numpy as np
 import pytest
 
-from core.data.synthetic import SyntheticSpec, open_synthetic, render_frame
 from core.errors import BackendUnavailable
 from core.initialise import first_points
 from core.initialise.vggt import fit_scale_and_shift, global_scale, model_views, place_depth
 from core.initialise.views import Views, inside, project
+from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=70)
 DATASET = open_synthetic(SPEC)

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from core.arrays import Float64
 from core.camera import Camera, look_at, pinhole
-from core.gaussians import GaussianCloud
 from core.render import Backend, rasterise
 from core.render.raster import Probe
+from core.scene.gaussians import GaussianCloud
 
 NAMES = ("means", "quaternions", "scales", "opacities", "colours")
 BACKGROUND = np.array([0.1, 0.2, 0.3], np.float32)

@@ -11,9 +11,10 @@ import pytest
 import torch
 
 from core.errors import InputError
-from core.gaussians import GaussianCloud
 from core.render import rasterise
-from core.render.cpu import POOL, render
+from core.render.cpu import render
+from core.render.cpu.workspace import POOL
+from core.scene.gaussians import GaussianCloud
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, run
 
 SIZES = [(48, 40), (1, 1), (33, 17), (64, 32), (131, 5), (9, 50)]
@@ -148,7 +149,7 @@ def test_shapes_are_checked() -> None:
 
 def test_clients_need_no_torch() -> None:
     code = (
-        "import sys, core.render, core.render.cpu, core.render.dirty\n"
+        "import sys, core.render, core.render.cpu, core.render.cpu.dirty_tiles\n"
         "heavy = {'torch', 'fastapi'} & set(sys.modules)\n"
         "assert not heavy, heavy"
     )

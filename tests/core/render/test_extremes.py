@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from core.camera import Camera, pinhole
 from core.errors import ModelError
-from core.gaussians import GaussianCloud, concatenate
 from core.render.cpu import render
+from core.scene.gaussians import GaussianCloud, concatenate
 from tests.core.render.scenes import BACKGROUND, NAMES, Outcome, make_camera, make_cloud, relative, run
 
 CAMERA = make_camera()

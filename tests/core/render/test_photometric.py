@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.render.tiles import Box
-from core.train.losses import photometric_loss, photometric_planes, photometric_reference, ssim_map
-from core.train.region import loss_boxes
+from core.train.optimise.losses import photometric_loss, photometric_planes, photometric_reference, ssim_map
+from core.train.residual.region import loss_boxes
 from tests.core.render.scenes import make_camera
 
 

@@ -37,11 +37,37 @@ def test_what_the_user_set_stays() -> None:
     assert settings_after_import(**given) == given
 
 
-def test_changed_inlined_code_gets_a_new_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whatever_kernels_are_compiled_from_is_found(tmp_path: Path) -> None:
+    files = {
+        "core/kernels.py": "import numba\nfrom core import rules\n@numba.njit()\ndef f(): ...\n",
+        "core/rules.py": "from core.deep.numbers import ONE\n",
+        "core/deep/numbers.py": "ONE = 1\n",
+        "core/caller.py": "from core.kernels import f\n",
+        "codec/coder/rans.py": "from codec.coder.compiled import compiled\nfrom codec import tables\n",
+        "codec/coder/compiled.py": "from numba import njit\njit = njit()\n",
+        "codec/tables.py": "",
+    }
+    for name, text in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    found = set(runtime.kernel_sources(tmp_path))
+    assert found == {
+        *("core.kernels", "core.rules", "core.deep.numbers"),
+        *("codec.coder.rans", "codec.coder.compiled", "codec.tables"),
+    }
+
+
+def test_every_compiled_function_lies_in_a_kernel_source() -> None:
+    found = runtime.kernel_sources(Path(runtime.__file__).parents[1])
+    assert {"core.render.cpu.kernels.inline.simd", "core.scene.entropy_model", "codec.coder.rans"} <= set(found)
+    assert "core.train.trainer" not in found
+
+
+def test_a_changed_kernel_gets_a_new_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     before = runtime.kernel_cache_folder()
-    changed = tmp_path / "simd.py"
-    changed.write_text("other")
-    monkeypatch.setattr(runtime, "_INLINED", (*runtime._INLINED, changed))
+    assert runtime.kernel_cache_folder() == before
+    monkeypatch.setattr(runtime, "kernel_sources", lambda root: {"core.kernels": b"other"})
     assert runtime.kernel_cache_folder() != before
 
 
@@ -56,10 +82,10 @@ STEP_AFTER_WARMING = """
 import torch
 from core.render import cpu, rasterise
 from core.render.cpu import backdrop, frame, listing, photometric
-from core.render import dirty
-from core.train.losses import photometric_loss
-from core.train.decode import Splats
-from core.train.stage import make_stage
+from core.render.cpu import dirty_tiles as dirty
+from core.train.optimise.losses import photometric_loss
+from core.train.field.decode import Splats
+from core.train.residual.tile_cache import make_stage
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
 
 cpu.warm()

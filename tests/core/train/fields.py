@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from core.octree import Octree
+from core.scene.octree import Octree
 from core.train.config import ModelConfig
-from core.train.field import Field
-from core.train.seeding import _first_network
+from core.train.field.field import Field
+from core.train.keyframe.seeding import _first_network
 
 
 def random_field(

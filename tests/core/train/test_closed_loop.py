@@ -10,17 +10,17 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import AnchorLevel, Scene
+from codec.packet.packet import PacketKind
 from core.arrays import UInt8
 from core.data import Dataset
-from core.data.synthetic import SyntheticSpec, open_synthetic
-from core.expand import expand
 from core.frames import FrameSet, PointCloud
 from core.initialise import first_points
 from core.metrics import psnr
-from core.rekey import rekey
 from core.render.cpu import render
+from core.scene.anchors import AnchorLevel, Scene
+from core.scene.expand import expand
+from core.scene.rekey import rekey
+from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
 
 SPEC = SyntheticSpec(cameras=4, frames=12, width=96, height=54, fps=10.0)

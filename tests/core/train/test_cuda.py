@@ -7,20 +7,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.anchors import LATENTS, OFFSET_LATENTS
-from core.data.synthetic import SyntheticSpec, open_synthetic
-from core.expand import expand
 from core.initialise import first_points
 from core.metrics import psnr
 from core.render.backends import cuda_fault
 from core.render.cpu import render
+from core.scene.anchors import LATENTS, OFFSET_LATENTS
+from core.scene.expand import expand
+from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import PredictConfig, TrainConfig, Trainer
-from core.train.applying import Quantum, applied
 from core.train.config import KeyframeConfig
-from core.train.decode import Network, decode, decode_reference
-from core.train.losses import photometric_loss, photometric_reference
-from core.train.optimiser import RowAdam
-from core.train.rate import residual_bits, residual_bits_reference
+from core.train.field.decode import Network, decode, decode_reference
+from core.train.optimise.adam import RowAdam
+from core.train.optimise.losses import photometric_loss, photometric_reference
+from core.train.optimise.rate import residual_bits, residual_bits_reference
+from core.train.residual.apply import Quantum, applied
 from tests.core.train.fields import random_field
 
 fault = cuda_fault()

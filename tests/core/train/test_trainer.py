@@ -11,17 +11,17 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet import PacketKind
-from core.anchors import AnchorLevel, Scene
+from codec.packet.packet import PacketKind
 from core.camera import Camera
 from core.data import Dataset
-from core.data.synthetic import SyntheticSpec, open_synthetic
 from core.errors import ModelError
-from core.expand import expand
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
+from core.scene.anchors import AnchorLevel, Scene
+from core.scene.expand import expand
+from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import TrainConfig, TrainedFrame, Trainer, preset
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=112, height=64, seed=1)

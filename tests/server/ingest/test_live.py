@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from core.frames import FrameSet
-from server.ingest.clock import ClockSource
 from server.ingest.live import LiveDataset, open_live
 from server.ingest.statistics import Statistics
-from server.ingest.synchroniser import CameraState
+from server.ingest.sync.clock import ClockSource
+from server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.rig import (
     FPS,
     NEEDS_FFMPEG,

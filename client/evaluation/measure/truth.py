@@ -1,0 +1,118 @@
+"""The dynamic set against true motion, where a clip comes with its truth.
+
+An anchor has no surface of its own, so it is asked what it *shows*: its blending weights, summed over the pixels of the
+training pictures. It truly moves when at least half of that lies on surfaces that move by a quarter of a pixel or more
+in this step; a dynamic anchor is right when at least a tenth of it lies on surfaces that move at all. Between the two,
+either answer will do. Surfaces count, not appearances: shadows, highlights, reflections, and what a moving thing covers
+or uncovers are false alarms; anchors that no camera sees count for nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from core.arrays import Bool, Float64
+from core.camera import Camera
+from core.data.files import read_json
+from core.errors import InputError
+from core.scene.anchors import Scene
+from core.synthetic import SyntheticSpec, surface_motion
+from core.train.field.convert import field_of
+from core.train.motion.coverage import coverage
+
+VISIBLE = 0.25  # pixels in one step: the finest motion that video codecs describe
+_ANY = 0.01  # pixels
+_MOSTLY, _PARTLY = 0.5, 0.1  # of what an anchor shows
+_SEEN = 0.3  # pixels, over all training pictures
+_LATER = {"kind", "speed"}  # which clips of earlier versions do not name
+_SPEC = Path("ground_truth") / "spec.json"
+
+
+@dataclass(frozen=True, slots=True)
+class MotionScore:
+    """How well the dynamic anchors agree with those that truly move.
+
+    Attributes:
+        dynamic: anchors that were taken to move.
+        right: of them, those that show something that moves.
+        moving: anchors that mostly show what visibly moves.
+        found: of them, those that were taken to move.
+    """
+
+    dynamic: int
+    right: int
+    moving: int
+    found: int
+
+    @property
+    def precision(self) -> float:
+        """Share of the dynamic anchors that truly move; 1 where there are none."""
+        return self.right / self.dynamic if self.dynamic else 1.0
+
+    @property
+    def recall(self) -> float:
+        """Share of the moving anchors that were found; 1 where none moves."""
+        return self.found / self.moving if self.moving else 1.0
+
+
+def dynamic_precision_recall(
+    spec: SyntheticSpec, before: Scene, dynamic: Bool, index: int, cameras: tuple[Camera, ...]
+) -> MotionScore:
+    """Compare a dynamic set with the true motion of the step to frame `index`.
+
+    Args:
+        spec: the synthetic clip.
+        before: the state that the step starts from.
+        dynamic: [N] bool over the anchors of all its levels.
+        index: frame of the clip.
+        cameras: the training cameras.
+
+    Raises:
+        ValueError: `dynamic` has another length, or `index` lies outside the clip.
+    """
+    seen, moves, visibly = shown_motion(spec, before, index, cameras)
+    if len(dynamic) != len(seen):
+        raise ValueError(f"{len(dynamic)} flags do not fit {len(seen)} anchors")
+    right = dynamic & (moves >= _PARTLY * np.maximum(seen, 1e-6))
+    moving = (seen >= _SEEN) & (visibly >= _MOSTLY * seen)
+    return MotionScore(int(dynamic.sum()), int(right.sum()), int(moving.sum()), int((moving & dynamic).sum()))
+
+
+def shown_motion(
+    spec: SyntheticSpec, before: Scene, index: int, cameras: tuple[Camera, ...]
+) -> tuple[Float64, Float64, Float64]:
+    """What each anchor shows to `cameras`, in pixels: [N] in all, of surfaces that move, that visibly move."""
+    field = field_of(before)
+    rows = torch.from_numpy(np.flatnonzero(np.concatenate([level.alive for level in before.levels])))
+    sums = torch.zeros(len(rows), 3)
+    for camera in cameras:
+        motion = torch.from_numpy(surface_motion(spec, index, camera))
+        maps = torch.stack([torch.ones_like(motion), motion > _ANY, motion >= VISIBLE], dim=2).float()
+        sums += coverage(field, rows, rows[:0], camera, maps, "cpu")
+    shown = np.zeros((len(field), 3))
+    shown[rows.numpy()] = sums.double().numpy()
+    return shown[:, 0], shown[:, 1], shown[:, 2]
+
+
+def read_spec(data: Path) -> SyntheticSpec | None:
+    """The description of a synthetic clip in folder `data`, None for any other recording.
+
+    Raises:
+        InputError: a description that is none.
+    """
+    path = data / _SPEC
+    if not path.is_file():
+        return None
+    value = read_json(path).get("spec")
+    known: dict[str, type[Any]] = {field.name: type(field.default) for field in fields(SyntheticSpec)}
+    if not isinstance(value, dict) or not set(known) - _LATER <= set(value) <= set(known):
+        raise InputError(path, "does not describe a synthetic clip")
+    for name, kind in known.items():
+        if not isinstance(value.get(name, kind()), str if kind is str else int | float):
+            raise InputError(path, f"holds a value of {name} that is of another type")
+    return SyntheticSpec(**{name: known[name](held) for name, held in value.items()})

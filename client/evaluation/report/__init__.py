@@ -1,0 +1,1 @@
+"""Tables, plots and texts of measurements."""

@@ -1,0 +1,183 @@
+"""The whole protocol: every system, every split, every seed, one report."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import re
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from client.evaluation.measure.footage import Footage, chosen_split, open_footage
+from client.evaluation.measure.machine import machine
+from client.evaluation.measure.scores import Perception, load_perception
+from client.evaluation.measure.sizes import SizeOf
+from client.evaluation.measure.truth import read_spec
+from client.evaluation.report.output import result_folder, side_by_side, write_json, write_png, write_text
+from client.evaluation.report.plots import study_plots
+from client.evaluation.report.quoted import quoted_json
+from client.evaluation.report.report import study_report
+from client.evaluation.resume import earlier_report
+from client.evaluation.rows import Row, study_rows
+from client.evaluation.summary import run_figures, spread
+from client.evaluation.systems import PERCEIVED, FirstFrames, run_system
+from core.synthetic import SyntheticSpec
+
+_log = logging.getLogger(__name__)
+SCHEMA = 3
+_FACTS = ("data", "machine", "protocol")  # under which runs may stand in one report
+
+
+@dataclass(frozen=True, slots=True)
+class StudyOptions:
+    """What to measure.
+
+    Attributes:
+        views: numbers of training cameras, one split each by the linspace rule.
+        frames: at most so many, or None for all.
+        seeds: runs of each system, seeded 0, 1, ...
+        ablate: which parts to leave out in turn, see `client.evaluation.rows`.
+        downscale: of the pictures.
+        test: held-out cameras; the first one of the rig where none is named.
+        split: a file that names the cameras instead of `views` and `test`.
+        preset: what is called ours.
+        device: to train on.
+    """
+
+    views: tuple[int, ...] = (3,)
+    frames: int | None = 10
+    seeds: int = 3
+    ablate: tuple[str, ...] = ("all",)
+    downscale: float = 1.0
+    test: tuple[str, ...] = ()
+    split: Path | None = None
+    preset: str = "balanced"
+    device: str = "auto"
+
+
+def run_study(data: Path, out: Path, options: StudyOptions, size_of: SizeOf, rows: tuple[Row, ...] = ()) -> str:
+    """Measure and write `study.json`, `study.md` and pictures into `out`; returns a sentence for people.
+
+    The files are renewed after every run, all systems with one seed before the next seed, so that a study that is
+    stopped leaves what it has measured. Runs that `out` holds already are not measured again.
+
+    Args:
+        rows: systems to compare instead of those that the options name.
+
+    Raises:
+        InputError: unusable data, or options that do not fit them.
+    """
+    systems = rows or study_rows(options.preset, options.ablate)
+    views = (None,) if options.split else options.views
+    splits = [chosen_split(data, options.split, number, options.test, options.downscale) for number in views]
+    out, spec, perception = result_folder(out), read_spec(data), load_perception()
+    footages = (open_footage(data, split, frames=options.frames, downscale=options.downscale) for split in splits)
+    study = _empty_study(data, options)
+    earlier: dict[str, Any] = {}
+    for footage in footages:
+        study["protocol"]["frames"] = footage.frames
+        earlier = earlier or earlier_report(out / "study.json", {key: study[key] for key in ("schema", *_FACTS)})
+        split = footage.split
+        entry: dict[str, Any] = {
+            "name": split.name,
+            "train": list(split.train),
+            "test": list(split.test),
+            "points": len(footage.points),
+            "rows": [],
+            "plots": [],
+        }
+        study["splits"].append(entry)
+        runner = _Runner(footage, FirstFrames(options.device), size_of, perception, spec, out)
+        known = _known_runs(earlier, entry)
+        runs: dict[str, list[dict[str, Any]]] = {row.name: [] for row in systems}
+        for seed, row in itertools.product(range(options.seeds), systems):
+            found = known.get((_identity(_row_entry(row, [], "")), seed))
+            runs[row.name].append(found or runner.run(row, seed))
+            entry["rows"] = [_row_entry(row, runs[row.name], runner.picture(row)) for row in systems if runs[row.name]]
+            _write(out, study)
+        for shown, plot in study_plots(split.name, entry["rows"]).items():
+            entry["plots"].append(f"{len(split.train)}_{shown}.svg")
+            write_text(out / entry["plots"][-1], plot)
+        _write(out, study)
+    return f"{out / 'study.md'}: {len(systems)} systems, {len(splits)} splits, {options.seeds} seeds"
+
+
+def _empty_study(data: Path, options: StudyOptions) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "data": data.resolve().name,
+        "machine": machine(options.device),
+        "protocol": {"frames": None, "downscale": options.downscale, "lpips_frames": PERCEIVED},
+        "seeds": list(range(options.seeds)),
+        "preset": options.preset,
+        "splits": [],
+        "quoted": quoted_json(),
+    }
+
+
+def _known_runs(earlier: dict[str, Any], split: dict[str, Any]) -> dict[tuple[str, int], dict[str, Any]]:
+    """Runs of an earlier report on the same split, by what identifies the system, and seed."""
+    same = [
+        other
+        for other in earlier.get("splits", [])
+        if all(other[key] == split[key] for key in ("train", "test", "points"))
+    ]
+    rows = [row for other in same for row in other["rows"]]
+    return {(_identity(row), run["seed"]): run for row in rows for run in row["seeds"]}
+
+
+def _identity(row: dict[str, Any]) -> str:
+    return json.dumps([row["config"], row["frozen"]], sort_keys=True)
+
+
+def _row_entry(row: Row, runs: list[dict[str, Any]], picture: str) -> dict[str, Any]:
+    """A system's entry in the report."""
+    return {
+        "name": row.name,
+        "note": row.note,
+        "frozen": row.frozen,
+        "config": asdict(row.config),
+        "summary": spread(runs),
+        "seeds": runs,
+        "picture": picture,
+    }
+
+
+def _write(out: Path, study: dict[str, Any]) -> None:
+    write_json(out / "study.json", study)
+    write_text(out / "study.md", study_report(study))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Runner:
+    """Measures systems on one split."""
+
+    footage: Footage
+    first_frames: FirstFrames
+    size_of: SizeOf
+    perception: Perception
+    spec: SyntheticSpec | None
+    out: Path
+
+    def picture(self, row: Row) -> str:
+        """Name of the file of a system's picture."""
+        return f"{len(self.footage.split.train)}_{re.sub(r'[^a-z0-9]+', '_', row.name.lower())}.png"
+
+    def run(self, row: Row, seed: int) -> dict[str, Any]:
+        """Figures of one run; the picture of the first seed is written."""
+        run = run_system(
+            replace(row.config, seed=seed),
+            self.footage,
+            self.first_frames,
+            self.size_of,
+            frozen=row.frozen,
+            perception=self.perception,
+            spec=self.spec,
+        )
+        figures = run_figures(run)
+        if seed == 0:
+            write_png(self.out / self.picture(row), side_by_side(run.truth, run.drawn))
+        _log.info("%s, %s, seed %d: %.2f dB", self.footage.split.name, row.name, seed, figures["psnr"])
+        return figures

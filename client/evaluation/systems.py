@@ -1,0 +1,213 @@
+"""Train one configuration on a split and measure every frame on the held-out cameras."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from client.evaluation.measure.footage import Footage
+from client.evaluation.measure.memory import forget_peak, peak_bytes
+from client.evaluation.measure.scores import Perception, PictureScore, draw, score
+from client.evaluation.measure.sizes import PacketSize, SizeOf, shannon_keyframe_bytes, shannon_residual_bytes
+from client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
+from core.arrays import UInt8
+from core.errors import ModelError
+from core.frames import FrameSet
+from core.scene.anchors import Scene
+from core.scene.residual import difference
+from core.synthetic import SyntheticSpec
+from core.train import FrameReport, KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, TrainedFrame, Trainer
+
+_log = logging.getLogger(__name__)
+PERCEIVED = 4  # frames of a clip, evenly spread, on which the slow LPIPS is measured
+_NO_TRAINING = FrameReport({}, 0, 0, 0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameScore:
+    """One frame of one run.
+
+    Attributes:
+        frame: its number; 0 is the keyframe.
+        picture: quality and rendering time on the held-out cameras.
+        size: bytes of the real packet; shannon_bytes: the usual estimate.
+        report: of the trainer. cpu_seconds: processor time of training, of all threads.
+        motion: the dynamic set against the truth, None where there is no truth.
+    """
+
+    frame: int
+    picture: PictureScore
+    size: PacketSize
+    shannon_bytes: float
+    report: FrameReport
+    cpu_seconds: float
+    motion: MotionScore | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CapScore:
+    """The last frame drawn with its `levels` coarsest levels only."""
+
+    levels: int
+    picture: PictureScore
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """All that one configuration gave with one seed.
+
+    Attributes:
+        fps: frames a second of the footage.
+        caps: quality of the last frame at every level cap.
+        truth, drawn: [H,W,3] the first held-out camera's last picture and its rendering.
+        peak_bytes: largest memory of the process while training and measuring.
+        anchors: alive after the last frame.
+    """
+
+    seed: int
+    fps: float
+    frames: tuple[FrameScore, ...]
+    caps: tuple[CapScore, ...]
+    truth: UInt8
+    drawn: UInt8
+    peak_bytes: int
+    anchors: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FirstFrame:
+    trained: TrainedFrame
+    steps: PredictConfig
+    peak_bytes: int
+    cpu_seconds: float
+
+
+@dataclass(slots=True)
+class FirstFrames:
+    """First frames of one split, trained once for all configurations that differ in later frames only."""
+
+    device: str = "auto"
+    _known: dict[tuple[ModelConfig, KeyframeConfig, int], _FirstFrame] = field(default_factory=dict)
+
+    def get(self, footage: Footage, frame: FrameSet, config: TrainConfig) -> tuple[TrainedFrame, int, float]:
+        """The first frame under `config`, with the peak memory in bytes and the processor time of its training."""
+        key = (config.model, config.keyframe, config.seed)
+        if key not in self._known:
+            forget_peak()
+            begin = time.process_time()
+            trained = _trainer(footage, config, self.device).keyframe(frame, footage.points)
+            seconds = time.process_time() - begin
+            self._known[key] = _FirstFrame(trained, config.predict, peak_bytes(), seconds)
+        first = self._known[key]
+        scene = with_steps(first.trained.scene, first.steps, config.predict)
+        return replace(first.trained, scene=scene), first.peak_bytes, first.cpu_seconds
+
+
+def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:
+    """A keyframe whose residuals are to be coded in the steps of `new`; the picture is the same."""
+    header, weights = scene.header, scene.weights
+    cell = header.octree.root_cell
+    positions = np.full(header.octree.levels, cell / new.position_steps_per_cell, np.float32)
+    feature = np.float32(new.feature_step / old.feature_step) * weights.feature_decoder
+    offset = np.float32(new.offset_step / old.offset_step) * weights.offset_decoder
+    sendable = [decoder.astype(np.float16).astype(np.float32) for decoder in (feature, offset)]
+    return replace(
+        scene,
+        header=replace(header, position_steps=positions),
+        weights=replace(weights, feature_decoder=sendable[0], offset_decoder=sendable[1]),
+    )
+
+
+def run_system(
+    config: TrainConfig,
+    footage: Footage,
+    first_frames: FirstFrames,
+    size_of: SizeOf,
+    *,
+    frozen: bool = False,
+    perception: Perception | None = None,
+    spec: SyntheticSpec | None = None,
+) -> Run:
+    """Train `config` (its seed included) over the footage and measure every frame.
+
+    Args:
+        frozen: show the first frame for ever.
+        perception: LPIPS networks, used on a few frames spread over the clip.
+        spec: of a synthetic clip, to compare the dynamic set with.
+
+    Raises:
+        ModelError: the footage has no frame with all held-out cameras, or training cannot go on.
+    """
+    by_distance = config.model.selection == "distance"
+    perceived = set(np.linspace(0, footage.frames - 1, PERCEIVED).round().astype(int).tolist())
+    scores: list[FrameScore] = []
+    peak, scene, truth = 0, None, None
+    for trained, before, testing, held, seconds in _trained_frames(config, footage, first_frames, frozen):
+        peak, scene = max(peak, held), trained.scene
+        if not testing.present.all():
+            _log.warning("frame %d is not measured: a held-out camera delivered nothing", testing.index)
+            continue
+        cameras, truth, index = footage.testing.cameras, testing.images, testing.index
+        if not scores:
+            draw(scene, cameras[0], by_distance=by_distance)  # compiling is not timed
+        networks = perception if index in perceived else None
+        picture, drawn = score(scene, cameras, truth, networks, by_distance=by_distance)
+        size = size_of(before, scene, trained.residual)
+        motion = None
+        if before is None or trained.residual is None:
+            shannon = shannon_keyframe_bytes(scene)
+        else:
+            shannon = shannon_residual_bytes(before, trained.residual)
+            if spec is not None:
+                dynamic = np.zeros(_rows(before), np.bool_) if trained.dynamic is None else trained.dynamic
+                motion = dynamic_precision_recall(spec, before, dynamic, index, footage.training.cameras)
+        scores.append(FrameScore(index, picture, size, shannon, trained.report, seconds, motion))
+    if scene is None or truth is None:
+        raise ModelError("no frame could be measured: the held-out cameras delivered nothing")
+    caps = tuple(
+        CapScore(levels, score(scene, cameras, truth, highest_level=levels - 1, by_distance=by_distance)[0])
+        for levels in range(1, len(scene.levels) + 1)
+    )
+    peak = max(peak, peak_bytes())
+    return Run(config.seed, footage.training.fps, tuple(scores), caps, truth[0], drawn[0], peak, scene.anchor_count)
+
+
+def _trained_frames(
+    config: TrainConfig, footage: Footage, first_frames: FirstFrames, frozen: bool
+) -> Iterator[tuple[TrainedFrame, Scene | None, FrameSet, int, float]]:
+    """(frame, state before, held-out pictures, peak memory of the first frame, processor seconds) in order."""
+    trainer = _trainer(footage, config, first_frames.device)
+    peak = 0
+    for training, testing in footage.pairs():
+        if not trainer.has_state:
+            first, peak, seconds = first_frames.get(footage, training, config)
+            forget_peak()
+            trainer.resume(first.scene)
+            if not frozen and footage.frames > 1:
+                # only a predicted frame makes pictures the reference of what moves next: predict the first frame from
+                # itself, keep the reference, and drop what it trained
+                trainer.predict(training)
+                trainer.resume(first.scene, keep_references=True)
+            yield first, None, testing, peak, seconds
+        elif frozen:
+            before = trainer.scene
+            after = replace(before, version=training.index)
+            trainer.resume(after)
+            yield TrainedFrame(after, difference(before, after), _NO_TRAINING), before, testing, peak, 0.0
+        else:
+            before, begin = trainer.scene, time.process_time()
+            trained = trainer.predict(training)
+            yield trained, before, testing, peak, time.process_time() - begin
+
+
+def _rows(scene: Scene) -> int:
+    return sum(len(level) for level in scene.levels)
+
+
+def _trainer(footage: Footage, config: TrainConfig, device: str) -> Trainer:
+    training = footage.training
+    return Trainer(training.cameras, config, training.fps, device, footage.rig)

@@ -1,0 +1,1 @@
+"""Chunks of a packet: a level's geometry, parameters and changes as bytes."""

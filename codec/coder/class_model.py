@@ -1,0 +1,71 @@
+"""Rows in classes of precision, each class coded as columns of its own, as compiled loops. FORMAT.md section 6.4."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from codec.coder.column_model import columns_items, take_columns
+from codec.coder.compiled import compiled
+from codec.coder.rans import Array, begin, finish, put_flag, take_flag
+
+MOST_CLASSES = 8
+
+
+@compiled
+def classes_items(classes: Array, count: int, items: Array, n: int) -> int:
+    """Model pass over the class [rows] of each row, below `count`: in unary, under the class of the row before."""
+    models = np.ones((MOST_CLASSES * MOST_CLASSES, 2), np.int64)
+    before = 0
+    for own in classes:
+        for k in range(count - 1):
+            n = put_flag(items, n, models[MOST_CLASSES * before + k], 1 if own == k else 0)
+            if own == k:
+                break
+        before = own
+    return n
+
+
+@compiled
+def _take_classes(words: Array, x: Array, ctl: Array, classes: Array, count: int) -> None:
+    models = np.ones((MOST_CLASSES * MOST_CLASSES, 2), np.int64)
+    before = 0
+    for i in range(len(classes)):
+        own = count - 1
+        for k in range(count - 1):
+            if take_flag(words, x, ctl, models[MOST_CLASSES * before + k]):
+                own = k
+                break
+        classes[i] = own
+        before = own
+        if ctl[2]:
+            return
+
+
+@compiled
+def rows_items(values: Array, classes: Array, scales: Array, items: Array, n: int) -> int:
+    """Model pass over `values` [rows, C]: their classes, then each class with its row of `scales` [classes, C]."""
+    n = classes_items(classes, len(scales), items, n)
+    raised = np.zeros((0, 0), np.int64)
+    for k in range(len(scales)):
+        n = columns_items(values[classes == k], raised, scales[k], items, n)
+    return n
+
+
+@compiled
+def decode_rows(words: Array, lanes: int, values: Array, classes: Array, scales: Array) -> bool:
+    """Fill `values` [rows, C] and `classes` [rows]; False if the stream is corrupt."""
+    x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
+    raised = np.zeros((0, 0), np.int64)
+    begin(words, x, ctl)
+    if ctl[2] == 0:
+        _take_classes(words, x, ctl, classes, len(scales))
+    for k in range(len(scales)):
+        if ctl[2]:
+            return False
+        rows = np.flatnonzero(classes == k)
+        part = np.zeros((len(rows), values.shape[1]), np.int64)
+        take_columns(words, x, ctl, part, raised, scales[k])
+        for i in range(len(rows)):
+            for c in range(values.shape[1]):
+                values[rows[i], c] = part[i, c]
+    return finish(words, x, ctl)

@@ -1,0 +1,124 @@
+"""Rows of integers whose common scale is the context, as compiled loops. FORMAT.md section 6.3."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from codec.coder.compiled import compiled
+from codec.coder.rans import (
+    LOWEST_STATE,
+    STARTS,
+    SYMBOL_OF,
+    TOP_BIN,
+    Array,
+    begin,
+    finish,
+    magnitude_bin,
+    put_value,
+    take_value,
+)
+from core.scene.entropy_model import ESCAPE, FREQUENCIES
+
+ENERGY_LIMIT = 65535
+
+
+@compiled
+def channel_weights(scale: Array) -> tuple[Array, Array, Array, int]:
+    """Channel bins, weights w and expectations u of channels with `scale` (0 for uncoded ones), and the sum of u."""
+    bins, weight, expected = np.zeros_like(scale), np.zeros_like(scale), np.zeros_like(scale)
+    for c in range(len(scale)):
+        if scale[c]:
+            bins[c] = magnitude_bin(scale[c])
+            weight[c] = 65536 // (256 + scale[c])
+            expected[c] = max(1, (weight[c] * scale[c] + 128) >> 8)
+    return bins, weight, expected, expected.sum()
+
+
+@compiled
+def renews(c: int) -> bool:
+    """Whether the context is computed anew before channel c: every second one."""
+    return c & 1 == 0
+
+
+@compiled
+def row_gain(mean: int, total: int, energy: int, seen: int) -> int:
+    """Bins by which the row's channels so far, and the rows before, exceed what their scales expect."""
+    return magnitude_bin(256 * (mean + 2 * energy) // (total + 2 * seen)) - 24
+
+
+@compiled
+def columns_items(values: Array, raised: Array, scale: Array, items: Array, n: int) -> int:
+    """Model pass over `values` [rows, C]; appends to `items` at `n`.
+
+    Args:
+        raised: [rows, C] bins that are added to each number's, or no rows.
+    """
+    bins, weight, expected, total = channel_weights(scale)
+    if total == 0:
+        return n
+    mean = total
+    for i in range(len(values)):
+        energy, seen, gain = 0, 0, 0
+        for c in range(len(scale)):
+            if renews(c):
+                gain = row_gain(mean, total, energy, seen)
+            if scale[c]:
+                value = values[i, c]
+                n = put_value(items, n, value, bins[c] + gain + (raised[i, c] if len(raised) else 0))
+                energy += weight[c] * min(abs(value), ENERGY_LIMIT)
+                seen += expected[c]
+        mean += (energy - mean) >> 3
+    return n
+
+
+@compiled
+def take_columns(words: Array, x: Array, ctl: Array, values: Array, raised: Array, scale: Array) -> None:
+    bins, weight, expected, total = channel_weights(scale)
+    if total == 0:
+        return
+    mean, lanes = total, len(x) - 1
+    item, at = ctl[0], ctl[1]  # kept apart from `ctl` on the common path, which this loop spells out for speed
+    for i in range(len(values)):
+        energy, seen, gain = 0, 0, 0
+        for c in range(len(scale)):
+            if renews(c):
+                gain = row_gain(mean, total, energy, seen)
+            if scale[c]:
+                b = max(bins[c] + gain + (raised[i, c] if len(raised) else 0), 0)
+                state = x[item & lanes]
+                slot = state & 4095
+                z: Any = np.int64(SYMBOL_OF[min(b, TOP_BIN) * 4096 + slot])
+                if b <= TOP_BIN and z < ESCAPE:
+                    state = FREQUENCIES[b, z] * (state >> 12) + slot - STARTS[b, z]
+                    if state < LOWEST_STATE:
+                        if at == len(words):
+                            ctl[2] = 1
+                            return
+                        state = state << 16 | np.int64(words[at])
+                        at += 1
+                    x[item & lanes] = state
+                    item += 1
+                    value = -((z + 1) >> 1) if z & 1 else z >> 1
+                else:
+                    ctl[0], ctl[1] = item, at
+                    value = take_value(words, x, ctl, b)
+                    item, at = ctl[0], ctl[1]
+                values[i, c] = value
+                energy += weight[c] * min(abs(value), ENERGY_LIMIT)
+                seen += expected[c]
+        mean += (energy - mean) >> 3
+        if ctl[2]:
+            return
+    ctl[0], ctl[1] = item, at
+
+
+@compiled
+def decode_columns(words: Array, lanes: int, values: Array, raised: Array, scale: Array) -> bool:
+    """Fill `values` [rows, C]; False if the stream is corrupt. `raised` as in `columns_items`."""
+    x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
+    begin(words, x, ctl)
+    if ctl[2] == 0:
+        take_columns(words, x, ctl, values, raised, scale)
+    return finish(words, x, ctl)

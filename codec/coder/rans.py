@@ -1,0 +1,225 @@
+"""Interleaved rANS and the items it codes, as compiled loops; `oracle` is the slow twin. FORMAT.md section 6.2.
+
+Encoding has two passes: a model pass lists *items* (start << 16 | frequency, in order of decoding), then `rans_encode`
+codes the list backwards. Model passes return the number of items, or one beyond the list's length if it was too short.
+Decoding keeps the lanes' states in `x` and, in `ctl`, the item counter, the next word, and whether anything was amiss;
+after something was, what is read means nothing, and no index ever leaves its array.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from codec.coder.compiled import compiled
+from core.arrays import Int64
+from core.scene.entropy_model import BIN_LIMIT, BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, SYMBOLS
+
+Array = NDArray[Any]
+
+LOWEST_STATE = 1 << 16
+VALUE_LIMIT = 1 << 30  # no coded value has this magnitude
+TOP_BIN = BINS - 1
+_MOST_BIN = 120  # a shift of 23 bits, so that no sum of magnitudes asks for more than a value has
+_MOST_WIDTH = 30  # bits of an escape
+
+STARTS: Int64 = np.concatenate([np.zeros((BINS, 1), np.int64), np.cumsum(FREQUENCIES, axis=1)[:, :-1]], axis=1)
+SYMBOL_OF = np.concatenate([np.repeat(np.arange(SYMBOLS), row) for row in FREQUENCIES]).astype(np.uint8)
+
+
+@compiled
+def magnitude_bin(e: int) -> int:
+    """bin(e) of FORMAT.md section 6.2."""
+    k = 0
+    while e >= BIN_LIMIT:
+        e >>= 1
+        k += 4
+    low, high = 0, 30
+    while low < high:
+        middle = (low + high) >> 1
+        if e >= BIN_THRESHOLDS[middle]:
+            low = middle + 1
+        else:
+            high = middle
+    return k + low
+
+
+# Items, for encoding.
+
+
+@compiled
+def put_item(items: Array, n: int, start: int, freq: int) -> int:
+    if n < len(items):
+        items[n] = start << 16 | freq
+        return n + 1
+    return len(items) + 1  # stays there: the list was too short
+
+
+@compiled
+def put_raw(items: Array, n: int, value: int, width: int) -> int:
+    while width > 0:
+        group = min(width, 12)
+        freq = 1 << (12 - group)
+        n = put_item(items, n, (value & ((1 << group) - 1)) * freq, freq)
+        value >>= group
+        width -= group
+    return n
+
+
+@compiled
+def put_flag(items: Array, n: int, model: Array, bit: int) -> int:
+    split = min(max(4096 * model[0] // (model[0] + model[1]), 1), 4095)
+    n = put_item(items, n, split, 4096 - split) if bit else put_item(items, n, 0, split)
+    _adapt(model, bit)
+    return n
+
+
+@compiled
+def _adapt(model: Array, bit: int) -> None:
+    model[bit] += 2
+    if model[0] + model[1] > 1020:
+        model[0] = (model[0] + 1) >> 1
+        model[1] = (model[1] + 1) >> 1
+
+
+@compiled
+def put_value(items: Array, n: int, value: int, b: int) -> int:
+    b = min(max(b, 0), _MOST_BIN)
+    shift = 0
+    if b > TOP_BIN:
+        shift = (b - TOP_BIN + 3) >> 2
+        b -= 4 * shift
+    half = (1 << shift) >> 1
+    high = (value + half) >> shift
+    z = 2 * high if high >= 0 else -2 * high - 1
+    if z < ESCAPE:
+        n = put_item(items, n, STARTS[b, z], FREQUENCIES[b, z])
+    else:
+        n = put_item(items, n, STARTS[b, ESCAPE], FREQUENCIES[b, ESCAPE])
+        rest = z - ESCAPE + 1
+        width = 0
+        while rest >> (width + 1):
+            width += 1
+            n = put_raw(items, n, 1, 1)
+        n = put_raw(items, n, 0, 1)
+        n = put_raw(items, n, rest - (1 << width), width)
+    return put_raw(items, n, value + half - (high << shift), shift)
+
+
+@compiled
+def rans_encode(items: Array, n: int, lanes: int, words: Array) -> int:
+    """Code `items[:n]` into the end of `words`; returns the index of the first word. n + 2 `lanes` words are enough."""
+    x = np.full(lanes, LOWEST_STATE, np.int64)
+    p = len(words)
+    for i in range(n - 1, -1, -1):
+        k = i & (lanes - 1)
+        start, freq = np.int64(items[i] >> 16), np.int64(items[i] & 0xFFFF)
+        state = x[k]
+        if state >= freq << 20:
+            p -= 1
+            words[p] = state & 0xFFFF
+            state >>= 16
+        x[k] = ((state // freq) << 12) + state % freq + start
+    for k in range(lanes - 1, -1, -1):
+        p -= 2
+        words[p] = x[k] & 0xFFFF
+        words[p + 1] = x[k] >> 16
+    return p
+
+
+# Decoding.
+
+
+@compiled
+def begin(words: Array, x: Array, ctl: Array) -> None:
+    if len(words) < 2 * len(x):
+        ctl[2] = 1
+        return
+    for k in range(len(x)):
+        x[k] = np.int64(words[2 * k]) | np.int64(words[2 * k + 1]) << 16
+        if x[k] < LOWEST_STATE:
+            ctl[2] = 1
+    ctl[1] = 2 * len(x)
+
+
+@compiled
+def finish(words: Array, x: Array, ctl: Array) -> bool:
+    """Whether the stream ended as it must."""
+    good = bool(ctl[2] == 0 and ctl[1] == len(words))
+    for k in range(len(x)):
+        good = good and bool(x[k] == LOWEST_STATE)
+    return good
+
+
+@compiled
+def next_slot(x: Array, ctl: Array) -> int:
+    return int(x[ctl[0] & (len(x) - 1)] & 4095)
+
+
+@compiled
+def take_item(words: Array, x: Array, ctl: Array, start: int, freq: int) -> None:
+    k = ctl[0] & (len(x) - 1)
+    state = freq * (x[k] >> 12) + (x[k] & 4095) - start
+    if state < LOWEST_STATE:
+        if ctl[1] < len(words):
+            state = state << 16 | np.int64(words[ctl[1]])
+            ctl[1] += 1
+        else:
+            ctl[2] = 1
+            state = LOWEST_STATE
+    x[k] = state
+    ctl[0] += 1
+
+
+@compiled
+def take_raw(words: Array, x: Array, ctl: Array, width: int) -> int:
+    value, shift = 0, 0
+    while width > 0:
+        group = min(width, 12)
+        bits = next_slot(x, ctl) >> (12 - group)
+        take_item(words, x, ctl, bits << (12 - group), 1 << (12 - group))
+        value |= bits << shift
+        shift += group
+        width -= group
+    return value
+
+
+@compiled
+def take_flag(words: Array, x: Array, ctl: Array, model: Array) -> int:
+    split = min(max(4096 * model[0] // (model[0] + model[1]), 1), 4095)
+    bit = 1 if next_slot(x, ctl) >= split else 0
+    if bit:
+        take_item(words, x, ctl, split, 4096 - split)
+    else:
+        take_item(words, x, ctl, 0, split)
+    _adapt(model, bit)
+    return bit
+
+
+@compiled
+def take_value(words: Array, x: Array, ctl: Array, b: int) -> int:
+    b = min(max(b, 0), _MOST_BIN)
+    shift = 0
+    if b > TOP_BIN:
+        shift = (b - TOP_BIN + 3) >> 2
+        b -= 4 * shift
+    z: Any = np.int64(SYMBOL_OF[b * 4096 + next_slot(x, ctl)])
+    take_item(words, x, ctl, STARTS[b, z], FREQUENCIES[b, z])
+    if z == ESCAPE:
+        width = 0
+        while take_raw(words, x, ctl, 1):
+            width += 1
+            if width > _MOST_WIDTH or ctl[2]:
+                ctl[2] = 1
+                return 0
+        z = ESCAPE - 1 + (1 << width) + take_raw(words, x, ctl, width)
+    high = -((z + 1) >> 1) if z & 1 else z >> 1
+    value: Any = high
+    if shift:
+        value = (high << shift) - (1 << (shift - 1)) + take_raw(words, x, ctl, shift)
+    if abs(value) >= VALUE_LIMIT:
+        ctl[2] = 1
+        return 0
+    return int(value)

@@ -1,0 +1,1 @@
+"""Packets: kinds, header, directory and what may stand in them."""

@@ -1,0 +1,68 @@
+"""What can be said of a packet without decoding it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from codec.packet.bytes import ENTRY, HEADER_BYTES, parse
+from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketKind
+
+
+@dataclass(frozen=True, slots=True)
+class PacketInfo:
+    """What can be said of a packet without decoding its chunks.
+
+    Attributes:
+        kind, profile, keyframe, from_version, to_version, time_ns, level_mask: as in the packet header.
+        level_bytes: bytes of each level's chunks, up to the finest level of the mask.
+        chunk_bytes: bytes of each chunk kind, by lower-case name; extensions count as "extension".
+        size_bytes: length of the packet.
+        has_header: whether a key packet starts a new scene.
+    """
+
+    kind: PacketKind
+    profile: int
+    keyframe: int
+    from_version: int
+    to_version: int
+    time_ns: int
+    level_mask: int
+    level_bytes: tuple[int, ...]
+    chunk_bytes: dict[str, int]
+    size_bytes: int
+    has_header: bool
+
+
+def peek(packet: bytes, limits: Limits = DEFAULT_LIMITS) -> PacketInfo:
+    """Describe a packet from its header and directory alone.
+
+    Raises:
+        BitstreamError: header, directory or extents are not valid; chunk checksums are not looked at.
+    """
+    return describe(parse(packet, limits, verify=False))
+
+
+def describe(packet: Packet) -> PacketInfo:
+    """The facts of a packet already taken apart."""
+    level_bytes = [0] * (packet.levels[-1] + 1)
+    chunk_bytes: dict[str, int] = {}
+    for chunk in packet.chunks:
+        name = ChunkKind(chunk.kind).name.lower() if chunk.kind < FIRST_EXTENSION else "extension"
+        chunk_bytes[name] = chunk_bytes.get(name, 0) + len(chunk.data)
+        if not chunk.belongs_to_scene:
+            level_bytes[chunk.level] += len(chunk.data)
+    size = HEADER_BYTES + sum(ENTRY.size + len(chunk.data) for chunk in packet.chunks)
+    return PacketInfo(
+        packet.kind,
+        packet.profile,
+        packet.keyframe,
+        packet.from_version,
+        packet.to_version,
+        packet.time_ns,
+        packet.level_mask,
+        tuple(level_bytes),
+        chunk_bytes,
+        size,
+        any(chunk.kind == ChunkKind.HEADER for chunk in packet.chunks),
+    )

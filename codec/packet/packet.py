@@ -1,0 +1,78 @@
+"""What a packet is: kinds, chunks, header fields. `codec.packet.bytes` reads and writes it. FORMAT.md section 2."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from enum import IntEnum
+
+MAX_LEVELS = 16
+
+
+class PacketKind(IntEnum):
+    """What a packet does to the state it meets."""
+
+    KEY = 0
+    PREDICTED = 1
+    SKIP = 2
+    CATCH_UP = 3
+
+
+class ChunkKind(IntEnum):
+    """What a chunk holds."""
+
+    HEADER = 0
+    WEIGHTS = 1
+    GEOMETRY = 2
+    BASE = 3
+    CHANGE = 4
+    REMOVED = 5
+    ADDED = 6
+    HASH = 7
+
+
+FIRST_EXTENSION = 12  # chunk kinds from here on are skipped, not refused
+SCENE_CHUNKS = frozenset({ChunkKind.HEADER, ChunkKind.WEIGHTS})
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """One directory entry and its bytes; `checksum` is the CRC-32 that the directory claims."""
+
+    level: int
+    kind: int
+    data: bytes
+    checksum: int
+
+    @property
+    def belongs_to_scene(self) -> bool:
+        """Whether the chunk is filed under level 0 but concerns the whole scene."""
+        return self.kind in SCENE_CHUNKS
+
+
+def make_chunk(level: int, kind: int, data: bytes) -> Chunk:
+    """A chunk with its checksum."""
+    return Chunk(level, kind, data, zlib.crc32(data))
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """A packet taken apart; chunks in directory order."""
+
+    kind: PacketKind
+    profile: int
+    keyframe: int
+    from_version: int
+    to_version: int
+    time_ns: int
+    level_mask: int
+    chunks: tuple[Chunk, ...]
+
+    @property
+    def levels(self) -> tuple[int, ...]:
+        """Levels that the packet speaks for, coarse to fine."""
+        return tuple(level for level in range(MAX_LEVELS) if self.level_mask >> level & 1)
+
+    def chunk(self, level: int, kind: ChunkKind) -> bytes | None:
+        """The bytes of chunk (level, kind), if the packet has it."""
+        return next((c.data for c in self.chunks if c.level == level and c.kind == kind), None)

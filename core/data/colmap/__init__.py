@@ -1,0 +1,1 @@
+"""COLMAP reconstructions, text and binary."""

@@ -1,0 +1,68 @@
+"""COLMAP's text files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from core.data.colmap.types import ColmapCamera, ColmapImage, colmap_image, parameter_count
+from core.data.files import read_text
+from core.errors import InputError
+
+
+def read_cameras(path: Path) -> dict[int, ColmapCamera]:
+    """Cameras by number; InputError for damage or models that are not supported."""
+    cameras = {}
+    for line, words in _lines(path):
+        with _parsing(path, line):
+            if not words:
+                continue
+            expected = parameter_count(path, words[1])
+            parameters = tuple(float(word) for word in words[4:])
+            if len(parameters) != expected:
+                raise InputError(path, f"line {line}: {words[1]} has {expected} parameters, not {len(parameters)}")
+            cameras[int(words[0])] = ColmapCamera(words[1], int(words[2]), int(words[3]), parameters)
+    return cameras
+
+
+def read_images(path: Path) -> Iterator[ColmapImage]:
+    """Images in order; each has a second line, of observations, which may be empty and is passed over."""
+    expecting = True
+    for line, words in _lines(path):
+        if expecting and not words:
+            continue
+        if expecting:
+            with _parsing(path, line):
+                values = [float(word) for word in words[1:8]]
+                number, name = int(words[8]), " ".join(words[9:])
+                if not name:
+                    raise InputError(path, f"line {line}: the picture's name is missing")
+            yield colmap_image(path, name, number, tuple(values[:4]), tuple(values[4:]))
+        expecting = not expecting
+
+
+def read_points(path: Path) -> Iterator[tuple[float, ...]]:
+    """x y z red green blue of each point; InputError for damage."""
+    for line, words in _lines(path):
+        if words:
+            with _parsing(path, line):
+                values = tuple(float(word) for word in words[1:7])
+                if len(values) < 6:
+                    raise InputError(path, f"line {line}: a point needs x y z and red green blue")
+            yield values
+
+
+@contextmanager
+def _parsing(path: Path, line: int) -> Iterator[None]:
+    """Turn numbers that are missing or cannot be read into an InputError with their line."""
+    try:
+        yield
+    except (ValueError, IndexError, OverflowError) as error:
+        raise InputError(path, f"line {line}: words or numbers are missing or cannot be read") from error
+
+
+def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    for number, text in enumerate(read_text(path).splitlines(), 1):
+        if not text.startswith("#"):
+            yield number, text.split()

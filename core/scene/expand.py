@@ -1,0 +1,101 @@
+"""Anchors to Gaussians for one view: the reference arithmetic of the decoder, in numpy.
+
+Every other implementation (training in torch, the browser) is tested against this one. Paper section III-A, equations
+of Scaffold-GS type decoding; conventions in `core.scene.anchors`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.arrays import Float32, Float64, Int64
+from core.scene.anchors import FEATURE_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from core.scene.gaussians import GaussianCloud, concatenate
+from core.scene.octree import level_for_distance
+
+EXTRA_LEVEL_UNIT = 1 / 64
+LOG_SCALE_LIMIT = 20.0  # exp stays finite in float32 whatever the bitstream says
+
+
+def expand(
+    scene: Scene, viewpoint: Float64, highest_level: int | None = None, by_distance: bool = False
+) -> GaussianCloud:
+    """The Gaussians seen from `viewpoint`.
+
+    Args:
+        viewpoint: [3] camera centre in world units.
+        highest_level: finest level to draw; all levels by default.
+        by_distance: also drop levels that are finer than the anchor's distance calls for (paper section III-A).
+    """
+    top = len(scene.levels) - 1 if highest_level is None else min(highest_level, len(scene.levels) - 1)
+    clouds = []
+    for number, level in enumerate(scene.levels[: top + 1]):
+        rows = np.flatnonzero(level.alive)
+        if by_distance and len(rows):
+            positions = anchor_positions(scene.header, number, level)[rows]
+            distance = np.linalg.norm(positions.astype(np.float64) - viewpoint, axis=1)
+            extra = level.extra_level[rows].astype(np.float64) * EXTRA_LEVEL_UNIT
+            wanted = level_for_distance(distance, scene.header.reference_distance, extra, top)
+            rows = rows[wanted >= number]
+        clouds.append(expand_rows(scene.header, scene.weights, number, level, rows, viewpoint))
+    return concatenate(clouds)
+
+
+def anchor_positions(header: SceneHeader, number: int, level: AnchorLevel) -> Float32:
+    """[N,3] float32 world positions of the anchors of level `number`."""
+    nodes = header.octree.node_of(level.voxel, number)
+    return (nodes + level.position * np.float64(header.position_steps[number])).astype(np.float32)
+
+
+def dequantise(
+    header: SceneHeader, weights: AnchorWeights, level: AnchorLevel, rows: Int64
+) -> tuple[Float32, Float32, Float32]:
+    """Features [n,F], offsets [n,K,3] and log-scales [n,6] of `rows`, all float32."""
+    latent = level.latent[rows].astype(np.float32)
+    feature = level.feature[rows] * header.feature_steps + latent[:, :FEATURE_LATENTS] @ weights.feature_decoder
+    offset = level.offset[rows] * header.offset_steps + latent[:, FEATURE_LATENTS:] @ weights.offset_decoder
+    scaling = np.clip(level.scaling[rows] * header.scaling_steps, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
+    return feature, offset.reshape(len(rows), header.gaussians_per_anchor, 3), scaling
+
+
+def expand_rows(
+    header: SceneHeader, weights: AnchorWeights, number: int, level: AnchorLevel, rows: Int64, viewpoint: Float64
+) -> GaussianCloud:
+    """The Gaussians of `rows` of level `number`, those of positive opacity only, in order of row and slot."""
+    return visible(expand_slots(header, weights, number, level, rows, viewpoint))
+
+
+def visible(cloud: GaussianCloud) -> GaussianCloud:
+    """The Gaussians of positive opacity."""
+    shown = np.flatnonzero(cloud.opacities > 0)
+    parts = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.colours)
+    return GaussianCloud(*(part[shown] for part in parts))
+
+
+def expand_slots(
+    header: SceneHeader, weights: AnchorWeights, number: int, level: AnchorLevel, rows: Int64, viewpoint: Float64
+) -> GaussianCloud:
+    """All n * K Gaussians of `rows` of level `number`, K to a row; opacity 0 where the network says not to draw."""
+    count, slots = len(rows), header.gaussians_per_anchor
+    feature, offset, scaling = dequantise(header, weights, level, rows)
+    anchors = anchor_positions(header, number, level)[rows]
+    inputs = [feature]
+    if header.view_dependent:
+        away = anchors - viewpoint.astype(np.float32)
+        distance = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), np.float32(1e-12))
+        inputs += [away / distance, distance / np.float32(header.reference_distance)]
+    hidden = np.maximum(np.concatenate(inputs, axis=1) @ weights.hidden_weight + weights.hidden_bias, 0)
+    outputs = hidden @ weights.output_weight + weights.output_bias
+    opacity = np.maximum(np.tanh(outputs[:, :slots]).reshape(-1), 0)
+    colour = _sigmoid(outputs[:, slots : 4 * slots]).reshape(-1, 3)
+    relative = _sigmoid(outputs[:, 4 * slots : 7 * slots]).reshape(count, slots, 3)
+    rotation = outputs[:, 7 * slots :].reshape(-1, 4) + np.array([1, 0, 0, 0], np.float32)
+    size = np.exp(scaling)
+    means = anchors[:, None] + offset * size[:, None, :3]
+    scales = size[:, None, 3:] * relative
+    parts = (means.reshape(-1, 3), rotation, scales.reshape(-1, 3), opacity, colour)
+    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+
+
+def _sigmoid(values: Float32) -> Float32:
+    return np.asarray(0.5 * np.tanh(0.5 * values) + 0.5, np.float32)

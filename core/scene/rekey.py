@@ -1,0 +1,80 @@
+"""A fresh keyframe from any state: the same picture, a clean slate for the packets that follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Float32, Int16, Int64
+from core.scene.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from core.scene.expand import dequantise
+from core.scene.octree import morton_key
+from core.scene.quantise import trailing_zeros
+
+_INT16 = np.iinfo(np.int16)
+_COARSEST = 7  # doublings of a step that are recognised
+
+
+def rekey(scene: Scene, version: int) -> Scene:
+    """`scene` as keyframe `version`.
+
+    Removed anchors go, the others come in Morton order, and latents are folded into base features and offsets by
+    rounding to multiples of the header's steps, as coarse as the anchor's numbers were before; positions, scalings,
+    header and weights stay. `rekey_error` says what rounding did.
+    """
+    levels = tuple(_fresh(scene.header, scene.weights, level) for level in scene.levels)
+    return replace(scene, levels=levels, keyframe=version, version=version)
+
+
+def rekey_error(before: Scene, after: Scene) -> tuple[float, float]:
+    """Largest change of a feature and of an offset between a scene and its rekeyed form, in their steps.
+
+    At most 0.5 of the multiple that their anchor takes, unless a value left the range of int16.
+    """
+    feature_error = offset_error = 0.0
+    for old, new in zip(before.levels, after.levels, strict=True):
+        rows = _order(old)
+        feature, offset, _ = dequantise(before.header, before.weights, old, rows)
+        new_feature, new_offset, _ = dequantise(after.header, after.weights, new, np.arange(len(new)))
+        feature_change = np.abs(new_feature - feature) / before.header.feature_steps
+        offset_change = np.abs(new_offset - offset).reshape(len(rows), old.offset.shape[1]) / before.header.offset_steps
+        feature_error = max(feature_error, float(feature_change.max(initial=0)))
+        offset_error = max(offset_error, float(offset_change.max(initial=0)))
+    return feature_error, offset_error
+
+
+def _fresh(header: SceneHeader, weights: AnchorWeights, level: AnchorLevel) -> AnchorLevel:
+    rows = _order(level)
+    feature, offset, _ = dequantise(header, weights, level, rows)
+    times = np.int64(1) << coarseness(level, rows)[:, None]
+    return AnchorLevel(
+        voxel=level.voxel[rows],
+        position=level.position[rows],
+        feature=_round(feature, header.feature_steps, times),
+        offset=_round(offset.reshape(len(rows), level.offset.shape[1]), header.offset_steps, times),
+        scaling=level.scaling[rows],
+        extra_level=level.extra_level[rows],
+        latent=np.zeros((len(rows), LATENTS), np.int16),
+        alive=np.ones(len(rows), np.bool_),
+    )
+
+
+def _order(level: AnchorLevel) -> Int64:
+    """Rows of the living anchors in Morton order; anchors on one node keep their order."""
+    alive = np.flatnonzero(level.alive)
+    return alive[np.argsort(morton_key(level.voxel[alive]), kind="stable")]
+
+
+def coarseness(level: AnchorLevel, rows: Int64) -> Int64:
+    """[n] exponent of the power of two that all numbers of each row's base are multiples of."""
+    numbers = np.concatenate([level.feature[rows], level.offset[rows], level.scaling[rows]], axis=1)
+    return np.asarray(np.where(numbers.any(axis=1), trailing_zeros(numbers, _COARSEST), 0), np.int64)
+
+
+def _round(values: NDArray[Any], steps: Float32, times: Int64) -> Int16:
+    """`values` [n,C] in `steps`, as multiples of `times` [n,1]."""
+    limits = _INT16.max // times
+    return np.asarray(np.clip(np.round(values / (steps * times)), -limits, limits) * times, np.int16)

@@ -1,0 +1,138 @@
+"""Between the trainer's tensors and the integer state that travels."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Float32, Int64
+from core.camera import Camera
+from core.scene.anchors import FEATURE_LATENTS, LATENTS, OFFSET_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, dequantise
+from core.scene.octree import morton_key
+from core.scene.rekey import coarseness
+from core.train.config import PredictConfig
+from core.train.field.decode import Network
+from core.train.field.field import Field
+from core.train.field.rounding import Precision, to_int16, usual_precision
+
+
+def scene_of(
+    field: Field,
+    predict: PredictConfig,
+    cameras: tuple[Camera, ...],
+    fps: float,
+    version: int,
+    precision: Precision | None = None,
+) -> Scene:
+    """A keyframe: the field rounded as it will be sent, to `precision` or the usual one."""
+    precision = precision or usual_precision(field, 0)
+    field = precision.sent(field)
+    features, slots = field.feature.shape[1], field.slots
+    header = SceneHeader(
+        octree=field.octree,
+        gaussians_per_anchor=slots,
+        view_dependent=field.view_dependent,
+        reference_distance=field.reference_distance,
+        position_steps=np.full(
+            field.octree.levels, field.octree.root_cell / predict.position_steps_per_cell, np.float32
+        ),
+        feature_steps=_array(precision.feature),
+        offset_steps=_array(precision.offset.flatten()),
+        scaling_steps=_array(precision.scaling),
+        background=np.zeros(3, np.float32),
+        fps=fps,
+        cameras=cameras,
+    )
+    network = field.network
+    weights = AnchorWeights(
+        hidden_weight=_sendable(network.hidden_weight),
+        hidden_bias=_sendable(network.hidden_bias),
+        output_weight=_sendable(network.output_weight),
+        output_bias=_sendable(network.output_bias),
+        feature_decoder=_sendable(
+            torch.from_numpy(_decoder(FEATURE_LATENTS, features, predict.feature_step)).to(field.feature)
+            @ precision.basis
+        ),
+        offset_decoder=_decoder(OFFSET_LATENTS, 3 * slots, predict.offset_step),
+    )
+    here = field.to("cpu")
+    levels = tuple(_level_of(here, number, header) for number in range(field.octree.levels))
+    return Scene(header, weights, levels, keyframe=version, version=version)
+
+
+def precision_of(scene: Scene, rows: Tensor) -> Precision:
+    """How the base numbers of `rows` of `scene` are rounded, in the coordinates in which they were sent."""
+    header = scene.header
+    shifts = np.concatenate([coarseness(level, np.arange(len(level))) for level in scene.levels])
+    identity = torch.eye(len(header.feature_steps), device=rows.device)
+    steps = (header.feature_steps, header.offset_steps.reshape(-1, 3), header.scaling_steps)
+    feature, offset, scaling = (torch.from_numpy(part.copy()).to(rows.device) for part in steps)
+    return Precision(identity, identity, feature, offset, scaling, torch.from_numpy(shifts).to(rows.device)[rows])
+
+
+def field_of(scene: Scene) -> Field:
+    """All rows of `scene`, dead ones too, levels one after another, dequantised by the decoder's own arithmetic."""
+    header, weights = scene.header, scene.weights
+    parts = [dequantise(header, weights, level, np.arange(len(level))) for level in scene.levels]
+    feature, offset, scaling = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    position = np.concatenate([anchor_positions(header, n, level) for n, level in enumerate(scene.levels)])
+    extra = np.concatenate([level.extra_level for level in scene.levels]) * EXTRA_LEVEL_UNIT
+    network = (weights.hidden_weight, weights.hidden_bias, weights.output_weight, weights.output_bias)
+    return Field(
+        octree=header.octree,
+        reference_distance=header.reference_distance,
+        view_dependent=header.view_dependent,
+        level=torch.from_numpy(np.repeat(np.arange(len(scene.levels)), [len(level) for level in scene.levels])),
+        voxel=torch.from_numpy(np.concatenate([level.voxel for level in scene.levels])),
+        extra_level=torch.from_numpy(extra.astype(np.float32)),
+        position=torch.from_numpy(position),
+        feature=torch.from_numpy(feature.astype(np.float32)),
+        offset=torch.from_numpy(offset.astype(np.float32)),
+        scaling=torch.from_numpy(scaling.astype(np.float32)),
+        network=Network(*(torch.from_numpy(array) for array in network)),
+    )
+
+
+def level_starts(scene: Scene) -> Int64:
+    """[L+1] where each level's rows begin in the order of `field_of`."""
+    return np.concatenate([[0], np.cumsum([len(level) for level in scene.levels])]).astype(np.int64)
+
+
+def _level_of(field: Field, number: int, header: SceneHeader) -> AnchorLevel:
+    rows = torch.nonzero(field.level == number)[:, 0]
+    voxel = field.voxel[rows].numpy()
+    rows = rows[torch.from_numpy(np.argsort(morton_key(voxel), kind="stable"))]
+    count = len(rows)
+    moved = field.position[rows].numpy() - field.octree.node_of(field.voxel[rows].numpy(), number)
+    extra = (field.extra_level[rows] / EXTRA_LEVEL_UNIT).round().clamp(0, 32767)
+    return AnchorLevel(
+        voxel=field.voxel[rows].numpy(),
+        position=np.round(moved / header.position_steps[number]).astype(np.int32),
+        feature=to_int16(field.feature[rows], torch.from_numpy(header.feature_steps)).numpy(),
+        offset=to_int16(field.offset[rows].flatten(1), torch.from_numpy(header.offset_steps)).numpy(),
+        scaling=to_int16(field.scaling[rows], torch.from_numpy(header.scaling_steps)).numpy(),
+        extra_level=extra.to(torch.int16).numpy(),
+        latent=np.zeros((count, LATENTS), np.int16),
+        alive=np.ones(count, np.bool_),
+    )
+
+
+def _decoder(latents: int, outputs: int, step: float) -> Float32:
+    """[latents, outputs] random orthogonal rows of length `step`.
+
+    Learned decoders (the paper, QUEEN) measured no better (docs/method.md), and these cost no training.
+    """
+    size = max(latents, outputs)
+    orthogonal, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((size, size)))
+    return np.ascontiguousarray((step * orthogonal[:latents, :outputs]).astype(np.float16).astype(np.float32))
+
+
+def _array(steps: Tensor) -> Float32:
+    return np.ascontiguousarray(steps.detach().float().cpu().numpy())
+
+
+def _sendable(value: Tensor) -> Float32:
+    """float32 values that are exact in float16, as weights travel."""
+    return np.ascontiguousarray(value.detach().half().float().cpu().numpy())

@@ -1,0 +1,73 @@
+"""Gain and offset a camera and channel: cameras of a real rig do not agree on brightness and white.
+
+The picture of camera c is modelled as gain_c * render + offset_c. A common factor would be invisible, so the mean over
+the cameras is held at gain 1 and offset 0. At every pixel the weights of the Gaussians and the light that they leave to
+the background sum to one, so that gain and offset of the colours and of the background make the same picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from core.train.field.decode import Splats
+
+_FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
+_GAINS = (0.25, 4.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    """gain [C,3] and offset [C,3] of C cameras."""
+
+    gain: Tensor
+    offset: Tensor
+
+    def apply(self, image: Tensor, camera: int) -> Tensor:
+        """`image` [H,W,3] as camera number `camera` would show it."""
+        gain, offset = (values[camera].repeat(image.shape[1]) for values in (self.gain, self.offset))
+        # row by row: passes over an innermost axis of three take five times as long
+        return torch.addcmul(offset, image.flatten(1), gain).view(image.shape)
+
+    def before(self, splats: Splats, camera: int) -> Splats:
+        """`splats` whose picture is the one that `apply` makes of that of `splats`; over `behind`."""
+        return replace(splats, colours=torch.addcmul(self.offset[camera], splats.colours, self.gain[camera]))
+
+    def behind(self, background: Tensor, camera: int) -> Tensor:
+        """The background [3] of such a picture."""
+        return torch.addcmul(self.offset[camera], background, self.gain[camera])
+
+    def centre(self) -> None:
+        """Bring the mean over the cameras back to gain 1 and offset 0."""
+        with torch.no_grad():
+            self.gain.sub_(self.gain.mean(dim=0) - 1)
+            self.offset.sub_(self.offset.mean(dim=0))
+
+    def frozen(self) -> Exposure:
+        """The same values, no longer trained."""
+        return Exposure(self.gain.detach().clone(), self.offset.detach().clone())
+
+
+def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:
+    """No correction for any of `cameras`."""
+    return Exposure(torch.ones(cameras, 3, device=device), torch.zeros(cameras, 3, device=device))
+
+
+def fitted(shown: Tensor, targets: Tensor, cameras: list[int]) -> Exposure:
+    """The exposures under which `shown` [C,H,W,3] comes nearest to `targets` [C,H,W,3], a camera and channel at a time.
+
+    Least squares over the pixels, for a scene whose exposures are not known any more; neutral for other `cameras`, and
+    where a picture is all of one colour.
+    """
+    exposure = neutral(len(shown), shown.device)
+    for number in cameras:
+        picture, target = (pictures[number].flatten(0, 1).double() for pictures in (shown, targets))
+        spread = picture - picture.mean(dim=0)
+        variance = spread.square().mean(dim=0)
+        gain = (spread * (target - target.mean(dim=0))).mean(dim=0) / variance.clamp_min(1e-12)
+        gain = torch.where(variance > _FLAT, gain.clamp(*_GAINS), 1.0)
+        exposure.gain[number] = gain.float()
+        exposure.offset[number] = (target.mean(dim=0) - gain * picture.mean(dim=0)).float()
+    return exposure

@@ -1,0 +1,112 @@
+"""The anchors of the first frame while they are optimised: leaves with moments and a mean, whose rows come and go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from core.train.field.decode import Network
+from core.train.field.exposure import Exposure
+from core.train.field.field import Field
+from core.train.field.heads import separate_heads
+from core.train.optimise.adam import RowAdam
+
+ROW_PARAMETERS = ("feature", "offset", "scaling")
+_GRID = ("level", "voxel", "extra_level", "position")
+NETWORK_PARAMETERS = ("hidden_weight", "hidden_bias", "output_weight", "output_bias")
+
+
+class LearnedField:
+    """A field under optimisation: features, offsets, scalings and the network learn, the grid stays.
+
+    Args:
+        start: first anchors.
+        separate: keep the output weights zero between the parts of `core.train.field.heads`.
+        exposure: gains and offsets that learn along, None for none.
+    """
+
+    def __init__(self, start: Field, exposure: Exposure | None, *, separate: bool) -> None:
+        rows = {name: getattr(start, name).clone().requires_grad_() for name in ROW_PARAMETERS}
+        network = {name: getattr(start.network, name).clone().requires_grad_() for name in NETWORK_PARAMETERS}
+        if separate:
+            joined = separate_heads(start.slots).to(start.feature.device)
+            network["output_weight"].register_hook(lambda gradient: gradient * joined)
+        light = {}
+        if exposure is not None:
+            light = {"gain": exposure.gain.requires_grad_(), "exposure_offset": exposure.offset.requires_grad_()}
+        self._optimiser = RowAdam({**rows, **network, **light})
+        self._grid = start
+        self._mean: dict[str, Tensor] = {}
+        self._averaged = 0
+
+    @property
+    def live(self) -> Field:
+        """The leaves themselves."""
+        return _with(self._grid, self._optimiser.parameters)
+
+    @property
+    def settled(self) -> Field:
+        """The values now, or their mean since averaging began; not part of any graph."""
+        return _with(
+            self._grid, {name: value.detach() for name, value in self._optimiser.parameters.items()} | self._mean
+        )
+
+    @property
+    def broken(self) -> int:
+        """Gradient entries that were not finite and were taken as zero."""
+        return self._optimiser.broken
+
+    def step(self, rates: dict[str, float]) -> None:
+        """Apply the gradients.
+
+        Args:
+            rates: of ``feature``, ``offset``, ``scaling``, ``network`` and ``exposure``.
+        """
+        shared = dict.fromkeys(NETWORK_PARAMETERS, rates["network"])
+        light = dict.fromkeys(("gain", "exposure_offset"), rates["exposure"])
+        self._optimiser.step(rates | shared | light)
+
+    def average(self) -> None:
+        """Count the present values into the mean: steadier than any one step (Polyak averaging)."""
+        self._averaged += 1
+        for name, value in self._optimiser.parameters.items():
+            mean = self._mean.setdefault(name, value.detach().clone())
+            mean.lerp_(value.detach(), 1 / self._averaged)
+
+    def follow(self, changes: dict[str, Tensor]) -> None:
+        """Add `changes` to the anchors' ``feature``, ``offset`` and ``position``, and to what was averaged of them."""
+        with torch.no_grad():
+            for values in (self._optimiser.parameters, self._mean):
+                for name in changes.keys() & values.keys():
+                    values[name].add_(changes[name])
+        self._grid = replace(self._grid, position=self._grid.position + changes["position"])
+
+    def keep(self, kept: Tensor, added: dict[str, Tensor] | None = None, extra: Tensor | None = None) -> None:
+        """Go on with the anchors `kept`, `extra` [N] levels added to them, and those of `added`.
+
+        Args:
+            added: the seven arrays of a field, none by default.
+        """
+        grid = self.settled
+        if extra is not None:
+            grid = replace(grid, extra_level=grid.extra_level + extra)
+        added = added or {name: getattr(grid, name)[:0] for name in (*ROW_PARAMETERS, *_GRID)}
+        self._optimiser.replace_rows(kept, {name: added[name] for name in ROW_PARAMETERS})
+        self._grid = grid.with_rows(kept).with_appended(added)
+
+    def shallower(self, levels: int) -> None:
+        """Give up all but the coarsest `levels`."""
+        self.keep(torch.nonzero(self._grid.level < levels)[:, 0])
+        self._grid = replace(self._grid, octree=replace(self._grid.octree, levels=levels))
+
+
+def _with(grid: Field, parameters: dict[str, Tensor]) -> Field:
+    return replace(
+        grid,
+        feature=parameters["feature"],
+        offset=parameters["offset"],
+        scaling=parameters["scaling"],
+        network=Network(*(parameters[name] for name in NETWORK_PARAMETERS)),
+    )

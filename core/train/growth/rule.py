@@ -1,0 +1,130 @@
+"""Growing and pruning anchors (Octree-GS rules, method notes 1.8, with the paper's readings 8.A rows 3, 12 and 14)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Float64, Int32, Int64
+from core.train.config import KeyframeConfig
+from core.train.field.field import Field
+
+_LEVEL_FACTOR = 2**0.2  # thresholds grow with the level
+_EXTRA_SHARE = 0.25  # of the threshold, from which an anchor earns extra level
+_REACH = (1 << 20) - 1  # nodes farther than this from the origin do not fit the packed keys
+_TRUSTED_SHARE = 0.3  # of the largest visit count, below which a gradient average is not believed
+
+
+class GrowthStatistics:
+    """Sums over the steps since the last adjustment, for N anchors of K Gaussians."""
+
+    def __init__(self, anchors: int, slots: int, device: torch.device | None = None) -> None:
+        self.gradient = torch.zeros(anchors * slots, device=device)
+        self.gradient_count = torch.zeros(anchors * slots, device=device)
+        self.opacity = torch.zeros(anchors, device=device)
+        self.visits = torch.zeros(anchors, device=device)
+
+    def add(self, gaussians: Tensor, norms: Tensor, anchors: Tensor, opacity: Tensor) -> None:
+        """One step: gradient `norms` of the visible `gaussians`, summed positive `opacity` of the drawn `anchors`."""
+        self.add_gradients(gaussians, norms)
+        self.opacity.index_add_(0, anchors, opacity)
+        self.visits.index_add_(0, anchors, torch.ones_like(opacity))
+
+    def add_gradients(self, gaussians: Tensor, norms: Tensor) -> None:
+        """Gradients of one step alone, where nothing is pruned by opacity."""
+        self.gradient.index_add_(0, gaussians, norms)
+        self.gradient_count.index_add_(0, gaussians, torch.ones_like(norms))
+
+    def mean_gradient(self) -> Tensor:
+        """[N*K] mean gradient norm where it was seen often enough, else 0."""
+        enough = (_TRUSTED_SHARE * self.gradient_count.max()).clamp_min(1) if len(self.gradient_count) else 1
+        return torch.where(self.gradient_count >= enough, self.gradient / self.gradient_count.clamp_min(1), 0.0)
+
+    def faint(self, opacity: float) -> Tensor:
+        """[N] anchors seen often enough whose opacity, summed over slots and averaged over visits, is below a limit."""
+        often = self.visits >= (0.5 * self.visits.max()).clamp_min(1) if len(self.visits) else self.visits > 0
+        return often & (self.opacity < opacity * self.visits)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NewAnchors:
+    """n anchors to add: voxel [n,3] int32, level [n] int64, parent [n] int64 row of the anchor they grew from."""
+
+    voxel: Int32
+    level: Int64
+    parent: Int64
+
+    def __len__(self) -> int:
+        return len(self.level)
+
+
+def grow(
+    field: Field, gradient: Tensor, first_threshold: float, highest: int, occupied: Field | None = None
+) -> NewAnchors:
+    """Where Gaussians pull hardest, an anchor at their own level; where harder still, one at the next finer level.
+
+    Args:
+        gradient: [N*K] mean view-space gradient norms.
+        first_threshold: norm from which level 0 grows; it rises with the level.
+        highest: finest level that may receive anchors.
+        occupied: all anchors there are, where `field` holds some of them only.
+    """
+    with torch.no_grad():
+        means = field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]
+    centres = means.reshape(-1, 3).cpu().numpy().astype(np.float64)
+    slot_level = np.repeat(field.level.cpu().numpy(), field.slots)
+    pull = gradient.cpu().numpy()
+    found: list[NewAnchors] = []
+    for level in range(field.octree.levels):
+        threshold = first_threshold * _LEVEL_FACTOR**level
+        hot = (slot_level == level) & (pull >= threshold)
+        hotter = hot & (pull >= threshold * _LEVEL_FACTOR) & (level < highest)  # the finest level grows by itself only
+        own, next_level = hot & ~hotter, hotter
+        for target, candidates in ((level, own), (level + 1, next_level)):
+            if target <= highest and candidates.any():
+                found.append(_free_nodes(field, occupied or field, centres, np.flatnonzero(candidates), target))
+    if not found:
+        return NewAnchors(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), np.zeros(0, np.int64))
+    return _unique(
+        NewAnchors(
+            np.concatenate([part.voxel for part in found]),
+            np.concatenate([part.level for part in found]),
+            np.concatenate([part.parent for part in found]),
+        )
+    )
+
+
+def earned_extra_level(field: Field, gradient: Tensor, config: KeyframeConfig) -> Tensor:
+    """[N] anchors whose mean gradient earns them extra level (paper section III-A)."""
+    per_slot = gradient.reshape(len(field), field.slots)
+    mean = per_slot.sum(dim=1) / (per_slot > 0).sum(dim=1).clamp_min(1)
+    threshold = config.growth_threshold * _LEVEL_FACTOR ** field.level.float()
+    return mean >= _EXTRA_SHARE * threshold
+
+
+def _free_nodes(field: Field, occupied: Field, centres: Float64, candidates: Int64, level: int) -> NewAnchors:
+    """The nodes of `level` nearest to the candidate Gaussians that hold no anchor yet, one each."""
+    voxels = field.octree.voxel_of(centres[candidates], level)
+    inside = np.abs(voxels).max(axis=1) < _REACH
+    voxels, candidates = voxels[inside], candidates[inside]
+    taken = occupied.voxel.cpu().numpy()[occupied.level.cpu().numpy() == level]
+    unique, first = np.unique(voxels, axis=0, return_index=True)
+    free = ~np.isin(_key(unique), _key(taken))
+    parent = candidates[first[free]] // field.slots
+    return NewAnchors(unique[free].astype(np.int32), np.full(len(parent), level, np.int64), parent)
+
+
+def _unique(new: NewAnchors) -> NewAnchors:
+    """One anchor a node: two parents of different levels may ask for the same."""
+    _, first = np.unique(np.stack([new.level, _key(new.voxel)]), axis=1, return_index=True)
+    first.sort()
+    return NewAnchors(new.voxel[first], new.level[first], new.parent[first])
+
+
+def _key(voxels: Int32) -> Int64:
+    """[n] int64 that is different for different nodes within +-2^20."""
+    shifted = voxels.astype(np.int64) + (1 << 20)
+    return np.asarray((shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2])

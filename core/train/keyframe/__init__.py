@@ -1,0 +1,1 @@
+"""Training of the first frame, and of any keyframe."""

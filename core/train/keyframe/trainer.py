@@ -1,0 +1,218 @@
+"""Training the first frame: an anchor model from nothing but points and pictures (paper section III-A)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from core.render.backends import Backend
+from core.render.raster import Raster
+from core.train.config import TrainConfig
+from core.train.field.decode import Network, Splats, decode
+from core.train.field.exposure import Exposure, neutral
+from core.train.field.field import Field, visible_levels
+from core.train.field.learned import ROW_PARAMETERS, LearnedField
+from core.train.field.rounding import Precision, usual_precision
+from core.train.growth.refine import count, refine
+from core.train.growth.rule import GrowthStatistics
+from core.train.keyframe.drawing import Easel
+from core.train.keyframe.levels import needed_levels
+from core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
+from core.train.optimise.convergence import Course, Run
+from core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
+from core.train.pictures.views import Views
+
+_JUDGES = 4  # views, evenly spread, that say whether a level carries anything
+
+
+class KeyframeTrainer:
+    """Optimises a field against one instant.
+
+    Args:
+        field: first anchors, from `core.train.keyframe.seeding`.
+        views: the pictures.
+        config: the whole configuration.
+        backend: of the rasteriser.
+        exposure: of the cameras, to begin with; neutral by default.
+        course: says where the run stands; by default, a run of the configured steps.
+        precision: how the field is rounded as long as no anchor grows or goes; measured by default.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        views: Views,
+        config: TrainConfig,
+        backend: Backend,
+        exposure: Exposure | None = None,
+        course: Course | None = None,
+        precision: Precision | None = None,
+    ) -> None:
+        self._config, self._model = config.keyframe, config.model
+        device = field.feature.device
+        self._generator = torch.Generator(device).manual_seed(config.seed)
+        self._chances = torch.Generator().manual_seed(config.seed)  # what the host decides
+        self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
+        self._order = ViewOrder(views.usable, self._chances)
+        self._exposure = neutral(len(views.cameras), device) if exposure is None else exposure.frozen()
+        self._whole = views
+        first = views.halved() if self._config.half_size_until > 0 else views
+        self._easel = Easel(first, self._exposure, self._config, backend)
+        self._learned = LearnedField(
+            field, self._exposure if config.model.exposure else None, separate=config.model.heads == "separate"
+        )
+        self._statistics = _no_statistics(field)
+        self._highest = field.octree.levels - 1
+        self._precision = precision
+        self._steps = 0
+        keyframe = self._config
+        marks = (keyframe.half_size_until, keyframe.growth_until, keyframe.rounding_from)
+        self._run = Run(keyframe.steps, keyframe.least_gain, marks) if course is None else course
+
+    @property
+    def field(self) -> Field:
+        """The anchors as they are now: averaged over the last steps once these have come, rounded as they are sent."""
+        field = self._learned.settled
+        feature, offset, scaling = self.precision.rounded(field.feature, field.offset, field.scaling)
+        return replace(field, feature=feature, offset=offset, scaling=scaling)
+
+    @property
+    def precision(self) -> Precision:
+        """How `field` is rounded."""
+        field, measured = self._learned.settled, self._precision
+        return usual_precision(field) if measured is None or len(measured.shift) != len(field) else measured
+
+    @property
+    def exposure(self) -> Exposure:
+        """Gains and offsets fitted so far."""
+        return self._exposure.frozen()
+
+    @property
+    def progress(self) -> float:
+        """How much of the run is done, in [0, 1]; steps count more where the loss hardly falls any more."""
+        return self._run.progress
+
+    @property
+    def broken(self) -> int:
+        """Gradient entries that were not finite and were taken as zero."""
+        return self._learned.broken
+
+    def follow(self, changes: dict[str, Tensor], views: Views) -> None:
+        """Go on with the pictures of another instant, by which the field has changed by `changes`.
+
+        Only while no anchor has grown or gone, and at full size.
+
+        Args:
+            changes: ``feature`` [N,F], ``offset`` [N,K,3] and ``position`` [N,3].
+        """
+        self._learned.follow(changes)
+        self._whole, self._order = views, ViewOrder(views.usable, self._chances)
+
+    def step(self) -> Tensor:
+        """One view, one update; returns its loss, detached."""
+        config, progress = self._config, self._run.progress
+        field = self._learned.live
+        self._highest = unlocked_level(field.octree.levels, config, progress)
+        if progress >= config.half_size_until:
+            self._easel = replace(self._easel, views=self._whole)
+        number = self._order.next()
+        cap = self._random_cap()
+        rows = self._drawn_rows(field, number, self._highest if cap is None else cap)
+        rounded = progress >= config.rounding_from
+        if rounded and (self._precision is None or len(self._precision.shift) != len(field)):
+            self._precision = self._measured_precision(field)
+        splats = self._decode(field, number, rows, rounded=rounded)
+        level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
+        opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
+        raster = self._easel.draw(replace(splats, opacities=opacities), number)
+        loss = self._easel.loss(raster, splats, number)
+        (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
+        self._learned.step(keyframe_rates(config, progress))
+        self._exposure.centre()
+        if cap is None:  # a coarse picture pulls hard wherever detail is missing, which says nothing about growing
+            count(self._statistics, raster, splats, rows, field.slots)
+        self._steps += 1
+        self._run.advance(number, loss if cap is None else None)
+        if progress >= config.average_from:
+            self._learned.average()
+        if self._steps % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
+            limits = self._highest, self._model.max_anchors
+            refine(self._learned, self._statistics, config, *limits, self._generator)
+            self._statistics = _no_statistics(self._learned.live)
+        if progress < config.growth_until <= self._run.progress:
+            self._drop_idle_levels()
+        return loss.detach()
+
+    def _random_cap(self) -> int | None:
+        """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""
+        if torch.rand((), generator=self._chances).item() >= self._config.level_cap_share or self._highest == 0:
+            return None
+        return int(torch.randint(0, self._highest, (), generator=self._chances))
+
+    def _drawn_rows(self, field: Field, number: int, highest: int) -> Tensor | None:
+        """Anchors of a step: all, those up to level `highest`, or those that the camera's distances call for."""
+        if self._model.selection == "distance":
+            return torch.nonzero(visible_levels(field, self._centres[number], highest))[:, 0]
+        return None if highest == field.octree.levels - 1 else torch.nonzero(field.level <= highest)[:, 0]
+
+    def _decode(self, field: Field, number: int, rows: Tensor | None, *, rounded: bool) -> Splats:
+        values = (field.feature, field.offset, field.scaling, field.position)
+        feature, offset, scaling, position = values if rows is None else (value[rows] for value in values)
+        if rounded:
+            feature, offset, scaling = self.precision.rounded(feature, offset, scaling, rows)
+        return decode(feature, offset, scaling, position, field.network, field.view(self._centres[number]))
+
+    def _measured_precision(self, field: Field) -> Precision:
+        """Precision that costs as much of the squared error of every camera, on average, as configured."""
+        if len(field) <= field.feature.shape[1]:  # too few rows to say how features go together
+            return usual_precision(field)
+        network = Network(*(value.detach() for value in field.network.parameters()))
+        leaves, usable = tuple(getattr(field, name) for name in ROW_PARAMETERS), self._whole.usable
+        exact: dict[int, float] = {}
+
+        def picture(number: int, leaves: tuple[Tensor, ...]) -> Raster:
+            feature, offset, scaling = leaves
+            view = field.view(self._centres[number])
+            return self._easel.draw(decode(feature, offset, scaling, field.position, network, view), number)
+
+        def draw(number: int, leaves: tuple[Tensor, ...]) -> Tensor:
+            raster = picture(number, leaves)
+            exact[number] = max(self._easel.squared_error(raster, number), 1e-9)
+            return raster.image / math.sqrt(exact[number])  # so that no camera counts more than another
+
+        @torch.no_grad()
+        def added(precision: Precision) -> float:
+            rounded = precision.rounded(*leaves)
+            errors = {number: self._easel.squared_error(picture(number, rounded), number) for number in usable}
+            return sum(errors[number] / exact[number] for number in usable) - len(usable)
+
+        found = sensitivity(signed_gradients(leaves, draw, usable, seed=self._steps))
+        return tuned_precision(field, found, self._config.rounding_share * len(usable), added)
+
+    def _drop_idle_levels(self) -> None:
+        """Give up fine levels that carry nothing, while there are steps left to settle; the paper keeps all."""
+        if self._model.selection == "distance" or self._model.levels is not None:
+            return
+        field, usable = self._learned.live, self._whole.usable
+        judges = usable[:: max(1, len(usable) // _JUDGES)]
+
+        @torch.no_grad()
+        def loss(highest: int) -> float:
+            rows = torch.nonzero(field.level <= highest)[:, 0]
+            losses = []
+            for number in judges:
+                splats = self._decode(field, number, rows, rounded=False)
+                losses.append(float(self._easel.loss(self._easel.draw(splats, number), splats, number)))
+            return sum(losses) / len(losses)
+
+        needed = needed_levels(field.octree.levels, loss)
+        if needed < field.octree.levels:
+            self._learned.shallower(needed)
+            self._statistics = _no_statistics(self._learned.live)
+
+
+def _no_statistics(field: Field) -> GrowthStatistics:
+    return GrowthStatistics(len(field), field.slots, field.level.device)

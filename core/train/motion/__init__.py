@@ -1,0 +1,1 @@
+"""What moves: pixels first, then anchors."""

@@ -1,0 +1,134 @@
+"""What moves: pixels first, then anchors (paper section III-B; method notes 8.A rows 18-23).
+
+Pixels: each camera's picture is compared with its *reference*, the picture that the model was last trained to show
+there. Only changes above the camera's own noise count, so a still scene yields nothing at all, whatever the model's
+static error; and since the reference is renewed only where a change was accepted, slow drift adds up until it is seen.
+Among the changed pixels, those *moved* that no change of light explains: where the best gain of their neighbourhood,
+which is what a shadow or a lamp does, leaves as much of the change as would count by itself.
+
+Anchors: scores of motion from `core.train.motion.partition`, split in two by a Gaussian mixture on their fourth root.
+(On the logarithm, as one might read the paper, the mixture's wide low component swallows the top: see docs/method.md.)
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from sklearn.mixture import GaussianMixture
+
+from core.arrays import Bool, Float32, Float64
+
+_BLUR = (5, 5)  # pixels; averages the noise, keeps edges of moving things
+_NOISE_FACTOR = 5.0  # standard deviations of the blurred difference
+_LARGEST_FLOOR = 4.0  # floors; no camera worth using is noisier after the blur
+_SEED_FACTOR = 1.6  # a region of change needs a seed this much above the threshold
+_SMALLEST_REGION = 12  # pixels
+_GROW = 5  # pixels that a region is widened by: the blur and the object's edge
+_SHARP = (3, 3)  # pixels; as `_BLUR`, where a region's edge matters
+_LIGHT = (9, 9)  # pixels; neighbourhood that one light falls on
+_FEWEST = 16  # below so many scored anchors a mixture means nothing
+_POWER = 0.25
+
+
+def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
+    """[H,W] where `current` differs from `reference` (both [H,W,3] float32 in [0, 1]) by more than noise.
+
+    Args:
+        floor: smallest difference that counts, in units of [0, 1].
+    """
+    difference = _largest_difference(current, reference, _BLUR)
+    threshold = _threshold(difference, floor)
+    weak = (difference > threshold).astype(np.uint8)
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
+    strongest = np.zeros(count, np.float32)
+    np.maximum.at(strongest, labels.ravel().astype(np.int64), difference.ravel())
+    accepted = (strongest > _SEED_FACTOR * threshold) & (statistics[:, cv2.CC_STAT_AREA] >= _SMALLEST_REGION)
+    accepted[0] = False
+    mask = accepted[labels].astype(np.uint8)
+    return np.asarray(cv2.dilate(mask, np.ones((_GROW, _GROW), np.uint8)) > 0)
+
+
+def moved_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
+    """[H,W] where `current` differs from `reference` sharply, and not by a change of light alone; as `changed_pixels`.
+
+    A light that dims or brightens multiplies a neighbourhood by one gain. What the best gain leaves of the squared
+    change, sum(c c) - sum(r c)^2 / sum(r r) over a window and its channels, must itself be above the threshold.
+    """
+    difference = _largest_difference(current, reference, _SHARP)
+    threshold = _threshold(difference, floor)
+    squares, products, energy = (
+        cv2.blur(np.einsum("hwc,hwc->hw", one, other) / one.shape[2], _LIGHT)
+        for one, other in ((reference, reference), (reference, current), (current, current))
+    )
+    unexplained = energy - products**2 / np.maximum(squares, 1e-6)
+    return np.asarray((difference > threshold) & (unexplained > threshold**2))
+
+
+def _largest_difference(one: Float32, other: Float32, window: tuple[int, int]) -> Float32:
+    """[H,W] largest over the channels of the difference of two blurred pictures."""
+    red, green, blue = cv2.split(np.abs(cv2.blur(one, window) - cv2.blur(other, window)))
+    return np.asarray(np.maximum(np.maximum(red, green), blue))  # four times as fast as a reduction of a short axis
+
+
+def _threshold(difference: Float32, floor: float) -> float:
+    """Difference that counts, at least `floor`: well above the noise of the differences [H,W]."""
+    # most of a picture is still, so its median difference measures the noise (0.6745 sigma of a folded normal); where
+    # most of it changes, in a flash, the median is no noise, hence the limit
+    noise = float(np.median(difference)) / 0.6745
+    return min(max(floor, _NOISE_FACTOR * noise), _LARGEST_FLOOR * floor)
+
+
+def mixture_threshold(scores: Float64, posterior: float) -> float:
+    """Score from which an anchor is dynamic with at least `posterior`; see `mixture_thresholds`."""
+    return mixture_thresholds(scores, posterior)[0]
+
+
+def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
+    """Scores from which an anchor is dynamic with at least each posterior, by a mixture of two Gaussians (paper eq. 8).
+
+    Made monotone: everything above the lowest score from which the posterior stays above the threshold is dynamic.
+
+    Args:
+        scores: [N] positive, finite.
+
+    Returns:
+        The thresholds; 0 where there are too few scores or they are all alike, so that all are dynamic.
+    """
+    if len(scores) < _FEWEST:
+        return [0.0] * len(posteriors)
+    limited = np.minimum(scores, 10 * np.quantile(scores, 0.98))  # one wild score must not bend the mixture
+    values = (limited / limited.mean()) ** _POWER
+    if np.ptp(values) < 1e-6:
+        return [0.0] * len(posteriors)
+    mixture = GaussianMixture(
+        2,
+        means_init=np.quantile(values, [0.25, 0.98])[:, None],
+        weights_init=[0.9, 0.1],
+        reg_covar=2.5e-3,
+        random_state=0,
+    ).fit(values[:, None])
+    high = int(np.argmax(mixture.means_[:, 0]))
+    order = np.argsort(values)
+    probability = mixture.predict_proba(values[order, None])[:, high]
+    thresholds = []
+    for posterior in posteriors:
+        unsure = np.flatnonzero((probability <= posterior) | (values[order] <= mixture.means_[1 - high, 0]))
+        first = unsure[-1] + 1 if len(unsure) else 0
+        thresholds.append(float(scores[order[first]]) if first < len(order) else float("inf"))
+    return thresholds
+
+
+def dynamic_anchors(scores: Float64, previous: Bool, enter: float, leave: float) -> Bool:
+    """[N] anchors to train: those above the mixture's threshold, with hysteresis, so that the set changes little.
+
+    Args:
+        scores: [N] motion scores, 0 for anchors that see no change.
+        previous: [N] dynamic in the frame before.
+        enter, leave: posteriors above which an anchor becomes, and stays, dynamic.
+    """
+    scores = np.nan_to_num(scores, nan=0.0, posinf=0.0, neginf=0.0)
+    scored = scores > 0
+    if not scored.any():
+        return np.zeros(len(scores), np.bool_)
+    into, out = mixture_thresholds(scores[scored], enter, leave)
+    return scored & ((scores >= into) | (previous & (scores >= out)))

@@ -1,0 +1,1 @@
+"""Optimiser, losses, rate term, schedules and convergence."""

@@ -1,0 +1,197 @@
+"""How far a rendered picture is from the filmed one.
+
+Loss of Kerbl et al. 2023, equation 7: (1 - w) L1 + w (1 - SSIM), SSIM with an 11x11 Gaussian window of sigma 1.5 and
+zero padding, means over all pixels and channels. Three forms of one loss: a numba pass on the CPU, `photometric_planes`
+on other devices, and `photometric_reference`, which says it plainly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from core.render.tiles import Box
+from core.train.kernels.compiling import Compiled
+
+WINDOW, SIGMA = 11, 1.5
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+def photometric_loss(
+    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+) -> Tensor:
+    """Scalar loss of `image` [H,W,3] float32 against `target` [H,W,3], both in [0, 1]; differentiable by `image`.
+
+    Args:
+        dssim_weight: w above.
+        region: evaluate only what the pixels of these boxes change. The gradient inside is that of the whole loss and
+            zero outside; the value differs from the whole loss by what does not depend on the boxes' pixels. Boxes
+            must lie ten pixels apart.
+
+    Raises:
+        ValueError: the shapes differ or are not [H,W,3], or a box is empty, leaves the picture or is near another.
+    """
+    if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
+        raise ValueError(f"pictures must both be [H,W,3], not {tuple(image.shape)} and {tuple(target.shape)}")
+    height, width = image.shape[:2]
+    boxes = (Box(0, 0, width, height),) if region is None else tuple(region)
+    for box in boxes:
+        if not (0 <= box.left < box.right <= width and 0 <= box.top < box.bottom <= height):
+            raise ValueError(f"region {tuple(box)} does not lie inside a picture of {width}x{height}")
+    for one, other in combinations(boxes, 2):
+        if _gap(one, other) < WINDOW - 1:
+            raise ValueError(f"regions {tuple(one)} and {tuple(other)} are less than {WINDOW - 1} pixels apart")
+    if image.device.type == "cpu" and image.dtype == torch.float32:
+        loss: Tensor = _Fused.apply(image, target, dssim_weight, boxes)  # type: ignore[no-untyped-call]
+        return loss
+    return photometric_planes(image, target, dssim_weight, region)
+
+
+def photometric_planes(
+    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+) -> Tensor:
+    """`photometric_loss` on any device and for any float type, value and gradient together.
+
+    What is blurred is stacked into one batch of planes, twice convolved with a line; all else is done pixel by pixel in
+    two functions that torch compiles for the device. Nothing in it waits for the device.
+    """
+    masks = (None, None) if region is None else tuple(_pixels(image, region, room) for room in (0, WINDOW // 2))
+    loss: Tensor = _Planes.apply(image, target, dssim_weight, *masks)  # type: ignore[no-untyped-call]
+    return loss
+
+
+def photometric_reference(
+    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+) -> Tensor:
+    """`photometric_loss` as torch convolutions, on any device and for any float type."""
+    if region is not None:
+        inside, near = (_pixels(image, region, room) for room in (0, WINDOW // 2))
+        mixed = torch.where(inside, image, image.detach())
+        difference, dissimilarity = (image - target).abs() * inside, (1 - ssim_map(mixed, target)) * near
+    else:
+        difference, dissimilarity = (image - target).abs(), 1 - ssim_map(image, target)
+    return ((1 - dssim_weight) * difference.sum() + dssim_weight * dissimilarity.sum()) / image.numel()
+
+
+def _pixels(image: Tensor, boxes: Sequence[Box], room: int) -> Tensor:
+    """[H,W,1] bool: pixels of the boxes and `room` around them."""
+    found = torch.zeros(*image.shape[:2], 1, dtype=torch.bool, device=image.device)
+    for box in boxes:
+        found[max(0, box.top - room) : box.bottom + room, max(0, box.left - room) : box.right + room] = True
+    return found
+
+
+def _gap(a: Box, b: Box) -> int:
+    """Pixels between two boxes, along the axis that parts them more."""
+    return max(a.left - b.right, b.left - a.right, a.top - b.bottom, b.top - a.bottom)
+
+
+def ssim_map(image: Tensor, target: Tensor) -> Tensor:
+    """[H,W,3] structural similarity of [H,W,3] pictures (Wang et al. 2004, equation 13)."""
+    line = _line(image)
+    kernel = torch.outer(line, line)
+
+    def blur(picture: Tensor) -> Tensor:
+        planes = picture.permute(2, 0, 1)[:, None]
+        return functional.conv2d(planes, kernel[None, None], padding=WINDOW // 2)[:, 0].permute(1, 2, 0)
+
+    a, b = blur(image), blur(target)
+    variances = blur(image * image) - a * a + blur(target * target) - b * b
+    covariance = blur(image * target) - a * b
+    return ((2 * a * b + _C1) * (2 * covariance + _C2)) / ((a * a + b * b + _C1) * (variances + _C2))
+
+
+def _line(like: Tensor) -> Tensor:
+    """[WINDOW] the window along one axis, which sums to 1."""
+    offsets = torch.arange(WINDOW, dtype=like.dtype, device=like.device) - WINDOW // 2
+    line = torch.exp(-(offsets**2) / (2 * SIGMA**2))
+    return line.div(line.sum())
+
+
+def _blurred(planes: Tensor) -> Tensor:
+    """[N,3,H,W] planes after the window along both axes."""
+    line, (count, channels, height, width) = _line(planes), planes.shape
+    flat = planes.reshape(count * channels, 1, height, width)
+    flat = functional.conv2d(flat, line[None, None, None, :], padding=(0, WINDOW // 2))
+    blurred: Tensor = functional.conv2d(flat, line[None, None, :, None], padding=(WINDOW // 2, 0))
+    return blurred.view(planes.shape)
+
+
+def _moments(image: Tensor, target: Tensor) -> Tensor:
+    """[5,3,H,W] what SSIM blurs: both pictures, their squares and their product."""
+    a, b = image.permute(2, 0, 1), target.permute(2, 0, 1)
+    return torch.stack([a, b, a * a, b * b, a * b])
+
+
+def _similarity(blurred: Tensor) -> tuple[Tensor, Tensor]:
+    """SSIM [3,H,W] of blurred moments [5,3,H,W], and its derivatives [3,3,H,W] by the blurred image, its blurred square
+    and the blurred product."""
+    a, b, aa, bb, ab = blurred
+    luminance, likeness = 2 * a * b + _C1, 2 * (ab - a * b) + _C2
+    means, variances = a * a + b * b + _C1, aa - a * a + bb - b * b + _C2
+    scale = 1 / (means * variances)
+    ssim = luminance * likeness * scale
+    by_mean = 2 * (b * (likeness - luminance) * scale + a * ssim * (1 / variances - 1 / means))
+    return ssim, torch.stack([by_mean, -ssim / variances, 2 * luminance * scale])
+
+
+def _slope(image: Tensor, target: Tensor, spread: Tensor, inside: Tensor | None, weight: float) -> Tensor:
+    """[H,W,3] the loss's gradient, times the pictures' size: of L1, and of -SSIM summed, whose derivatives `spread`
+    [3,3,H,W] have been blurred."""
+    by_mean, by_square, by_product = (part.permute(1, 2, 0) for part in spread)
+    similar = by_mean + 2 * image * by_square + target * by_product
+    total: Tensor = (1 - weight) * (image - target).sign() - weight * similar
+    return total if inside is None else total * inside
+
+
+_SIMILARITY, _SLOPE = Compiled(_similarity), Compiled(_slope)
+
+
+class _Planes(torch.autograd.Function):
+    """The gradient is made together with the value, since it needs the same blurs."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, image: Tensor, target: Tensor, weight: float, inside: Tensor | None, near: Tensor | None
+    ) -> Tensor:
+        size = image.numel()
+        ssim, slopes = _SIMILARITY(_blurred(_moments(image, target)))
+        difference, dissimilarity = (image - target).abs(), 1 - ssim
+        if inside is not None and near is not None:
+            around = near.permute(2, 0, 1)
+            difference, dissimilarity = difference * inside, dissimilarity * around
+        if ctx.needs_input_grad[0]:
+            ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, weight) / size
+        loss: Tensor = ((1 - weight) * difference.sum() + weight * dissimilarity.sum()) / size
+        return loss
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        return ctx.gradient * upstream, None, None, None, None  # asking what it is would make the host wait
+
+
+class _Fused(torch.autograd.Function):
+    """The gradient is made together with the value, since it needs the same blurs."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float, boxes: tuple[Box, ...]) -> Tensor:
+        from core.render.cpu.photometric import photometric_sums
+
+        value, gradient = photometric_sums(
+            image.detach().contiguous().numpy(), target.detach().contiguous().numpy(), dssim_weight, boxes
+        )
+        ctx.gradient = torch.from_numpy(gradient)
+        return image.new_tensor(value)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        if upstream != 1:  # no backward pass may change what another may ask for again
+            return ctx.gradient * upstream, None, None, None
+        return ctx.gradient, None, None, None

@@ -1,0 +1,1 @@
+"""The pictures of one instant on their way into training."""

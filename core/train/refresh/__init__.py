@@ -1,0 +1,1 @@
+"""Keyframes in mid-stream, which go on from the state of the stream."""

@@ -1,0 +1,72 @@
+"""A keyframe in mid-stream between being due and being sent: at once, or trained in what frame budgets leave it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from core.render.backends import Backend
+from core.train.config import TrainConfig
+from core.train.control.frame_budget import FrameBudget, StepPace
+from core.train.field.exposure import Exposure
+from core.train.pictures.views import Views
+from core.train.refresh.background import Successor
+from core.train.residual.state import State
+
+_STEP = "renewal step"  # of one picture, whose cost the budget learns
+
+
+class Upcoming:
+    """Whether a keyframe is due, and the one that is trained.
+
+    Args:
+        config: of the stream.
+        budget: of every frame; None for as long as it takes, where a keyframe is ready as soon as it is due.
+        clock: seconds that the budget goes by.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        backend: Backend,
+        budget: FrameBudget | None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._config, self._backend, self._budget, self._clock = config, backend, budget, clock
+        self._successor: Successor | None = None
+        self.is_due = False
+
+    def learns(self, state: State) -> bool:
+        """Whether a keyframe of `state` is trained at all: it has changed, and training is configured."""
+        return self._config.keyframe.renewal_steps > 0 and state.scene.anchor_count > 0 and not state.is_untouched
+
+    def is_ready(self, state: State) -> bool:
+        """Whether a keyframe is due and takes no time that a frame budget would miss."""
+        trained = self._successor is not None and self._successor.complete
+        return self.is_due and (trained or not self._beside(state))
+
+    def train(self, before: State, after: State, views: Views, exposure: Exposure) -> None:
+        """Some steps in the time that is left of a frame that led from `before` to `after`; the first only begins.
+
+        What moves comes first: where its training takes all of the time, the keyframe has none.
+        """
+        if not self.is_due or not self._beside(after):
+            return
+        assert self._budget is not None
+        if self._successor is None:
+            self._successor = Successor(after, views, self._config, self._backend, exposure)
+            return
+        begin, steps = self._clock(), self._successor.steps
+        pace = self._budget.pace(steps, "encode") if self._budget.allows(_STEP, "encode") else StepPace(0)
+        count = self._successor.go_on(before.field, after.field, views, pace)
+        if count:
+            self._budget.spent(_STEP, (self._clock() - begin) / count)
+
+    def take(self) -> Successor | None:
+        """The keyframe that was trained to its end, if any; nothing is due any more."""
+        successor, self._successor, self.is_due = self._successor, None, False
+        return successor if successor is not None and successor.complete else None
+
+    def _beside(self, state: State) -> bool:
+        """Whether it is trained a few steps a frame; anchors that come with a frame would have no counterpart in it."""
+        return self._budget is not None and self._config.predict.growth_share == 0 and self.learns(state)

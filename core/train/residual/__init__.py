@@ -1,0 +1,1 @@
+"""Training of a later frame: integer residuals of what changes."""

@@ -1,0 +1,77 @@
+"""Residuals onto anchors, with gradients: what the decoder makes of the integers that training would send now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from core.scene.anchors import FEATURE_LATENTS
+from core.train.field.field import Field
+from core.train.field.rounding import dead_zone, dead_zone_through
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quantum:
+    """What one quantum changes: feature [12,F] and offset [12,3K] by the latent decoders, position [L] by level."""
+
+    feature: Tensor
+    offset: Tensor
+    position: Tensor
+
+
+def applied(field: Field, latent: Tensor, position: Tensor, quantum: Quantum) -> Field:
+    """`field` of n anchors with residuals, rounded as they will be sent; gradients go straight through the rounding.
+
+    Args:
+        latent: [n,24], position: [n,3] real numbers in quanta.
+    """
+    steps = quantum.position[field.level][:, None]
+    parts = (latent, position, field.feature, field.offset, field.position, quantum.feature, quantum.offset, steps)
+    feature, offset, moved = _Applied.apply(*parts)  # type: ignore[no-untyped-call]
+    return replace(field, feature=feature, offset=offset, position=moved)
+
+
+def applied_reference(field: Field, latent: Tensor, position: Tensor, quantum: Quantum) -> Field:
+    """`applied`, differentiated by torch."""
+    latent, position = dead_zone_through(latent), dead_zone_through(position)
+    offset = latent[:, FEATURE_LATENTS:] @ quantum.offset
+    return replace(
+        field,
+        feature=field.feature + latent[:, :FEATURE_LATENTS] @ quantum.feature,
+        offset=field.offset + offset.reshape(field.offset.shape),
+        position=field.position + position * quantum.position[field.level][:, None],
+    )
+
+
+class _Applied(torch.autograd.Function):
+    """A handful of passes over memory instead of autograd's thirty; on any device."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        latent: Tensor,
+        position: Tensor,
+        feature: Tensor,
+        offset: Tensor,
+        node: Tensor,
+        feature_decoder: Tensor,
+        offset_decoder: Tensor,
+        steps: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        ctx.save_for_backward(feature_decoder, offset_decoder, steps)
+        quanta = dead_zone(latent)
+        return (
+            torch.addmm(feature, quanta[:, :FEATURE_LATENTS], feature_decoder),
+            torch.addmm(offset.flatten(1), quanta[:, FEATURE_LATENTS:], offset_decoder).view(offset.shape),
+            torch.addcmul(node, dead_zone(position), steps),
+        )
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, feature: Tensor, offset: Tensor, position: Tensor) -> tuple[Tensor | None, ...]:
+        feature_decoder, offset_decoder, steps = ctx.saved_tensors
+        latent = torch.cat([feature @ feature_decoder.T, offset.flatten(1) @ offset_decoder.T], dim=1)
+        return (latent, position * steps, *[None] * 6)

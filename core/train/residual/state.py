@@ -1,0 +1,112 @@
+"""What the next frame starts from: the decoder's integers, and what the trainer keeps beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Float32
+from core.scene.anchors import Scene
+from core.scene.expand import anchor_positions, dequantise
+from core.scene.residual import Residual
+from core.train.field.convert import field_of, level_starts
+from core.train.field.field import Field
+from core.train.motion.drift import mean_motion
+from core.train.motion.partition import Parts, no_parts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Of a stream after a frame.
+
+    Attributes:
+        scene: the decoder's integer state; field: the same, dequantised.
+        canonical: the keyframe's field, for the paper's motion cue.
+        references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
+        shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
+        parts: what the latest frame trained.
+        change: [N,27] of the latest frame, latents and positions in quanta; None for zeros.
+        start: [N,27] likewise, where training of the next frame begins.
+        motion: [N,3] world units a frame, mean over the latest frames; None for none.
+    """
+
+    scene: Scene
+    field: Field
+    canonical: Field
+    references: Tensor | None
+    shown: Tensor | None
+    parts: Parts
+    change: Tensor | None = None
+    start: Tensor | None = None
+    motion: Tensor | None = None
+
+    @property
+    def alive(self) -> Tensor:
+        """[N] bool, on the field's device."""
+        alive = np.concatenate([level.alive for level in self.scene.levels])
+        return torch.from_numpy(alive).to(self.field.feature.device)
+
+    @property
+    def is_untouched(self) -> bool:
+        """Whether the keyframe's anchors are all alive and as they were."""
+        if not bool(self.alive.all()) or len(self.field) != len(self.canonical):
+            return False
+        names = ("feature", "offset", "position")
+        return all(torch.equal(getattr(self.field, name), getattr(self.canonical, name)) for name in names)
+
+    def after(
+        self, residual: Residual, scene: Scene, parts: Parts, rows: Tensor, change: Float32, start: Float32
+    ) -> State:
+        """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
+
+        Args:
+            rows: [n] trained rows, with their `change` [n,27] and where to `start` [n,27] in the next frame.
+        """
+        if any(len(part.added) for part in residual.levels):
+            return self._relaid(residual, scene, parts)
+        field, starts = self.field, level_starts(scene)
+        device = field.feature.device
+        feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
+        for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
+            if len(part.rows) == 0:
+                continue
+            changed = torch.from_numpy(part.rows + starts[number]).to(device)
+            new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
+            feature[changed] = torch.from_numpy(new_feature).to(device)
+            offset[changed] = torch.from_numpy(new_offset).to(device)
+            position[changed] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
+        motion = mean_motion(self.motion, position - field.position)
+        field = replace(field, feature=feature, offset=offset, position=position)
+        changes, starts_at = torch.zeros(2, len(field), start.shape[1], device=device)
+        changes[rows], starts_at[rows] = torch.from_numpy(change).to(device), torch.from_numpy(start).to(device)
+        return replace(self, scene=scene, field=field, parts=parts, change=changes, start=starts_at, motion=motion)
+
+    def _relaid(self, residual: Residual, scene: Scene, parts: Parts) -> State:
+        """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
+        device = str(self.field.feature.device)
+        before, origins = level_starts(self.scene), []
+        for number, part in enumerate(residual.levels):
+            origins += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
+        origin = np.concatenate(origins)
+        field = replace(field_of(scene).to(device), by_distance=self.field.by_distance)
+        new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
+        known = torch.from_numpy(np.maximum(origin, 0)).to(device)
+        canonical = self.canonical.with_rows(known).with_values(new, field)
+        laid = replace(self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin))
+        return replace(laid, change=None, start=None, motion=None)
+
+
+def fresh_state(
+    scene: Scene,
+    device: str,
+    references: Tensor | None = None,
+    shown: Tensor | None = None,
+    *,
+    by_distance: bool = False,
+) -> State:
+    """The state of a keyframe; `by_distance` as in `Field`."""
+    field = replace(field_of(scene).to(device), by_distance=by_distance)
+    return State(scene, field, field, references, shown, no_parts(len(field)))

@@ -1,0 +1,112 @@
+"""What one camera needs to render while one frame trains: on the CPU, only what moving Gaussians can change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Bool, Float32
+from core.camera import Camera
+from core.render.backends import Backend
+from core.render.cpu.autograd import rasterise_over
+from core.render.cpu.backdrop import Backdrop, prepare
+from core.render.cpu.dirty_tiles import touched_tiles
+from core.render.differentiable import rasterise
+from core.render.raster import Raster
+from core.render.tiles import Box
+from core.train.field.decode import Splats, join
+from core.train.residual.region import loss_boxes
+
+_ROOM_PIXELS = 4.0  # how far a Gaussian's edge may travel before its camera is planned anew
+_WHOLE = 0.7  # share of dirty tiles from which the whole picture is planned
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """The still part of one camera's picture.
+
+    Attributes:
+        camera: whose picture.
+        static: Gaussians that are drawn but not trained.
+        background: [3] behind all of them.
+        backend: of the rasteriser.
+        backdrop: the static ones, ready to be drawn behind moving ones; on the CPU only.
+        region: boxes of pixels that the loss needs, None for all.
+        is_empty: whether no Gaussian that is trained can reach this picture.
+    """
+
+    camera: Camera
+    static: Splats
+    background: Tensor
+    backend: Backend
+    backdrop: Backdrop | None = None
+    region: tuple[Box, ...] | None = None
+    is_empty: bool = False
+
+    def render(self, dynamic: Splats) -> tuple[Raster, Stage]:
+        """The picture with gradients for `dynamic`, and the stage to go on with: a wider one if one left its room."""
+        if self.backdrop is None:
+            return self._render_whole(dynamic), self
+        stage, raster = self, self._render_over(dynamic)
+        if raster is None:
+            stage = self._for_tiles(_room(self.camera, dynamic) | self.backdrop.stale)
+            raster = stage._render_over(dynamic)
+        if raster is None:  # what enters from far outside is projected a little differently when room is planned
+            stage = self._for_tiles(np.ones_like(self.backdrop.stale))
+            raster = stage._render_over(dynamic)
+        assert raster is not None
+        return raster, stage
+
+    def _render_over(self, dynamic: Splats) -> Raster | None:
+        assert self.backdrop is not None
+        return rasterise_over(*dynamic.astuple(), backdrop=self.backdrop, background=self.background)
+
+    def _render_whole(self, dynamic: Splats) -> Raster:
+        parameters, rows = join(dynamic, self.static).astuple(), len(dynamic)
+        return rasterise(
+            *parameters, camera=self.camera, background=self.background, gradient_rows=rows, backend=self.backend
+        )
+
+    def _for_tiles(self, tile_mask: Bool) -> Stage:
+        """This stage, planned anew for other tiles."""
+        assert self.backdrop is not None
+        return _planned(self, tile_mask, self.backdrop.stale, self.backdrop.base)
+
+
+def make_stage(
+    camera: Camera,
+    dynamic: Splats,
+    static: Splats,
+    background: Tensor,
+    backend: Backend,
+    base: Tensor | None = None,
+    before: Splats | None = None,
+) -> Stage:
+    """Plan `camera`'s picture for `dynamic` Gaussians before `static` ones.
+
+    Args:
+        base: [H,W,3] the picture of both, where it is at hand; rendered otherwise.
+        before: the dynamic ones as `base` shows them, where they have moved since.
+    """
+    stage = Stage(camera, static, background, backend)
+    if backend != "cpu":
+        return stage
+    if base is None:
+        with torch.no_grad():
+            base = stage.render(dynamic)[0].image
+    stale = touched_tiles(camera, (dynamic if before is None else before).cloud())
+    return _planned(stage, _room(camera, dynamic) | stale, stale, base.numpy())
+
+
+def _planned(stage: Stage, tile_mask: Bool, stale: Bool, base: Float32) -> Stage:
+    tile_mask = np.ones_like(tile_mask) if tile_mask.mean() > _WHOLE else tile_mask
+    backdrop = prepare(stage.static.cloud(), stage.camera, tile_mask, stale, base)
+    region = loss_boxes(tile_mask, stage.camera)
+    return replace(stage, backdrop=backdrop, region=region, is_empty=not region)
+
+
+def _room(camera: Camera, dynamic: Splats) -> Bool:
+    return touched_tiles(camera, dynamic.cloud(), _ROOM_PIXELS)

@@ -1,0 +1,220 @@
+"""Training one later frame: quantised residuals of the dynamic anchors only (paper section III-C).
+
+The state is the decoder's: every frame starts from dequantised integers and ends by rounding, so encoder and decoder
+cannot drift apart. Between the rounds the latents are real numbers whose forward pass is rounded (straight-through).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Float32, Int32
+from core.render.backends import Backend
+from core.scene.anchors import LATENTS
+from core.train.config import PredictConfig
+from core.train.control.frame_budget import Pace, StepPace
+from core.train.field.decode import Splats
+from core.train.field.exposure import Exposure
+from core.train.field.field import Field
+from core.train.field.rounding import dead_zone
+from core.train.growth.new_anchors import added_levels, newcomers, strongest
+from core.train.growth.rule import GrowthStatistics, grow
+from core.train.motion.partition import Parts
+from core.train.optimise.adam import RowAdam
+from core.train.optimise.convergence import Epochs
+from core.train.optimise.losses import photometric_loss
+from core.train.optimise.rate import residual_bits
+from core.train.optimise.schedule import ViewOrder
+from core.train.pictures.views import Views
+from core.train.residual.apply import Quantum, applied
+from core.train.residual.state import State
+from core.train.residual.tile_cache import Stage, make_stage
+from core.train.residual.update import Quanta, no_quanta
+
+_PREPARATION = 0.3  # of a frame's training time, after which no further camera's picture is planned
+_TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
+
+
+class ResidualTrainer:
+    """Fits the residuals of `rows` of `field` to one instant.
+
+    Args:
+        state: the state before.
+        parts: which anchors to train.
+        views: pictures of the instant.
+        exposure: of the cameras.
+        useful: cameras to train on, the most important first.
+        memory: share of the mean gradient that each of Adam's steps keeps.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        parts: Parts,
+        views: Views,
+        exposure: Exposure,
+        useful: list[int],
+        memory: float = 0.9,
+    ) -> None:
+        scene, field = state.scene, state.field
+        trained = torch.from_numpy(parts.trained).to(field.feature.device)
+        rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
+        self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
+        self._known, self._useful = len(rows), useful
+        self._header = scene.header
+        device = field.feature.device
+        black = torch.zeros(3, device=device)
+        self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
+        self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
+        steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
+        self._quantum = Quantum(*(torch.from_numpy(part).to(device) for part in steps))
+        start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
+        begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
+        leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
+        self._optimiser = RowAdam(leaves, memory)
+        static_splats = _static_splats(field, static, self._centres)
+        self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
+        self._shown = state.shown
+        self._stages: dict[int, Stage] = {}
+        self._statistics = GrowthStatistics(len(rows), field.slots, device)
+
+    def run(
+        self,
+        config: PredictConfig,
+        backend: Backend,
+        generator: torch.Generator,
+        pace_of: Callable[[int], Pace] = StepPace,
+    ) -> Quanta:
+        """Train as configured and round.
+
+        Args:
+            pace_of: makes the pace of a number of steps.
+        """
+        total = max(config.epochs * len(self._useful), config.minimum_steps)
+        pace = pace_of(total)
+        views = self._prepare(pace, backend)
+        if not views:
+            return no_quanta(self._known)
+        order, losses, grown = ViewOrder(views, generator), list[Tensor](), False
+        epochs = Epochs(len(views), config.least_gain)
+        while (progress := pace.progress(epochs.done)) < 1:
+            losses.append(self._step(order.next(), config, config.final_rate**progress))
+            epochs.advance(losses[-1])
+            if config.growth_share and not grown and progress >= config.growth_at:
+                grown = True
+                self._grow(config)
+        if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
+            return replace(no_quanta(self._known), complete=False, wanted=self._wanted())
+        loss = float(torch.stack(losses[-len(views) :]).mean())
+        quanta = self._quanta(len(losses), loss)
+        return replace(quanta, complete=epochs.done >= total and len(self._stages) == len(self._useful))
+
+    def _prepare(self, pace: Pace, backend: Backend) -> list[int]:
+        """Plan the cameras' pictures, as far as time allows; those that show an anchor to train."""
+        views = list[int]()
+        with torch.no_grad():
+            for number in self._useful:
+                if views and pace.progress(0) > _PREPARATION:
+                    break
+                stage = self._stages[number] = self._stage(number, self._dynamic_splats(number), backend)
+                if not stage.is_empty:
+                    views.append(number)
+        return views
+
+    def show(self, field: Field, rows: Tensor) -> Tensor:
+        """[C,H,W,3] what the usable cameras film once `field` has taken over at `rows`; NaN for the others."""
+        pictures = torch.full_like(self._views.targets, torch.nan)
+        with torch.no_grad():
+            for number, stage in self._stages.items():
+                splats = field.decode(self._centres[number], rows)
+                pictures[number] = stage.render(self._exposure.before(splats, number))[0].image
+        return pictures
+
+    def _step(self, number: int, config: PredictConfig, decay: float) -> Tensor:
+        """One view, one update; returns the detached loss."""
+        raster, stage = self._stages[number].render(self._dynamic_splats(number))
+        self._stages[number] = stage
+        loss = photometric_loss(raster.image, self._views.targets[number], config.dssim_weight, stage.region)
+        if config.rate_weight:
+            bits = residual_bits(self._optimiser.parameters["latent"], self._optimiser.parameters["position"])
+            loss = loss + config.rate_weight * bits / raster.image.numel()
+        loss.backward()  # type: ignore[no-untyped-call]
+        if config.growth_share:
+            self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
+        self._optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
+        return loss.detach()
+
+    def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
+        camera = self._views.cameras[number]
+        known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
+        before = dynamic if known is None else self._base.decode(self._centres[number])
+        return make_stage(camera, dynamic, self._static[number], self._backgrounds[number], backend, known, before)
+
+    def _dynamic_field(self) -> Field:
+        """The dynamic anchors with their residuals, rounded as they will be sent."""
+        parameters = self._optimiser.parameters
+        return applied(self._base, parameters["latent"], parameters["position"], self._quantum)
+
+    def _dynamic_splats(self, number: int) -> Splats:
+        return self._exposure.before(self._dynamic_field().decode(self._centres[number]), number)
+
+    def _grow(self, config: PredictConfig) -> None:
+        """Add anchors where the dynamic Gaussians pull hardest: what has just come into view has none yet."""
+        with torch.no_grad():
+            current = self._dynamic_field()
+        gradient = self._statistics.mean_gradient()
+        highest = self._all.octree.levels - 1
+        new = grow(current, gradient, config.growth_threshold, highest, occupied=self._all)
+        new = strongest(new, gradient.reshape(len(current), -1), int(config.growth_share * len(self._all)))
+        if len(new) == 0:
+            return
+        self._base = newcomers(self._base, current, new, self._header)
+        device = current.feature.device
+        nothing = {"latent": torch.zeros(len(new), LATENTS, device=device)}
+        nothing["position"] = torch.zeros(len(new), 3, device=device)
+        self._optimiser.replace_rows(torch.arange(len(current), device=device), nothing)
+        self._statistics = GrowthStatistics(len(self._base), self._base.slots, device)
+
+    def _quanta(self, steps: int, loss: float) -> Quanta:
+        latent, position = (_finite_quanta(self._optimiser.parameters[name]) for name in ("latent", "position"))
+        with torch.no_grad():
+            opacity = self._dynamic_splats(self._views.usable[0]).opacities.reshape(len(latent), -1).amax(dim=1)
+        # what looks different to every camera may be transparent to one only
+        shown = (opacity > _TRANSPARENT).cpu().numpy() | (not self._all.looks_the_same)
+        known, new = slice(None, self._known), np.flatnonzero(shown[self._known :]) + self._known
+        added = None
+        if len(new):
+            chosen = self._base.with_rows(torch.from_numpy(new).to(opacity.device))
+            added = added_levels(chosen, latent[new], position[new], self._header)
+        broken, wanted = self._optimiser.broken, self._wanted()
+        return Quanta(latent[known], position[known], ~shown[known], added, steps, loss, broken, wanted=wanted)
+
+    def _wanted(self) -> Float32:
+        """[n,27] latents and positions before rounding, of the anchors that were there before."""
+        wanted = torch.cat([self._optimiser.parameters[name].detach() for name in ("latent", "position")], dim=1)
+        return np.asarray(wanted[: self._known].nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
+
+
+def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:
+    """Gaussians that are only drawn, for each camera; decoded once for all where they look the same to all."""
+    decoded: list[Splats] = []
+    for centre in centres:
+        if decoded and field.looks_the_same:
+            decoded.append(decoded[0])
+            continue
+        with torch.no_grad():
+            splats = field.decode(centre, static)
+        decoded.append(splats.rows(torch.nonzero(splats.opacities > 0)[:, 0]))
+    return decoded
+
+
+def _finite_quanta(values: Tensor) -> Int32:
+    """Integers as training saw them; what is not finite stays at its last good state, zero."""
+    limit = 2.0**24
+    rounded = dead_zone(torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0)).clamp(-limit, limit)
+    return rounded.to(torch.int32).cpu().numpy()

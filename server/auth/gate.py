@@ -1,0 +1,161 @@
+"""Who may do what: static tokens, stored hashed, and JSON web tokens; refusals are slow and counted."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import time
+from collections import OrderedDict, deque
+from dataclasses import dataclass
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from core.errors import InputError
+from server.auth.keys import TokenKeys
+from server.auth.links import LinkSigner
+from server.settings import Settings
+
+_MOST_ADDRESSES = 10_000
+_LONGEST_TOKEN = 4096
+_MINUTE = 60.0
+
+
+class Right(StrEnum):
+    """What a token allows."""
+
+    READ = "read"
+    PUBLISH = "publish"
+    CONTROL = "control"
+    METRICS = "metrics"
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """Rights on the streams whose id matches a pattern such as ``*`` or ``stage-*``."""
+
+    rights: frozenset[Right]
+    streams: str = "*"
+
+    def allows(self, right: Right, stream: str | None) -> bool:
+        """Whether `right` is given, on `stream` if one is named."""
+        return right in self.rights and (stream is None or fnmatchcase(stream, self.streams))
+
+
+EVERYTHING = Grant(frozenset(Right))
+
+
+def hash_token(token: str) -> str:
+    """The SHA-256 that token files hold."""
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+class Gate:
+    """Decides over requests.
+
+    Args:
+        settings: name the files; `reload` reads them again.
+
+    Attributes:
+        links: signs addresses of downloads.
+        refused: wrong tokens so far.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._grants: dict[str, Grant] = {}
+        self._keys = TokenKeys(settings)
+        self.links = LinkSigner(settings.link_key)
+        self._refusals: OrderedDict[str, deque[float]] = OrderedDict()
+        self.refused = 0
+        self.reload()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nobody needs a token."""
+        return not self._settings.has_tokens
+
+    def reload(self) -> None:
+        """Read the token and key files.
+
+        Raises:
+            InputError: a file cannot be used; the earlier tokens stay.
+        """
+        grants = {} if self._settings.tokens is None else read_tokens(self._settings.tokens)
+        self._keys.reload()
+        self.links.reload()
+        self._grants = grants
+
+    async def admit(self, token: str | None) -> Grant | None:
+        """`grant_of`, after keys that the token needs have been fetched."""
+        if token and len(token) <= _LONGEST_TOKEN and token.count(".") == 2:
+            await self._keys.refresh(token)
+        return self.grant_of(token)
+
+    def grant_of(self, token: str | None) -> Grant | None:
+        """What `token` allows, or None if it is not known."""
+        if self.is_open:
+            return EVERYTHING
+        if not token or len(token) > _LONGEST_TOKEN:
+            return None
+        offered, found = hash_token(token), None
+        for known, grant in self._grants.items():  # all of them, so that time tells nothing
+            if hmac.compare_digest(known, offered):
+                found = grant
+        if found is None and token.count(".") == 2:
+            return _grant_of_claims(self._keys.claims(token))
+        return found
+
+    def note_refusal(self, address: str) -> None:
+        """Count a wrong token from `address`."""
+        self.refused += 1
+        times = self._refusals.setdefault(address, deque(maxlen=self._settings.limits.refusals_per_minute))
+        times.append(time.monotonic())
+        self._refusals.move_to_end(address)
+        while len(self._refusals) > _MOST_ADDRESSES:
+            self._refusals.popitem(last=False)
+
+    def is_blocked(self, address: str) -> bool:
+        """Whether `address` has offered too many wrong tokens within the last minute."""
+        times = self._refusals.get(address)
+        full = times is not None and len(times) == times.maxlen
+        return full and times is not None and time.monotonic() - times[0] < _MINUTE
+
+
+def read_tokens(path: Path) -> dict[str, Grant]:
+    """Grants by token hash, from ``[{"name", "sha256", "rights": [...], "streams": "*"}, ...]``.
+
+    Raises:
+        InputError: the file cannot be read, or is not of that form.
+    """
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"cannot be read as JSON ({error})") from error
+    if not isinstance(entries, list):
+        raise InputError(path, "must hold a list of tokens")
+    return dict(_read_entry(path, number, entry) for number, entry in enumerate(entries))
+
+
+def _read_entry(path: Path, number: int, entry: Any) -> tuple[str, Grant]:
+    try:
+        digest, rights = str(entry["sha256"]), frozenset(Right(right) for right in entry["rights"])
+        streams = str(entry.get("streams", "*"))
+        if len(bytes.fromhex(digest)) != hashlib.sha256().digest_size:
+            raise ValueError("sha256 must have 64 hexadecimal digits")
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(path, f"token {number} is not usable: {error}") from error
+    return digest.lower(), Grant(rights, streams)
+
+
+def _grant_of_claims(claims: dict[str, Any] | None) -> Grant | None:
+    """The grant in claim ``lod``: {"rights": [...], "streams": "*"}."""
+    if claims is None:
+        return None
+    try:
+        claim = claims["lod"]
+        return Grant(frozenset(Right(right) for right in claim["rights"]), str(claim.get("streams", "*")))
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None

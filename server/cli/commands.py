@@ -1,0 +1,221 @@
+"""What `streamlod synth | train | serve | bench | warm` do; each returns the text to print."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import pkgutil
+import re
+import runpy
+import shutil
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tqdm import tqdm
+
+from core.errors import BackendUnavailable, InputError, StreamlodError
+from server.pipeline.trace import chrome_trace
+
+if TYPE_CHECKING:
+    from core.train import Progress
+    from server.pipeline.job import TrainJob
+    from server.pipeline.spec import StreamSpec
+    from server.pipeline.stages import EncodedFrame
+    from server.settings import Settings
+
+_BENCHES = "tests.bench"
+_SUFFIX = "_bench"
+_LARGEST_DOWNSCALE = 64
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """(width, height) of ``480x270``; InputError for anything else."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None:
+        raise InputError("--size", f"{text!r} is not WIDTHxHEIGHT, for example 480x270")
+    return int(match[1]), int(match[2])
+
+
+def synth(
+    folder: Path, cameras: int, frames: int, size: str, seed: int, kind: str, speed: float, overwrite: bool
+) -> str:
+    """Write a synthetic clip."""
+    width, height = picture_size(size)
+    from core.synthetic import SyntheticSpec, write_clip
+
+    spec = SyntheticSpec(cameras=cameras, frames=frames, width=width, height=height, seed=seed, kind=kind, speed=speed)
+    if overwrite and (folder / "ground_truth" / "spec.json").is_file():  # nothing but our own clips
+        shutil.rmtree(folder)
+    with tqdm(total=100, unit="%", desc="synth") as bar:
+        write_clip(spec, folder, lambda fraction: _set(bar, 100 * fraction))
+    return f"{folder}: {kind}, {cameras} cameras, {frames} frames of {size}"
+
+
+def check_recording(
+    data: Path, layout: str | None, train: tuple[str, ...], test: tuple[str, ...], views: int | None, downscale: float
+) -> None:
+    """Refuse an unusable recording or choice of cameras within a second, before the training libraries are loaded."""
+    from core.data import linspace_split, open_dataset
+
+    if downscale > _LARGEST_DOWNSCALE:
+        raise InputError("--downscale", f"must lie between 1 and {_LARGEST_DOWNSCALE}, not {downscale:g}")
+    names = open_dataset(data, layout=layout, downscale=downscale).names
+    if not train:
+        linspace_split(names, views, test)
+    both = sorted(set(train) & set(test))
+    if both:
+        raise InputError("--train", f"{', '.join(both)} cannot both train and be held out")
+    unknown = sorted({*train, *test} - set(names))
+    if unknown:
+        raise InputError("--train", f"there is no camera {', '.join(unknown)} in {data}; there are {', '.join(names)}")
+
+
+def check_rig(path: Path, train: tuple[str, ...], test: tuple[str, ...], views: int | None) -> None:
+    """Refuse an unusable live rig or choice of cameras before a worker is started for it."""
+    from core.data import linspace_split
+    from server.ingest.cameras.definition import read_definition
+
+    names = tuple(camera.name for camera in read_definition(path).cameras)
+    if not train:
+        linspace_split(names, views, test)
+    unknown = sorted({*train, *test} - set(names))
+    if unknown:
+        raise InputError("--train", f"there is no camera {', '.join(unknown)} in {path}; there are {', '.join(names)}")
+
+
+def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:
+    """Train a clip into a `.slod` file, with figures beside it."""
+    from server.pipeline.stages import open_job, train_clip
+
+    opened = open_job(job)
+    encoded: list[EncodedFrame] = []
+    with tqdm(total=100, unit="%", desc="first frame") as first, tqdm(unit="frame", desc="frames") as later:
+
+        def on_progress(progress: Progress) -> None:
+            _set(first, 100 * progress.fraction)
+
+        def on_frame(frame: EncodedFrame) -> None:
+            encoded.append(frame)
+            _set(first, 100)
+            later.update()
+
+        train_clip(opened, out, on_frame, on_progress)
+    sidecar = json.loads(out.with_name(out.name + ".json").read_text(encoding="utf-8"))
+    if figures is not None:
+        _write_json(figures, sidecar)
+    if trace is not None:
+        _write_json(trace, chrome_trace((frame.version, frame.spans) for frame in encoded))
+    first_frame, later_frames = sidecar.get("first_frame_seconds"), sidecar.get("train_seconds")
+    spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
+    spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""
+    return f"{out}: {len(encoded)} frames, {out.stat().st_size / 1000:.1f} KB, {spent}"
+
+
+def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
+    """Serve until told to stop."""
+    from server.run import serve as run
+
+    for stream in streams:
+        job = stream.job
+        for path in (stream.play, job and job.data, job and job.live):
+            if isinstance(path, Path) and not path.exists():
+                raise InputError(path, "does not exist")
+    with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end
+        run(settings, streams)
+    return ""
+
+
+def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool) -> str:
+    """Be a capture node until the sources end."""
+    from server.ingest.push.capture import find_cameras
+    from server.ingest.push.node import push as send
+
+    cameras = find_cameras(sources, fps, None if size is None else picture_size(size), repeats=loop)
+    pushed = send(url, cameras, os.environ.get("STREAMLOD_TOKEN"))
+    return "\n".join(
+        f"{name}: {one.acknowledged} pictures taken, {one.refused} refused, {one.dropped} dropped"
+        for name, one in pushed.items()
+    )
+
+
+def bench(name: str | None, arguments: list[str]) -> str:
+    """Run a benchmark of the source checkout, or list them."""
+    names = _benches()
+    if name is None:
+        return "benchmarks: " + ", ".join(names)
+    if name not in names:
+        raise InputError(f"bench {name}", f"is not a benchmark; there are: {', '.join(names)}")
+    module = f"{_BENCHES}.{name.replace('-', '_')}{_SUFFIX}"
+    before = sys.argv
+    sys.argv = [module, *arguments]
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    finally:
+        sys.argv = before
+    return ""
+
+
+def warm() -> str:
+    """Compile the kernels now rather than at first use: rasteriser, codec, synthetic clip, plane sweep."""
+    from codec.warm import warm_up as compile_codec
+    from core.initialise import first_points
+    from core.render.cpu import warm as compile_rasteriser
+    from core.synthetic import SyntheticSpec, open_synthetic
+    from core.train.kernels.warming import warm as compile_trainer
+
+    with tqdm(total=4, unit="part", desc="compiling kernels") as bar:
+        compile_rasteriser()
+        compile_trainer()
+        bar.update()
+        compile_codec()
+        bar.update()
+        clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=64, height=36))
+        frame = list(clip.frames())[-1]
+        bar.update()
+        with suppress(StreamlodError):  # pictures this small show too little to find many points
+            first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds, method="sweep")
+        bar.update()
+    return "ready"
+
+
+def _benches() -> list[str]:
+    with suppress(ModuleNotFoundError):
+        spec = importlib.util.find_spec(_BENCHES)
+        if spec is not None and spec.submodule_search_locations:
+            modules = pkgutil.iter_modules(spec.submodule_search_locations)
+            found = [module.name for module in modules if module.name.endswith(_SUFFIX)]
+            return sorted(name.removesuffix(_SUFFIX).replace("_", "-") for name in found)
+    raise BackendUnavailable("the benchmark suite", "it comes with a source checkout: run it there")
+
+
+def check_outputs(*paths: Path | None) -> None:
+    """Refuse places that cannot be written before any work is done."""
+    for path in paths:
+        if path is None:
+            continue
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(path, f"cannot be written ({error.strerror})") from error
+        if path.is_dir():
+            raise InputError(path, "is a folder; name a file")
+        if not os.access(path.parent, os.W_OK):
+            raise InputError(path, "cannot be written (no permission for the folder)")
+
+
+def _write_json(path: Path, value: Any) -> None:
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _set(bar: tqdm[Any], value: float) -> None:
+    bar.update(max(0, round(value) - bar.n))

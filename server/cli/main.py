@@ -1,0 +1,378 @@
+"""The command `streamlod`. Options are declared here; what they do is loaded when it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import signal
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from core.errors import InputError
+from server.cli.explain import INTERRUPTED, explain
+from server.cli.options import (
+    Data,
+    Device,
+    DeviceOption,
+    Downscale,
+    FrameBudget,
+    Frames,
+    Interval,
+    LayoutOption,
+    Preset,
+    Seed,
+    SlodFile,
+    SnapshotFormat,
+    SplitFile,
+    TargetRate,
+    Test,
+    Views,
+    names_in,
+    numbers_in,
+)
+
+app = typer.Typer(
+    name="streamlod",
+    help="Live free-viewpoint video: train a scene frame by frame from synchronised cameras, stream it, watch it.",
+    epilog="--debug (tracebacks) and --verbose (more log) may stand anywhere. Try `streamlod demo` first.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+
+@app.command()
+def synth(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; must not exist, or be empty.")],
+    cameras: Annotated[int, typer.Option(min=1, help="Number of cameras.")] = 13,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
+    size: Annotated[str, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = "480x270",
+    seed: Seed = 0,
+    kind: Annotated[str, typer.Option(help="The place: room, bright, theatre or outdoor.")] = "room",
+    speed: Annotated[float, typer.Option(min=0, help="Pixels a frame of the fastest; 0: the place's own pace.")] = 0.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
+) -> None:
+    """Write a synthetic clip in the N3DV layout (camNN.mp4 and poses_bounds.npy), with its ground truth beside it."""
+    _call("server.cli.commands:synth", out, cameras, frames, size, seed, kind, speed, overwrite)
+
+
+@app.command()
+def train(
+    data: Data,
+    out: Annotated[Path, typer.Option(metavar="FILE.slod", help="Bitstream to write.")],
+    views: Views = None,
+    train: Annotated[str, typer.Option(metavar="cam01,cam02", help="Training cameras by name.")] = "",
+    test: Test = "",
+    frames: Frames = None,
+    downscale: Downscale = 1.0,
+    preset: Preset = "balanced",
+    device: DeviceOption = Device.auto,
+    seed: Seed = 0,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the figures here.")] = None,
+    trace: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the stages as a Chrome trace.")] = None,
+    layout: LayoutOption = None,
+    frame_budget_ms: FrameBudget = None,
+    target_kbps: TargetRate = None,
+    keyframe_interval: Interval = 100,
+) -> None:
+    """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
+    _require_folder(data)
+    _call("server.cli.commands:check_outputs", out, json, trace)
+    _call("server.cli.commands:check_recording", data, layout, names_in(train), names_in(test), views, downscale)
+    job = _load("server.pipeline.job:TrainJob")(
+        data=data,
+        layout=layout,
+        train=names_in(train),
+        test=names_in(test),
+        views=views,
+        frames=frames,
+        downscale=downscale,
+        preset=preset,
+        device=device.value,
+        seed=seed,
+        frame_budget_ms=frame_budget_ms,
+        target_kbps=target_kbps,
+        keyframe_interval=keyframe_interval,
+    )
+    _call("server.cli.commands:train", job, out, json, trace)
+
+
+@app.command()
+def evaluate(
+    scene: SlodFile,
+    data: Data,
+    test: Test,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the report here.")] = None,
+    save_images: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write truth, rendering and difference side by side.")
+    ] = None,
+    layout: LayoutOption = None,
+) -> None:
+    """Decode a file, render the held-out cameras, and measure quality, size and speed."""
+    _require_folder(data)
+    _call("client.commands:evaluate", scene, data, names_in(test), json, save_images, layout)
+
+
+@app.command()
+def serve(
+    data: Annotated[Path | None, typer.Option(metavar="DATA", help="Train this recording live.")] = None,
+    live: Annotated[Path | None, typer.Option(metavar="RIG.json", help="Train what these cameras film.")] = None,
+    play: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Stream a recorded file instead.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")] = None,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free one.  [default: 8000]")] = None,
+    device: DeviceOption = Device.auto,
+    preset: Preset = "live",
+    views: Views = None,
+    train: Annotated[str, typer.Option(metavar="cam01,cam02", help="Training cameras by name.")] = "",
+    test: Test = "",
+    frames: Frames = None,
+    downscale: Downscale = 1.0,
+    seed: Seed = 0,
+    layout: LayoutOption = None,
+    frame_budget_ms: FrameBudget = None,
+    target_kbps: TargetRate = None,
+    keyframe_interval: Interval = 100,
+    loop: Annotated[bool, typer.Option(help="Begin a played file again at its end.")] = True,
+    state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
+    config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,
+    tokens: Annotated[Path | None, typer.Option(metavar="FILE", help="Token file: who may do what.")] = None,
+    metrics_port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port of Prometheus metrics.")] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="Allow a public address without tokens.")] = False,
+) -> None:
+    """Run the service: REST, live websocket and the viewer page. Without a source, streams come by REST."""
+    given = {
+        "host": host,
+        "port": port,
+        "state": state_dir,
+        "tokens": tokens,
+        "metrics_port": metrics_port,
+        "insecure": insecure or None,
+    }
+    chosen = {name: value for name, value in given.items() if value is not None}
+    loaded = _load("server.settings:load_settings")(config) if config is not None else None
+    settings = _load("server.settings:Settings")(**({} if loaded is None else loaded.model_dump()) | chosen)
+    if data is not None:
+        _require_folder(data)
+        _call("server.cli.commands:check_recording", data, layout, names_in(train), names_in(test), views, downscale)
+    if live is not None:
+        _require_folder(live)
+        _call("server.cli.commands:check_rig", live, names_in(train), names_in(test), views)
+    source = {"data": data, "live": live, "play": play}
+    streams = tuple(stream.spec for stream in settings.streams)
+    if any(source.values()):
+        options = {
+            "loop": loop,
+            "layout": layout,
+            "train": names_in(train),
+            "test": names_in(test),
+            "views": views,
+            "frames": frames,
+            "downscale": downscale,
+            "preset": preset,
+            "device": device.value,
+            "seed": seed,
+            "frame_budget_ms": frame_budget_ms,
+            "target_kbps": target_kbps,
+            "keyframe_interval": keyframe_interval,
+        }
+        streams += (_load("server.pipeline.spec:spec_from_json")(source | options),)
+    _call("server.cli.commands:serve", settings, streams)
+
+
+@app.command()
+def push(
+    url: Annotated[str, typer.Argument(metavar="ws://HOST:PORT/v1/streams/ID/ingest", help="Where to.")],
+    sources: Annotated[
+        list[str], typer.Argument(metavar="NAME=SOURCE|DIR...", help="Cameras: a video, pictures, v4l2:///dev/video0.")
+    ],
+    fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Of webcams and folders of pictures.")] = 30.0,
+    size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Asked of webcams.")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin files again at their end.")] = False,
+) -> None:
+    """Send this machine's cameras to a live stream with push: sources. A token comes from STREAMLOD_TOKEN."""
+    _call("server.cli.commands:push", url, sources, fps, size, loop)
+
+
+@app.command()
+def view(
+    url: Annotated[str, typer.Argument(metavar="ws://HOST:PORT/v1/streams/ID/live", help="A live stream.")],
+    out: Annotated[Path, typer.Option(metavar="DIR|FILE.mp4", help="Folder of PNGs, or a video.")],
+    camera: Annotated[str | None, typer.Option(metavar="cam00", help="Stand at a camera of the rig.")] = None,
+    orbit: Annotated[bool, typer.Option("--orbit", help="Circle inside the rig.")] = False,
+    pose: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Stand at poses of a file.")] = None,
+    frames: Frames = None,
+    levels: Annotated[int | None, typer.Option(min=1, help="Ask for so many levels only.")] = None,
+) -> None:
+    """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
+    _call("client.commands:view", url, out, camera, orbit, pose, frames, levels)
+
+
+@app.command()
+def info(scene: SlodFile) -> None:
+    """Say what is inside a file, with sizes by level and kind of chunk."""
+    _call("client.commands:info", scene)
+
+
+@app.command()
+def export(
+    scene: SlodFile,
+    frame: Annotated[int, typer.Option(min=0, help="Frame number.")] = 0,
+    view: Annotated[
+        str, typer.Option(metavar="cam00|average", help="Where view-dependent colour is frozen.")
+    ] = "average",
+    format: Annotated[SnapshotFormat, typer.Option(help="File format.")] = SnapshotFormat.ply,
+    out: Annotated[Path | None, typer.Option(help="File, or folder of a sequence.")] = None,
+    sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,
+) -> None:
+    """Write a snapshot as plain 3D Gaussians that other viewers and editors read."""
+    _call("client.commands:export", scene, frame, view, format.value, out, sequence)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def bench(
+    context: typer.Context,
+    name: Annotated[str | None, typer.Argument(help="Which; without a name they are listed.")] = None,
+) -> None:
+    """Run a benchmark of the source checkout; further arguments are its own."""
+    _call("server.cli.commands:bench", name, context.args)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the results.")] = Path("demo-output"),
+    cameras: Annotated[int | None, typer.Option(min=2, help="Cameras of the clip.")] = None,
+    frames: Frames = None,
+    size: Annotated[str | None, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = None,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port of the server.  [default: 8000]")] = None,
+) -> None:
+    """Make a clip, train it live, serve it, watch it, measure it; serves on until Ctrl-C unless DEMO_EXIT=1."""
+    given = {"out": out, "cameras": cameras, "frames": frames, "size": size, "port": port}
+    stay = os.environ.get("DEMO_EXIT", "") not in {"1", "true", "yes"}
+    settings = _load("server.cli.demo:DemoSettings")(**{k: v for k, v in given.items() if v is not None}, stay=stay)
+    _call("server.cli.demo:run_demo", settings)
+
+
+@app.command()
+def study(
+    data: Data,
+    views: Annotated[str, typer.Option(metavar="3[,4,...]", help="Numbers of training cameras to compare.")] = "3",
+    frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 10,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each system.")] = 3,
+    ablate: Annotated[
+        str,
+        typer.Option(
+            help="Parts to leave out in turn: all, or some of lod,partition,quantisation,dropout,heads,star,cue."
+        ),
+    ] = "all",
+    downscale: Downscale = 1.0,
+    test: Test = "",
+    split: SplitFile = None,
+    preset: Preset = "balanced",
+    device: DeviceOption = Device.auto,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds is not redone.")] = Path(
+        "study-output"
+    ),
+) -> None:
+    """Measure what each part of the method is worth, by leaving it out, on cameras that training never saw."""
+    _require_folder(data)
+    numbers = numbers_in("--views", views)
+    options = _load("client.evaluation.study:StudyOptions")(
+        views=numbers,
+        frames=frames,
+        seeds=seeds,
+        ablate=names_in(ablate),
+        downscale=downscale,
+        test=names_in(test),
+        split=split,
+        preset=preset,
+        device=device.value,
+    )
+    _call("client.evaluation.packet_sizes:study", data, out, options)
+
+
+@app.command()
+def tradeoff(
+    data: Data,
+    frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 8,
+    views: Annotated[int, typer.Option(min=1, help="So many training cameras.")] = 5,
+    downscale: Downscale = 1.0,
+    test: Test = "",
+    split: SplitFile = None,
+    device: DeviceOption = Device.auto,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each point.")] = 1,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds stays.")] = Path("tradeoff-output"),
+) -> None:
+    """Sweep time, size and quality against each other; finds what nothing else beats."""
+    _require_folder(data)
+    options = _load("client.evaluation.tradeoff:TradeoffOptions")(
+        frames=frames,
+        views=views,
+        downscale=downscale,
+        test=names_in(test),
+        split=split,
+        device=device.value,
+        seeds=seeds,
+    )
+    _call("client.evaluation.packet_sizes:tradeoff", data, out, options)
+
+
+@app.command()
+def warm() -> None:
+    """Compile the kernels now, so that the first frame does not wait for it."""
+    _call("server.cli.commands:warm")
+
+
+def main() -> NoReturn:
+    """Entry point: one sentence and exit code 2 for everything refused."""
+    arguments = [argument for argument in sys.argv[1:] if argument not in {"--debug", "--verbose"}]
+    debug, verbose = "--debug" in sys.argv, "--verbose" in sys.argv
+    _configure_logging(verbose or debug)
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = app(args=arguments, standalone_mode=False)
+    except KeyboardInterrupt:
+        sys.stderr.write("\ninterrupted\n")
+        code = INTERRUPTED
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        code = explain(error)
+    raise SystemExit(code or 0)
+
+
+def _configure_logging(verbose: bool) -> None:
+    level = logging.DEBUG if verbose else logging.INFO
+    logging.basicConfig(
+        stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
+    )
+    for name in ("core", "codec", "server", "client"):
+        logging.getLogger(name).setLevel(level)
+
+
+def _terminate(_: int, __: Any) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _load(target: str) -> Any:
+    """The object ``module:name``, imported only now: what stands behind the commands is heavy."""
+    module, name = target.split(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _call(target: str, *arguments: Any) -> None:
+    text = _load(target)(*arguments)
+    if text:
+        typer.echo(text)
+
+
+def _require_folder(path: Path) -> None:
+    """Say so at once, before anything heavy is loaded."""
+    if not path.exists():
+        raise InputError(path, "does not exist")

@@ -1,0 +1,1 @@
+"""HTTP and websocket protocols with limits, and the viewer page's files."""

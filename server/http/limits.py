@@ -1,0 +1,125 @@
+"""What the HTTP end puts up with: uvicorn's protocol with limits in time and size, which it leaves to proxies.
+
+A request must arrive whole within a time, its head and its body within a size; so connections that say nothing, or one
+byte now and then, or never stop, cost little and not for long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from typing import ClassVar
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from server.http.stall_watch import StallWatch
+from server.settings import Limits
+
+_ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large", "many": "503 Service Unavailable"}
+
+
+_MOST_WAITING = 128  # requests sent before earlier ones were answered; each takes a hundred times its bytes
+
+
+class _Crowded(Exception):
+    """Makes the parser stop; uvicorn answers 400 and closes."""
+
+
+class GuardedProtocol(HttpToolsProtocol):
+    """One HTTP connection.
+
+    Attributes:
+        limits: of the server.
+        turned_away: counts what was refused, by reason: slow, large, many, crowded, stalled.
+    """
+
+    limits: ClassVar[Limits]
+    turned_away: ClassVar[Counter[str]]
+
+    _timer: asyncio.TimerHandle | None = None
+    _stalls: StallWatch | None = None
+    _head_bytes = _body_bytes = 0
+    _in_body = False
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._stalls = StallWatch(transport, self.limits.stuck_seconds, self.turned_away)
+        if len(self.connections) > 2 * self.limits.connections:  # those below get a request's answer: 503
+            self.turned_away["many"] += 1
+            transport.abort()
+        else:
+            self._expect_request()
+
+    def data_received(self, data: bytes) -> None:
+        if not self._in_body:
+            self._head_bytes += len(data)
+        self._expect_request()
+        super().data_received(data)
+        if self._head_bytes > self.limits.request_bytes:
+            self._refuse("large")
+
+    def on_message_begin(self) -> None:
+        if len(self.pipeline) >= _MOST_WAITING:
+            self.turned_away["crowded"] += 1
+            raise _Crowded
+        super().on_message_begin()
+
+    def on_headers_complete(self) -> None:
+        self._head_bytes, self._in_body = 0, True
+        super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        self._body_bytes += len(body)
+        if self._body_bytes > self.limits.request_bytes:
+            self._refuse("large")
+        else:
+            super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        self._body_bytes, self._in_body = 0, False
+        self._forget_timer()
+        super().on_message_complete()
+
+    def resume_writing(self) -> None:
+        if self._stalls is not None:
+            self._stalls.emptied()
+        super().resume_writing()
+
+    def handle_websocket_upgrade(self) -> None:
+        if len(self.connections) >= self.limits.connections:  # which uvicorn asks for other requests only
+            self._refuse("many")
+            return
+        self._forget_timer()
+        self._end_watch()  # the websocket's protocol has its own
+        super().handle_websocket_upgrade()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._forget_timer()
+        self._end_watch()
+        super().connection_lost(exc)
+
+    def _expect_request(self) -> None:
+        if self._timer is None:
+            self._timer = self.loop.call_later(self.limits.request_seconds, self._refuse, "slow")
+
+    def _forget_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _end_watch(self) -> None:
+        if self._stalls is not None:
+            self._stalls.end()
+
+    def _refuse(self, reason: str) -> None:
+        if self.transport.is_closing():
+            return
+        self.turned_away[reason] += 1
+        head = f"HTTP/1.1 {_ANSWERS[reason]}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+        self.transport.write(head.encode())
+        self.transport.close()
+
+
+def http_class(limits: Limits, turned_away: Counter[str]) -> type[GuardedProtocol]:
+    """The protocol class for uvicorn's ``http`` option."""
+    return type("GuardedProtocol", (GuardedProtocol,), {"limits": limits, "turned_away": turned_away})

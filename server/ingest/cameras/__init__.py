@@ -1,0 +1,1 @@
+"""Camera addresses, rig definitions and readers."""

@@ -1,0 +1,150 @@
+"""A live rig as its JSON file describes it: cameras, calibration, where pictures come from, and how they are paired.
+
+    {"fps": 30, "policy": "require_all",
+     "cameras": [{"name": "cam00", "source": "rtsp://10.0.0.10/main", "width": 1920, "height": 1080,
+                  "intrinsics": [[1100, 0, 960], [0, 1100, 540], [0, 0, 1]], "distortion": [0, 0, 0, 0, 0],
+                  "world_to_camera": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}
+
+With ``"calibration": "FOLDER"`` the cameras' geometry, points and depth range come from a calibrated data set, and
+cameras need a name and a source only.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from core.camera import Camera
+from core.data import open_dataset
+from core.data.files import read_bytes
+from core.data.pictures import MAX_SIDE
+from core.errors import InputError
+from core.frames import PointCloud
+from server.ingest.cameras.address import Address, parse_address
+
+MAX_CAMERAS = 256
+_MAX_BYTES = 1 << 20
+_Row3 = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _CameraEntry(_Strict):
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+    source: str
+    width: int | None = Field(default=None, ge=1, le=MAX_SIDE)
+    height: int | None = Field(default=None, ge=1, le=MAX_SIDE)
+    intrinsics: tuple[_Row3, _Row3, _Row3] | None = None
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    world_to_camera: tuple[_Row4, _Row4, _Row4, _Row4] | None = None
+
+
+class _Quorum(_Strict):
+    quorum: int = Field(ge=1)
+
+
+class _File(_Strict):
+    fps: float = Field(gt=0, le=1000)
+    policy: Literal["require_all"] | _Quorum = "require_all"
+    realtime: bool = True
+    calibration: Path | None = None
+    depth_bounds: tuple[float, float] | None = None
+    cameras: Annotated[tuple[_CameraEntry, ...], Field(min_length=1, max_length=MAX_CAMERAS)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigDefinition:
+    """A live rig.
+
+    Attributes:
+        path: file that describes it, or a name for it.
+        cameras: as calibrated, distortion included; pixel centres at half-integers.
+        addresses: where each camera's pictures come from.
+        fps: instants a second.
+        quorum: cameras that an instant needs.
+        realtime: whether files are played at their pace, as cameras would deliver.
+        depth_bounds: nearest and farthest depth of the scene in world units, or none.
+        points: first points that came with the calibration, or none.
+    """
+
+    path: Path
+    cameras: tuple[Camera, ...]
+    addresses: tuple[Address, ...]
+    fps: float
+    quorum: int
+    realtime: bool = True
+    depth_bounds: tuple[float, float] | None = None
+    points: PointCloud | None = None
+
+
+def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
+    """The rig that a file describes, or a mapping of the same form.
+
+    Relative paths are taken from the file's folder, those of a mapping from the working directory.
+
+    Raises:
+        InputError: the file cannot be read, a field is wrong or missing, or the rig is not usable.
+    """
+    path = source if isinstance(source, Path) else Path("rig definition")
+    text = read_bytes(source, _MAX_BYTES) if isinstance(source, Path) else json.dumps(source)
+    try:
+        file = _File.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+    names = [entry.name for entry in file.cameras]
+    if len(set(names)) < len(names):
+        double = next(name for name in names if names.count(name) > 1)
+        raise InputError(path, f"describes two cameras called {double}; give each a name of its own")
+    quorum = len(names) if file.policy == "require_all" else file.policy.quorum
+    if quorum > len(names):
+        raise InputError(path, f"asks for a quorum of {quorum} with {len(names)} cameras; ask for fewer")
+    bounds = file.depth_bounds
+    if bounds is not None and not 0 < bounds[0] < bounds[1]:
+        raise InputError(path, "depth_bounds must be two depths, the nearer one first")
+    addresses = tuple(parse_address(_beside(path, entry.source)) for entry in file.cameras)
+    if not file.realtime and any(address.is_live for address in addresses):
+        raise InputError(path, "realtime can be false only where all sources are files")
+    if file.calibration is None:
+        cameras, points = tuple(_camera(path, entry) for entry in file.cameras), None
+    else:
+        dataset = open_dataset(path.parent / file.calibration)
+        known = {camera.name: camera for camera in dataset.recording.cameras}
+        cameras, points = tuple(_known(path, entry, known) for entry in file.cameras), dataset.points()
+        bounds = bounds or dataset.depth_bounds
+    return RigDefinition(path, cameras, addresses, file.fps, quorum, file.realtime, bounds, points)
+
+
+def _beside(path: Path, source: str) -> str:
+    return source if ":" in source or not source else str(path.parent / source)
+
+
+def _camera(path: Path, entry: _CameraEntry) -> Camera:
+    if entry.width is None or entry.height is None or entry.intrinsics is None or entry.world_to_camera is None:
+        fault = "needs width, height, intrinsics and world_to_camera, or the file a calibration folder"
+        raise InputError(path, f"camera {entry.name} {fault}")
+    return Camera(
+        entry.name,
+        np.array(entry.intrinsics, np.float64),
+        np.array(entry.world_to_camera, np.float64),
+        entry.width,
+        entry.height,
+        np.array(entry.distortion, np.float64),
+    )
+
+
+def _known(path: Path, entry: _CameraEntry, known: dict[str, Camera]) -> Camera:
+    if entry.intrinsics is not None or entry.world_to_camera is not None:
+        raise InputError(path, f"camera {entry.name} is described here and in the calibration; leave one out")
+    if entry.name not in known:
+        raise InputError(path, f"camera {entry.name} is not in the calibration folder, which has {', '.join(known)}")
+    return known[entry.name]

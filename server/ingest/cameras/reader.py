@@ -1,0 +1,245 @@
+"""A camera's pictures by PyAV, on one thread a camera, connected again and again until stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import struct
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from typing import Any, Protocol
+
+import av
+import av.container
+import av.stream
+import numpy as np
+
+from core.arrays import UInt8
+from core.data.pictures import MAX_SIDE
+from core.errors import InputError
+from server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
+from server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
+from server.ingest.sync.grid import period_of
+from server.ingest.sync.picture import Picture
+from server.ingest.sync.timeline import Timeline
+
+_LOG = logging.getLogger(__name__)
+_FIRST_DELAY, _LONGEST_DELAY = 0.25, 5.0  # seconds between attempts
+_SETTLED_SECONDS = 5.0  # a connection that lasted so long was a good one
+_ENDED = "it ended"
+_REPORT_NS = 1_000_000_000
+
+
+class Sink(Protocol):
+    """Where pictures go. Called from the readers' threads."""
+
+    def put(self, picture: Picture) -> None:
+        """A picture has come."""
+
+    def gone(self, camera: str, reason: str, *, ended: bool) -> None:
+        """A camera delivers nothing for now; or for good, when its file has `ended`."""
+
+
+class Reader:
+    """Reads one camera on a thread.
+
+    Args:
+        camera: name.
+        address: where its pictures come from.
+        size: (width, height) that the calibration is for; other pictures are refused.
+        fps: of the rig.
+        sink: takes the pictures.
+        timeline: the rig's.
+        anchor_ns: capture time of the first picture of files; the same for all cameras.
+        paced: whether files are played in real time.
+    """
+
+    def __init__(
+        self,
+        camera: str,
+        address: Address,
+        size: tuple[int, int],
+        fps: float,
+        sink: Sink,
+        timeline: Timeline,
+        *,
+        anchor_ns: int,
+        paced: bool = True,
+    ) -> None:
+        self.camera, self.connections = camera, 0
+        self.clock: CaptureClock | None = None
+        self._address, self._size, self._fps, self._sink, self._timeline = address, size, fps, sink, timeline
+        self._anchor_ns, self._paced, self._sequence = anchor_ns, paced, 0
+        self._stopping = threading.Event()
+        self._abort: Callable[[], None] = lambda: None
+        self._thread = threading.Thread(target=self._run, name=f"camera {camera}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ask the thread to end; it does so with the next picture or timeout."""
+        self._stopping.set()
+        self._abort()
+
+    def join(self, seconds: float) -> None:
+        """Wait for the thread's end, for so long at most: a port that is being listened on opens only by timeout."""
+        self._thread.join(seconds)
+
+    def _run(self) -> None:
+        delay = _FIRST_DELAY
+        while not self._stopping.is_set():
+            begin, before, reason = time.monotonic(), self.connections, _ENDED
+            try:
+                self._read()
+            except InputError as error:
+                reason = error.fault
+            except (av.FFmpegError, OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or str(error)
+            except Exception as error:  # a reader must not die: its camera may come back
+                _LOG.exception("camera %s", self.camera)
+                reason = f"{type(error).__name__}: {error}"
+            if self._stopping.is_set():
+                return
+            lasted = time.monotonic() - begin
+            if self._address.listens and self.connections == before and lasted > _FIRST_DELAY:
+                reason = "its camera has not connected yet"
+            ended = not self._address.is_live and reason == _ENDED
+            self._sink.gone(self.camera, reason, ended=ended)
+            if ended:
+                return
+            if self._address.listens and lasted > _FIRST_DELAY:
+                continue  # the next one may already be knocking
+            delay = _FIRST_DELAY if lasted > _SETTLED_SECONDS else delay
+            self._stopping.wait(delay)
+            delay = min(2 * delay, _LONGEST_DELAY)
+
+    def _read(self) -> None:
+        """One connection, from its beginning to its end."""
+        with contextlib.ExitStack() as stack:
+            container = stack.enter_context(contextlib.closing(self._open(stack)))
+            if not container.streams.video:
+                raise InputError(f"camera {self.camera}", "its source holds no pictures, only other streams")
+            stream = container.streams.video[0]
+            stream.codec_context.thread_count = 1  # frame threads would each hold pictures back
+            stream.codec_context.options = {"max_pixels": str(MAX_SIDE * MAX_SIDE)}
+            self.clock = CaptureClock(self._fps, expects_ntp=self._address.scheme in ("rtsp", "rtsps"))
+            self.connections += 1
+            first: int | None = None
+            for media, seen, frame in self._frames(container, stream, self.clock):
+                if self._stopping.is_set():
+                    return
+                if (frame.width, frame.height) != self._size:
+                    width, height = self._size
+                    fault = f"delivers {frame.width}x{frame.height}, but is calibrated for {width}x{height}"
+                    raise InputError(f"camera {self.camera}", fault)
+                if self._address.is_live:
+                    found = self.clock.capture(seen)
+                else:
+                    first = media if first is None else first
+                    found = self._wait(media - first) if media is not None and first is not None else None
+                if found is not None:
+                    self._deliver(frame, found)
+
+    def _open(self, stack: contextlib.ExitStack) -> av.container.InputContainer:
+        address = self._address
+        if address.scheme == "srt":
+            pipe = stack.enter_context(_srt_pipe(address.url))
+            self._abort = pipe.kill
+            assert pipe.stdout is not None
+            return av.open(pipe.stdout, "r", format=address.format, options=address.options)
+        options = webcam_options(self._fps, self._size) if address.scheme == "v4l2" else address.options
+        silence = SILENCE_SECONDS if address.is_live else None
+        timeout = (address.open_seconds, silence) if address.is_live else None
+        return av.open(address.url, "r", format=address.format, options=options, timeout=timeout)
+
+    def _frames(
+        self, container: av.container.InputContainer, stream: av.stream.Stream, clock: CaptureClock
+    ) -> Iterator[tuple[int | None, Sighting, av.VideoFrame]]:
+        reported: tuple[int, int] | None = None
+        for packet in container.demux(stream):
+            arrival = self._timeline.now_ns()
+            report = _report(packet)
+            if report is not None and _is_news(report, reported):
+                clock.observe_report(*report)
+                reported = report
+            for frame in packet.decode():
+                assert isinstance(frame, av.VideoFrame)
+                media = (
+                    None if frame.pts is None or frame.time_base is None else _nanoseconds(frame.pts, frame.time_base)
+                )
+                yield media, Sighting(arrival, media, timecode_ns=_timecode(frame, self._fps)), frame
+
+    def _wait(self, since_first_ns: int) -> CaptureTime | None:
+        """The capture time of a file's picture, when that time has come; None if stopped meanwhile."""
+        capture = self._anchor_ns + since_first_ns
+        if self._paced and self._stopping.wait(max(0.0, (capture - self._timeline.now_ns()) / 1e9)):
+            return None
+        return CaptureTime(capture, ClockSource.FILE, 0)
+
+    def _deliver(self, frame: av.VideoFrame, found: CaptureTime) -> None:
+        def load() -> UInt8:
+            return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+
+        self._sequence += 1
+        picture = Picture(self.camera, found.capture_ns, found.source, found.error_ns, self._sequence, self._size, load)
+        self._sink.put(picture)
+
+
+def _report(packet: av.Packet[Any]) -> tuple[int, int] | None:
+    """(presentation time, sender's wall clock) in nanoseconds, where the sender reports; PyAV 18.1 and newer."""
+    if packet.pts is None or packet.time_base is None or not packet.has_sidedata("prft"):
+        return None
+    for data in packet.iter_sidedata():
+        raw = _bytes(data)
+        if str(data.data_type) == "prft" and len(raw) >= 8:
+            microseconds = struct.unpack_from("<q", raw)[0]
+            return _nanoseconds(packet.pts, packet.time_base), microseconds * 1000
+    return None
+
+
+def _is_news(report: tuple[int, int], last: tuple[int, int] | None) -> bool:
+    """FFmpeg prolongs the last report over all packets until the next; one a second is enough, and every change."""
+    if last is None or report[0] - last[0] >= _REPORT_NS or report[0] < last[0]:
+        return True
+    return abs((report[1] - report[0]) - (last[1] - last[0])) > 1_000_000
+
+
+def _timecode(frame: av.VideoFrame, fps: float) -> int | None:
+    data = frame.side_data.get("S12M_TIMECODE")
+    if data is None:
+        return None
+    raw = _bytes(data)
+    if len(raw) < 8:
+        return None
+    return read_timecode(struct.unpack_from("<I", raw, 4)[0], 1_000_000_000 / period_of(fps))
+
+
+def _bytes(buffer: Any) -> bytes:
+    return bytes(buffer)  # PyAV's buffers don't say in their types that they are buffers
+
+
+def _nanoseconds(ticks: int, base: Fraction) -> int:
+    return ticks * 1_000_000_000 * base.numerator // base.denominator
+
+
+@contextlib.contextmanager
+def _srt_pipe(url: str) -> Iterator[subprocess.Popen[bytes]]:
+    """FFmpeg reads SRT, which PyAV's library can't, and hands MPEG-TS on."""
+    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-fflags", "nobuffer", "-probesize", "200000",
+               "-analyzeduration", "500000", "-i", url, "-map", "0:v:0", "-c", "copy", "-muxdelay", "0",
+               "-flush_packets", "1", "-f", "mpegts", "pipe:1"]  # fmt: skip
+    try:
+        # unbuffered: a buffer would be waited for until it is full, seconds of a small stream
+        pipe = subprocess.Popen(command, bufsize=0, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
+    except FileNotFoundError as error:
+        raise InputError(url, "SRT is read by the command ffmpeg, which is not installed") from error
+    with pipe:
+        try:
+            yield pipe
+        finally:
+            pipe.kill()

@@ -1,0 +1,1 @@
+"""Capture nodes that push pictures to the server."""

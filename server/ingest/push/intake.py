@@ -1,0 +1,157 @@
+"""Pictures of capture nodes: their time is found out, their pixels are decoded when they are wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import av
+import cv2
+import numpy as np
+
+from core.arrays import UInt8
+from core.data.pictures import encoded_size
+from core.errors import InputError
+from server.ingest.push.message import Codec, PushMessage
+from server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
+from server.ingest.sync.picture import Picture
+
+
+class PushTarget(Protocol):
+    """The rig that pushed pictures are for."""
+
+    @property
+    def fps(self) -> float:
+        """Instants a second."""
+
+    @property
+    def now_ns(self) -> int:
+        """The present, on the rig's timeline."""
+
+    @property
+    def pushed(self) -> Mapping[str, tuple[int, int]]:
+        """(width, height) of each camera that is pushed."""
+
+    def genlock_epoch_ns(self, number: int) -> int:
+        """When frame number 0 was taken, given that `number` came just now, if it is the rig's first."""
+
+    def claim(self, camera: str, holder: object) -> None:
+        """From now on `holder` pushes the camera, and whoever did before does not."""
+
+    def holds(self, camera: str, holder: object) -> bool:
+        """Whether nobody has claimed the camera after `holder`."""
+
+    def put(self, picture: Picture) -> None:
+        """A picture has come."""
+
+    def gone(self, camera: str, reason: str, *, ended: bool) -> None:
+        """A camera delivers nothing for now."""
+
+
+class Intake:
+    """Makes a rig's pictures of one capture node's messages.
+
+    Args:
+        target: the rig.
+    """
+
+    def __init__(self, target: PushTarget) -> None:
+        self._target = target
+        self._newest: dict[str, int] = {}
+        self._clocks: dict[str, CaptureClock] = {}
+        self._decoders: dict[str, av.VideoCodecContext] = {}
+
+    def accept(self, message: PushMessage) -> None:
+        """Hand the message's picture on; nothing happens for a repeat.
+
+        Raises:
+            InputError: no such camera is pushed, another node has taken it over, or the picture is not one, or of
+                another size than calibrated.
+        """
+        size = self._target.pushed.get(message.camera)
+        if size is None:
+            raise InputError(f"camera {message.camera!r:.80}", "is not one of the rig's that are pushed")
+        if message.codec is not Codec.H264:
+            _check_size(message, size)
+        if message.camera not in self._newest:
+            self._target.claim(message.camera, self)
+            self._newest[message.camera] = -1
+        if not self._target.holds(message.camera, self):
+            raise InputError(f"camera {message.camera}", "is pushed by another capture node now")
+        if message.sequence <= self._newest[message.camera]:
+            return
+        found = self._time(message)
+        if message.codec is Codec.H264:
+            self._decode(message, size, found)
+        elif found is not None:
+            body, camera = message.body, message.camera
+            self._put(message, size, found.capture_ns, found, lambda: _pixels(body, camera, size))
+        self._newest[message.camera] = message.sequence
+
+    def close(self) -> None:
+        """The capture node has gone."""
+        for camera in filter(lambda name: self._target.holds(name, self), self._newest):
+            self._target.gone(camera, "its capture node has disconnected", ended=False)
+
+    def _time(self, message: PushMessage) -> CaptureTime | None:
+        arrival = self._target.now_ns
+        clock = self._clocks.get(message.camera)
+        if clock is None:
+            epoch = 0 if message.capture_ns is not None else self._target.genlock_epoch_ns(message.sequence)
+            clock = self._clocks[message.camera] = CaptureClock(self._target.fps, epoch)
+        number = message.sequence if message.capture_ns is None else None
+        return clock.capture(Sighting(arrival, stated_ns=message.capture_ns, frame_number=number))
+
+    def _decode(self, message: PushMessage, size: tuple[int, int], found: CaptureTime | None) -> None:
+        """Decode one access unit; its picture may come with a later one; without a time it is let go."""
+        decoder = self._decoders.get(message.camera)
+        if decoder is None:
+            decoder = self._decoders[message.camera] = _h264_decoder(size)
+        packet = av.Packet(message.body)
+        packet.pts = None if found is None else found.capture_ns
+        try:
+            frames = decoder.decode(packet)
+        except av.FFmpegError as error:
+            raise InputError(f"camera {message.camera}", "sent H.264 that does not decode") from error
+        for frame in frames:
+            if (frame.width, frame.height) != size:
+                raise _wrong_size(message.camera, (frame.width, frame.height), size)
+            if found is None or frame.pts is None:
+                continue
+
+            def load(frame: av.VideoFrame = frame) -> UInt8:
+                return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+
+            self._put(message, size, frame.pts, found, load)
+
+    def _put(self, message: PushMessage, size: tuple[int, int], capture: int, found: CaptureTime, load: Any) -> None:
+        source: ClockSource = found.source
+        self._target.put(Picture(message.camera, capture, source, found.error_ns, message.sequence, size, load))
+
+
+def _check_size(message: PushMessage, size: tuple[int, int]) -> None:
+    found = encoded_size(message.body)
+    if found is None:
+        raise InputError(f"camera {message.camera}", f"sent something that is no {message.codec.upper()} picture")
+    if found != size:
+        raise _wrong_size(message.camera, found, size)
+
+
+def _wrong_size(camera: str, found: tuple[int, int], size: tuple[int, int]) -> InputError:
+    fault = f"delivers {found[0]}x{found[1]}, but is calibrated for {size[0]}x{size[1]}"
+    return InputError(f"camera {camera}", fault)
+
+
+def _pixels(body: bytes, camera: str, size: tuple[int, int]) -> UInt8:
+    picture = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if picture is None or picture.shape != (size[1], size[0], 3):
+        raise InputError(f"camera {camera}", "sent a picture that does not decode")
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def _h264_decoder(size: tuple[int, int]) -> av.VideoCodecContext:
+    context = av.CodecContext.create("h264", "r")
+    assert isinstance(context, av.VideoCodecContext)
+    context.thread_count = 1
+    context.options = {"max_pixels": str((size[0] + 64) * (size[1] + 64))}
+    return context

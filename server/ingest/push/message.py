@@ -1,0 +1,100 @@
+"""Pictures that capture nodes push: one binary message each, parsed before anything is decoded. No I/O in here.
+
+A message is the header's length (2 bytes, big-endian), the header (a msgpack map) and the encoded picture:
+
+    camera      name in the rig's definition
+    sequence    counts the camera's pictures; a number that isn't higher than the last is a repeat and is skipped
+    capture_ns  when it was taken, nanoseconds since 1970; null where `sequence` is a genlocked rig's frame number
+    codec       jpeg, png, or h264 (one access unit, Annex B, parameter sets before each keyframe)
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import msgpack
+
+from core.errors import SessionError
+from server.protocol.messages import BAD_MESSAGE
+
+PUSH_SUBPROTOCOL = "streamlod.push.v1"
+MAX_MESSAGE_BYTES = 16 << 20
+_TOO_BIG = 1009  # RFC 6455 section 7.4.1
+_MAX_HEADER_BYTES = 512
+_FIELDS = {"camera", "sequence", "capture_ns", "codec"}
+_MOST_NUMBER, _MOST_TIME = 2**53, 2**62
+
+
+class Codec(StrEnum):
+    """How a pushed picture is encoded."""
+
+    JPEG = "jpeg"
+    PNG = "png"
+    H264 = "h264"
+
+
+@dataclass(frozen=True, slots=True)
+class PushMessage:
+    """One pushed picture: see the module; `body` is the encoded picture."""
+
+    camera: str
+    sequence: int
+    capture_ns: int | None
+    codec: Codec
+    body: bytes
+
+
+def parse_push(message: bytes) -> PushMessage:
+    """Read a message without decoding its picture.
+
+    Raises:
+        SessionError: longer than 16 MiB, or not of the form described in the module.
+    """
+    if len(message) > MAX_MESSAGE_BYTES:
+        raise SessionError(_TOO_BIG, f"a picture may have {MAX_MESSAGE_BYTES} bytes at most")
+    if len(message) < 2:
+        raise SessionError(BAD_MESSAGE, "the message ends before its header")
+    (length,) = struct.unpack_from(">H", message)
+    if not 1 <= length <= _MAX_HEADER_BYTES or 2 + length >= len(message):
+        raise SessionError(BAD_MESSAGE, f"a header has 1 to {_MAX_HEADER_BYTES} bytes, and a picture follows it")
+    try:
+        fields = msgpack.unpackb(
+            message[2 : 2 + length], max_str_len=128, max_map_len=8, max_array_len=0, max_bin_len=0, max_ext_len=0
+        )
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
+        raise SessionError(BAD_MESSAGE, "the header is not a msgpack map") from error
+    return _checked(fields, message[2 + length :])
+
+
+def _checked(fields: Any, body: bytes) -> PushMessage:
+    if not isinstance(fields, dict) or set(fields) != _FIELDS:
+        raise SessionError(BAD_MESSAGE, "a header holds camera, sequence, capture_ns and codec")
+    camera, sequence, capture, codec = (fields[name] for name in ("camera", "sequence", "capture_ns", "codec"))
+    if not isinstance(camera, str):
+        raise SessionError(BAD_MESSAGE, "camera must be a name")
+    if not _is_number(sequence, _MOST_NUMBER):
+        raise SessionError(BAD_MESSAGE, "sequence must be a number from 0 to 2^53")
+    if capture is not None and not _is_number(capture, _MOST_TIME):
+        raise SessionError(BAD_MESSAGE, "capture_ns must be null or nanoseconds since 1970")
+    if codec not in set(Codec):
+        raise SessionError(BAD_MESSAGE, "codec must be jpeg, png or h264")
+    return PushMessage(camera, sequence, capture, Codec(codec), body)
+
+
+def _is_number(value: object, most: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= most
+
+
+def pack_push(message: PushMessage) -> bytes:
+    """The bytes of a message, as a capture node sends them; `parse_push` goes back."""
+    fields = {
+        "camera": message.camera,
+        "sequence": message.sequence,
+        "capture_ns": message.capture_ns,
+        "codec": str(message.codec),
+    }
+    header: bytes = msgpack.packb(fields)
+    return struct.pack(">H", len(header)) + header + message.body

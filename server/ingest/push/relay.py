@@ -1,0 +1,125 @@
+"""Pushed pictures from the serving process to the worker that trains: a Unix socket, plain bytes, an answer to each.
+
+The answer is empty, or says in a sentence why the picture was refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Client, Connection, Listener
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from core.errors import InputError, SessionError
+from server.ingest.push.message import MAX_MESSAGE_BYTES, PushMessage, pack_push, parse_push
+from server.protocol.messages import BUSY
+
+if TYPE_CHECKING:
+    from server.ingest.push.intake import Intake
+
+_LOG = logging.getLogger(__name__)
+_LONGEST_ANSWER = 4096
+_BACKLOG = 64
+
+
+class RelayedIntake:
+    """The serving process's end: what `Intake` is, in another process.
+
+    Args:
+        path: of the worker's socket.
+
+    Raises:
+        InputError: the worker does not listen.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._pipe: Connection = Client(str(path), family="AF_UNIX")
+        except OSError as error:
+            raise InputError(path, "no rig takes pictures there now; try again later") from error
+
+    def accept(self, message: PushMessage) -> None:
+        """Hand a picture to the worker and wait for its answer.
+
+        Raises:
+            InputError: the worker refused it.
+            SessionError: the worker has gone; there may be another one soon.
+        """
+        try:
+            self._pipe.send_bytes(pack_push(message))
+            answer = self._pipe.recv_bytes(_LONGEST_ANSWER)
+        except (OSError, EOFError) as error:
+            raise SessionError(BUSY, "the stream takes no pictures at present; try again later") from error
+        if answer:
+            raise InputError(f"camera {message.camera}", answer.decode(errors="replace"))
+
+    def close(self) -> None:
+        """The capture node has gone."""
+        self._pipe.close()
+
+
+@contextlib.contextmanager
+def listening(path: Path, make_intake: Callable[[], Intake]) -> Iterator[None]:
+    """Take pictures from the serving process at `path` while the context lasts; the socket is this user's alone.
+
+    Raises:
+        InputError: the socket cannot be made there.
+    """
+    path.unlink(missing_ok=True)
+    mask = os.umask(0o177)
+    try:
+        listener = Listener(str(path), family="AF_UNIX", backlog=_BACKLOG)
+    except OSError as error:
+        raise InputError(path, f"no socket can be made there ({error.strerror})") from error
+    finally:
+        os.umask(mask)
+    stopping = threading.Event()
+    pipes: set[Connection] = set()
+
+    def accept() -> None:
+        while not stopping.is_set():
+            try:
+                pipe = listener.accept()
+            except OSError:
+                return
+            pipes.add(pipe)
+            threading.Thread(target=serve, args=(pipe,), daemon=True, name="pushed").start()
+
+    def serve(pipe: Connection) -> None:
+        intake = make_intake()
+        try:
+            while not stopping.is_set():
+                message = pipe.recv_bytes(MAX_MESSAGE_BYTES + 1024)
+                pipe.send_bytes(_answer(intake, message))
+        except (OSError, EOFError):
+            pass
+        finally:
+            pipes.discard(pipe)
+            pipe.close()
+            intake.close()
+
+    thread = threading.Thread(target=accept, daemon=True, name="push socket")
+    thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        with contextlib.suppress(OSError):
+            Client(str(path), family="AF_UNIX").close()  # wakes accept
+        thread.join(1)
+        listener.close()
+        path.unlink(missing_ok=True)
+
+
+def _answer(intake: Intake, message: bytes) -> bytes:
+    try:
+        intake.accept(parse_push(message))
+    except InputError as error:
+        return error.fault.encode()
+    except SessionError as error:
+        return error.detail.encode()
+    return b""

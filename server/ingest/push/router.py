@@ -1,0 +1,93 @@
+"""The websocket of capture nodes: each picture is acknowledged, or refused with a reason."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol
+
+from fastapi import APIRouter
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from core.errors import InputError, SessionError
+from server.ingest.push.message import PUSH_SUBPROTOCOL, PushMessage, parse_push
+from server.protocol.messages import BAD_MESSAGE, BAD_VERSION, FAULT
+
+_LOG = logging.getLogger(__name__)
+_LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5
+
+
+class AnyIntake(Protocol):
+    """An `Intake` here, or a `RelayedIntake` to a worker."""
+
+    def accept(self, message: PushMessage) -> None:
+        """Take a picture; InputError if it is refused."""
+
+    def close(self) -> None:
+        """The capture node has gone."""
+
+
+def push_router(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) -> APIRouter:
+    """The route ``/v1/streams/{stream_id}/ingest``.
+
+    Args:
+        open_intake: given the request and the stream's id, checks the right to publish and gives what takes the
+            pictures; raises SessionError to refuse.
+    """
+    router = APIRouter()
+
+    @router.websocket("/v1/streams/{stream_id}/ingest")
+    async def push(websocket: WebSocket, stream_id: str) -> None:
+        """A capture node of docs/ingest.md."""
+        offers = websocket.scope.get("subprotocols", [])
+        try:
+            try:
+                if PUSH_SUBPROTOCOL not in offers:
+                    raise SessionError(BAD_VERSION, f"offer the sub-protocol {PUSH_SUBPROTOCOL}")
+                intake = await open_intake(websocket, stream_id)
+            finally:  # also to be refused: close codes and reasons need a connection
+                await websocket.accept(PUSH_SUBPROTOCOL if PUSH_SUBPROTOCOL in offers else None)
+            await _take(websocket, intake)
+        except SessionError as error:
+            await _close(websocket, error.close_code, error.detail)
+        except (WebSocketDisconnect, ConnectionError):
+            return
+        except Exception:
+            _LOG.exception("stream %s: a capture node's session broke", stream_id)
+            await _close(websocket, FAULT, "a fault inside the server")
+
+    return router
+
+
+async def _take(websocket: WebSocket, intake: AnyIntake) -> None:
+    """Pictures one after the other: a node that is too fast waits for its acknowledgements."""
+    loop = asyncio.get_running_loop()
+    thread = ThreadPoolExecutor(1, thread_name_prefix="pushed")  # a worker that hangs could take the shared pool's
+    try:
+        while True:
+            received = await websocket.receive()
+            if received["type"] == "websocket.disconnect":
+                return
+            data = received.get("bytes")
+            if not isinstance(data, bytes):
+                raise SessionError(BAD_MESSAGE, "pictures are binary messages")
+            message = parse_push(data)
+            answer = {"type": "ack", "camera": message.camera, "sequence": message.sequence}
+            try:
+                await loop.run_in_executor(thread, intake.accept, message)
+            except InputError as error:
+                answer |= {"type": "refused", "reason": error.fault}
+            await websocket.send_text(json.dumps(answer))
+    finally:
+        thread.shutdown(wait=False)
+        await asyncio.to_thread(intake.close)
+
+
+async def _close(websocket: WebSocket, code: int, reason: str) -> None:
+    reason = reason.encode()[:_LONGEST_REASON].decode(errors="ignore")
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect, ConnectionError):
+        await websocket.close(code, reason)

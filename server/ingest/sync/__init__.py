@@ -1,0 +1,1 @@
+"""Capture clocks and the synchroniser that pairs pictures by time."""

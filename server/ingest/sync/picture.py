@@ -1,0 +1,38 @@
+"""One picture of one camera, on its way from a source to the synchroniser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from core.arrays import UInt8
+from server.ingest.sync.clock import ClockSource
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture and when it was taken.
+
+    Attributes:
+        camera: name of the camera.
+        capture_ns: capture time, nanoseconds since 1970.
+        source: what the time rests on.
+        error_ns: how far the time may be off.
+        sequence: counts the camera's pictures as they came.
+        size: (width, height) in pixels.
+        load: makes the [H,W,3] uint8 RGB pixels; called only for pictures that are used, and raises InputError for one
+            that does not decode.
+    """
+
+    camera: str
+    capture_ns: int
+    source: ClockSource
+    error_ns: int
+    sequence: int
+    size: tuple[int, int]
+    load: Callable[[], UInt8]
+
+    @property
+    def image(self) -> UInt8:
+        """[H,W,3] RGB."""
+        return self.load()

@@ -1,0 +1,356 @@
+"""Pictures of many cameras -> instants. No clock and no I/O in here: the caller says what time it is.
+
+Two times run through this: the capture time of pictures, and `now_ns`, which never goes back and has any origin. Only
+differences of `now_ns` are used, so that a step of anybody's wall clock shows as a jump of capture times alone.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from statistics import median_low
+
+from server.ingest.sync.grid import Grid, best_phase, period_of, phase_of
+from server.ingest.sync.picture import Picture
+
+_SECOND_NS = 1_000_000_000
+_AHEAD_NS = _SECOND_NS  # a picture this much earlier than its camera rig's usual delay has a wrong time
+_BEHIND_NS = 10 * _SECOND_NS
+_STRAYS = 3  # wrong times in a row of most cameras: the clock they share was stepped
+_HELD = 8  # pictures of a camera kept until all cameras have come
+_SMOOTHING = 0.1
+_MOST_PATIENCE = 8  # times the deadline that slow cameras are waited for
+_SETTLED = 0.8  # length of a smoothed phase that is worth acting on
+_OFF_CENTRE, _GAIN = 0.35, 0.1  # parts of a period: when the grid is moved, and what it must be good for
+
+
+class CameraState(StrEnum):
+    """ok; late: it delivers, but not in time or with wrong times; lost: it delivers nothing."""
+
+    OK = "ok"
+    LATE = "late"
+    LOST = "lost"
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of one camera's pictures.
+
+    Attributes:
+        received: that came.
+        late: that came after their slot had closed.
+        duplicate: that shared a slot with a nearer one.
+        stray: whose capture time cannot be.
+        missing: slots that closed without one.
+        skew_ns: smoothed difference between capture and slot time.
+    """
+
+    received: int = 0
+    late: int = 0
+    duplicate: int = 0
+    stray: int = 0
+    missing: int = 0
+    skew_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slot:
+    """One instant.
+
+    Attributes:
+        number: increases by one a period, across gaps and clock steps too.
+        capture_ns: its place on the grid, in the cameras' time.
+        pictures: one a camera, in their order; None where one is missing.
+    """
+
+    number: int
+    capture_ns: int
+    pictures: tuple[Picture | None, ...]
+
+
+@dataclass(slots=True)
+class _Track:
+    """What is remembered of one camera."""
+
+    counts: Counts = field(default_factory=Counts)
+    arrived_ns: int | None = None  # None: lost
+    newest: int | None = None  # slot
+    delay_ns: int = 0
+    lag_ns: float = 0.0  # smoothed delay beyond the cameras' median
+    strays: int = 0
+    is_late: bool = False
+    turn: complex = 0
+    held: deque[Picture] = field(default_factory=lambda: deque(maxlen=_HELD))
+
+
+@dataclass(slots=True)
+class _Open:
+    first_ns: int
+    pictures: dict[str, Picture] = field(default_factory=dict)
+
+
+class Synchroniser:
+    """Pairs pictures by capture time on a grid of instants.
+
+    A slot is given out, in order, as soon as every camera that delivers has been heard (with a picture of it, or a
+    later one), at the latest `deadline_ns` after its first picture; with less than `quorum` pictures, it is dropped.
+    Every picture goes into the slot nearest to it or nowhere. Memory is bounded: a picture is accepted at most a second
+    ahead, and slots close at their deadline.
+
+    Args:
+        cameras: names, in the order of a slot's pictures.
+        fps: slots a second.
+        quorum: pictures that a slot needs; all by default.
+        deadline_ns: two periods by default; up to eight times that where a camera's pictures usually come so late.
+        lost_ns: silence after which a camera isn't waited for any more.
+        gather_ns: how long to wait at first for all cameras to deliver.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[str],
+        fps: float,
+        *,
+        quorum: int | None = None,
+        deadline_ns: int | None = None,
+        lost_ns: int = _SECOND_NS,
+        gather_ns: int = 10 * _SECOND_NS,
+    ) -> None:
+        self._tracks = {name: _Track() for name in cameras}
+        if not cameras or len(self._tracks) < len(cameras):
+            raise ValueError("cameras need names, each its own")
+        self._quorum = len(cameras) if quorum is None else quorum
+        if not 1 <= self._quorum <= len(cameras):
+            raise ValueError(f"a quorum of {quorum} does not fit {len(cameras)} cameras")
+        self._period = period_of(fps)
+        self._deadline_ns = round(2 * self._period) if deadline_ns is None else deadline_ns
+        self._lost_ns, self._gather_ns = lost_ns, gather_ns
+        self._grid: Grid | None = None
+        self._began_ns: int | None = None
+        self._open: dict[int, _Open] = {}
+        self._closed, self._closed_ns = -1, 0
+        self._delay_ns = self._followed_ns = self._now_ns = 0
+        self.dropped = self.steps = self.shifts = 0  # slots below quorum, clock steps of all, moves of the grid
+
+    @property
+    def pending(self) -> int:
+        """Number of slots in memory."""
+        return len(self._open)
+
+    def counts(self) -> dict[str, Counts]:
+        """A copy of the counters of each camera."""
+        return {name: replace(track.counts) for name, track in self._tracks.items()}
+
+    def states(self, now_ns: int) -> dict[str, CameraState]:
+        """The state of each camera."""
+        return {name: self._state(track, now_ns) for name, track in self._tracks.items()}
+
+    def is_degraded(self, now_ns: int) -> bool:
+        """Whether some camera is lost."""
+        return CameraState.LOST in self.states(now_ns).values()
+
+    def deadline_ns(self) -> int | None:
+        """When `poll` is due if no picture comes, or None while no slot is open."""
+        if self._grid is None:
+            return None if self._began_ns is None else self._began_ns + self._gather_ns
+        first = min((slot.first_ns for slot in self._open.values()), default=None)
+        return None if first is None else first + self._patience(self._alive())
+
+    def push(self, picture: Picture, now_ns: int) -> list[Slot]:
+        """Take a picture; returns the slots that are ready.
+
+        Raises:
+            KeyError: no such camera.
+        """
+        track = self._tracks[picture.camera]
+        self._now_ns = now_ns
+        ready = self._close_due(now_ns)
+        track.counts.received += 1
+        track.arrived_ns = now_ns
+        track.delay_ns = now_ns - picture.capture_ns
+        if self._grid is None:
+            self._began_ns = now_ns if self._began_ns is None else self._began_ns
+            track.held.append(picture)
+            return self._begin(now_ns)
+        if self._is_stray(track, now_ns):
+            return ready + self._restart_if_all_strayed(now_ns)
+        self._place(picture, now_ns)
+        return ready + self._close_due(now_ns)
+
+    def poll(self, now_ns: int) -> list[Slot]:
+        """The slots whose deadline has passed."""
+        self._now_ns = now_ns
+        if self._grid is None and self._began_ns is not None:
+            return self._begin(now_ns)
+        return self._close_due(now_ns)
+
+    def leave(self, camera: str, now_ns: int) -> list[Slot]:
+        """A camera has gone; it is not waited for until it delivers again."""
+        self._tracks[camera].arrived_ns = None
+        return self.poll(now_ns)
+
+    def finish(self, now_ns: int) -> list[Slot]:
+        """The slots still open, at the end."""
+        ready = [] if self._grid or self._began_ns is None else self._begin(self._began_ns + self._gather_ns)
+        return ready + self._flush(now_ns)
+
+    def _state(self, track: _Track, now_ns: int) -> CameraState:
+        if track.arrived_ns is None or now_ns - track.arrived_ns > self._lost_ns:
+            return CameraState.LOST
+        return CameraState.LATE if track.is_late else CameraState.OK
+
+    def _alive(self) -> list[_Track]:
+        """Cameras that are waited for: they delivered lately, with times that can be."""
+        return [
+            track
+            for track in self._tracks.values()
+            if self._state(track, self._now_ns) is not CameraState.LOST and track.strays < _STRAYS
+        ]
+
+    def _patience(self, alive: list[_Track]) -> int:
+        """How long after its first picture a slot stays open: cameras that are always late still belong to the rig."""
+        lags = [track.lag_ns for track in alive]
+        wanted = max(lags) - min(lags) + self._deadline_ns / 2 if lags else 0
+        return round(min(max(self._deadline_ns, wanted), _MOST_PATIENCE * self._deadline_ns))
+
+    def _begin(self, now_ns: int) -> list[Slot]:
+        """Lay the grid once all cameras have delivered, or have been waited for."""
+        assert self._began_ns is not None
+        seen = [track for track in self._tracks.values() if track.held]
+        if not seen or (len(seen) < len(self._tracks) and now_ns - self._began_ns < self._gather_ns):
+            return []
+        self._delay_ns, self._followed_ns = median_low([track.delay_ns for track in seen]), now_ns
+        held = sorted((picture for track in seen for picture in track.held), key=lambda picture: picture.capture_ns)
+        self._lay(self._closed + 1, [track.held[-1].capture_ns for track in seen])
+        assert self._grid is not None
+        begin = max(track.held[0].capture_ns for track in seen if not self._is_off(track))
+        self._grid = replace(self._grid, anchor_ns=self._grid.time_of(self._grid.slot_of(begin)))
+        self._closed_ns = now_ns
+        for track in self._tracks.values():
+            track.held.clear()
+        for picture in held:
+            if not self._is_off(self._tracks[picture.camera]) and self._grid.slot_of(picture.capture_ns) > self._closed:
+                self._place(picture, now_ns)
+        return self._close_due(now_ns)
+
+    def _lay(self, number: int, captures: list[int]) -> None:
+        """A grid for cameras whose latest capture times are these; the first slot is about the first of them."""
+        grid = Grid(self._period, number, captures[0])
+        shift = best_phase([phase_of(grid.turn_of(capture)) for capture in captures])
+        self._grid = replace(grid, anchor_ns=grid.anchor_ns + round(shift * self._period))
+        for track in self._tracks.values():
+            track.newest, track.strays, track.turn = None, 0, 0
+
+    def _is_off(self, track: _Track) -> bool:
+        return not self._delay_ns - _AHEAD_NS <= track.delay_ns <= self._delay_ns + _BEHIND_NS
+
+    def _is_stray(self, track: _Track, now_ns: int) -> bool:
+        """Whether the newest picture's time cannot be, seen from what all cameras do; follow slow changes of that."""
+        most = (now_ns - self._followed_ns) // 10  # delays change slowly; a clock that runs away doesn't take us along
+        self._followed_ns = now_ns
+        if self._is_off(track):
+            track.counts.stray += 1
+            track.strays += 1
+            track.is_late = True
+            return True
+        track.strays = 0
+        lag = min(track.delay_ns - self._delay_ns, _MOST_PATIENCE * self._deadline_ns)
+        track.lag_ns += _SMOOTHING * (lag - track.lag_ns)
+        usual = [other.delay_ns for other in self._tracks.values() if other.arrived_ns is not None and not other.strays]
+        self._delay_ns += min(max(median_low(usual) - self._delay_ns, -most), most)
+        return False
+
+    def _restart_if_all_strayed(self, now_ns: int) -> list[Slot]:
+        """Lay the grid anew when most of the cameras agree that their clock was stepped."""
+        alive = [t for t in self._tracks.values() if self._state(t, now_ns) is not CameraState.LOST]
+        strayed = [track for track in alive if track.strays >= _STRAYS]
+        if 2 * len(strayed) <= len(alive):
+            return []
+        delay = median_low([track.delay_ns for track in strayed])
+        agreeing = [track for track in strayed if abs(track.delay_ns - delay) < _AHEAD_NS]
+        if 2 * len(agreeing) <= len(alive):
+            return []
+        ready = self._flush(now_ns)
+        self.steps += 1
+        self._delay_ns = delay
+        elapsed = max(1, round((now_ns - self._closed_ns) / self._period))
+        self._lay(self._closed + elapsed, [now_ns - track.delay_ns for track in agreeing])
+        return ready
+
+    def _place(self, picture: Picture, now_ns: int) -> None:
+        assert self._grid is not None
+        track = self._tracks[picture.camera]
+        number = self._grid.slot_of(picture.capture_ns)
+        if number <= self._closed:
+            track.counts.late += 1
+            track.is_late = True
+            return
+        track.is_late = False
+        track.turn += _SMOOTHING * (self._grid.turn_of(picture.capture_ns) - track.turn)
+        track.counts.skew_ns = round(phase_of(track.turn) * self._period)
+        slot = self._open.setdefault(number, _Open(now_ns))
+        other = slot.pictures.get(picture.camera)
+        if other is not None:
+            track.counts.duplicate += 1
+            place = self._grid.time_of(number)
+            if abs(other.capture_ns - place) <= abs(picture.capture_ns - place):
+                return
+        slot.pictures[picture.camera] = picture
+        track.newest = number if track.newest is None else max(track.newest, number)
+
+    def _close_due(self, now_ns: int) -> list[Slot]:
+        """Close slots in order, up to the last one that is complete or past its deadline."""
+        if not self._open:
+            return []
+        alive = self._alive()
+        heard = min((-1 if track.newest is None else track.newest for track in alive), default=max(self._open))
+        patience = self._patience(alive)
+        due = [n for n, slot in self._open.items() if n <= heard or now_ns >= slot.first_ns + patience]
+        if not due:
+            return []
+        last = max(due)
+        ready = [self._close(number, now_ns) for number in sorted(self._open) if number <= last]
+        ready += self._shift_if_off_centre(alive, now_ns)
+        return [slot for slot in ready if slot is not None]
+
+    def _close(self, number: int, now_ns: int) -> Slot | None:
+        assert self._grid is not None
+        pictures = self._open.pop(number).pictures
+        self._closed, self._closed_ns = number, now_ns
+        for name, track in self._tracks.items():
+            if name not in pictures:
+                track.counts.missing += 1
+                track.is_late = True
+        if len(pictures) < self._quorum:
+            self.dropped += 1
+            return None
+        chosen = tuple(pictures.get(name) for name in self._tracks)
+        return Slot(number, self._grid.time_of(number), chosen)
+
+    def _flush(self, now_ns: int) -> list[Slot]:
+        slots = [self._close(number, now_ns) for number in sorted(self._open)]
+        return [slot for slot in slots if slot is not None]
+
+    def _shift_if_off_centre(self, alive: list[_Track], now_ns: int) -> list[Slot]:
+        """Move the grid by part of a period when a camera's pictures lie near a slot boundary and need not.
+
+        Slots that are open close first, so that every picture stays in the slot nearest to it.
+        """
+        assert self._grid is not None
+        turns = [track.turn for track in alive if abs(track.turn) > _SETTLED]
+        if not turns or len(turns) < len(alive):
+            return []
+        phases = [phase_of(turn) for turn in turns]
+        shift = best_phase(phases)
+        off = max(abs(phase) for phase in phases)
+        moved_off = max(abs(phase - shift - round(phase - shift)) for phase in phases)
+        if off < _OFF_CENTRE or moved_off > off - _GAIN:
+            return []
+        ready = self._flush(now_ns)
+        self._grid = replace(self._grid, anchor_ns=self._grid.anchor_ns + round(shift * self._period))
+        self.shifts += 1
+        for track in alive:
+            track.turn = 0
+        return ready

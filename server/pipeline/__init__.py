@@ -1,0 +1,1 @@
+"""From pictures to packets: job, stages, trace."""

@@ -1,0 +1,351 @@
+"""From pictures to packets: a data set, the trainer and the codec, composed.
+
+Three stages work side by side: while frame t trains, pictures of frame t + 1 are read, and frame t - 1 is encoded
+and handed on. `train_stream` is what the worker process runs; `train_clip` writes a clip into a file.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from codec.container import SlodWriter
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet.packet import PacketKind
+from codec.renewal import Renewal, RenewalRule
+from core.camera import Camera
+from core.data import Dataset, linspace_split, open_dataset, prefetch
+from core.frames import FrameSet
+from core.initialise import first_points
+from core.scene.anchors import Scene
+from core.scene.residual import Residual
+from core.synthetic import SyntheticSpec, open_synthetic
+from core.train import Progress, TrainedFrame, Trainer, preset
+from server.ingest.live import LiveDataset, open_live
+from server.ingest.statistics import Statistics
+from server.pipeline.bounded_queue import Outlet, made_by
+from server.pipeline.job import TrainJob
+from server.pipeline.rehearsal import rehearse
+from server.pipeline.trace import Span, timed, timing
+
+_LOG = logging.getLogger(__name__)
+_PREFETCHED = 2  # frames decoded ahead
+_PREVIEWS_AT = (0.1, 0.3, 0.6, 2.0)  # of the first frame's run; the last is never reached
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedFrame:
+    """One frame's packets with the figures of its training.
+
+    Attributes:
+        version: frame index.
+        packets: one, or two where a new keyframe follows the frame's residual.
+        report: JSON-able figures.
+        preview: whether the packet is an early, unfinished keyframe.
+        spans: when its stages ran.
+    """
+
+    version: int
+    packets: tuple[bytes, ...]
+    report: dict[str, Any]
+    preview: bool = False
+    spans: tuple[Span, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenJob:
+    """A job's data set, reduced to the cameras it trains on, and the whole rig."""
+
+    job: TrainJob
+    dataset: Dataset | LiveDataset
+    rig: tuple[Camera, ...]
+
+    def frames(self, start: int, announce: Callable[[FrameSet], None]) -> Generator[tuple[FrameSet, Span], None, None]:
+        """The job's frames from `start` with the time that reading took: ahead of training, but live ones the newest.
+
+        A live frame read ahead would be an old one by the time that training wants it.
+
+        Args:
+            announce: told each frame as soon as it is read, on the thread that reads.
+        """
+        stop, count = self.job.frames, self.dataset.frame_count
+        if count is not None:
+            stop = count if stop is None else min(stop, count)
+        frames = timed(_announced(self.dataset.frames(start, stop), announce), "read")
+        return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
+
+    def statistics(self) -> Statistics | None:
+        """How live cameras do; None for files, and while nothing is read."""
+        return self.dataset.statistics() if isinstance(self.dataset, LiveDataset) else None
+
+    def close(self) -> None:
+        """End the reading of live cameras, from any thread."""
+        if isinstance(self.dataset, LiveDataset):
+            self.dataset.close()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trained:
+    """A state on its way to the encoder.
+
+    Attributes:
+        scene: the state.
+        time_ns: its presentation time.
+        change: the state before, and what leads from there; None where `scene` itself is to be sent.
+        packet: of the change, where rate control had to know its size at once.
+        renewed: a keyframe of the same instant, to be sent after the change, or None.
+        preview, report, spans: as in `EncodedFrame`.
+        captured: when the frame was filmed, in seconds of `time.perf_counter`; None for files.
+    """
+
+    scene: Scene
+    time_ns: int
+    report: dict[str, Any]
+    change: tuple[Scene, Residual] | None = None
+    renewed: Scene | None = None
+    preview: bool = False
+    spans: tuple[Span, ...] = ()
+    captured: float | None = None
+    packet: bytes | None = None
+
+    def changing(self) -> bytes:
+        """The packet of the change."""
+        assert self.change is not None
+        return encode_residual(*self.change, kind=PacketKind.PREDICTED, time_ns=self.time_ns)
+
+
+def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
+    """Open the data set and choose the cameras.
+
+    Args:
+        push_socket: where a live rig takes pictures that capture nodes push.
+
+    Raises:
+        InputError: the data set or the choice is unusable.
+    """
+    dataset: Dataset | LiveDataset
+    if job.live is not None:
+        dataset = open_live(job.live, downscale=job.downscale, push_socket=push_socket)
+    elif job.data is not None:
+        dataset = open_dataset(job.data, layout=job.layout, downscale=job.downscale)
+    else:
+        dataset = open_synthetic(SyntheticSpec(**job.synthetic or {}))
+    names = job.train or linspace_split(dataset.names, job.views, job.test).train
+    return OpenJob(job, dataset.select(names), dataset.cameras)
+
+
+def train_stream(
+    opened: OpenJob,
+    *,
+    resume: Scene | None = None,
+    start: int = 0,
+    previews: bool = False,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Generator[EncodedFrame, None, None]:
+    """Train the job's frames in order on a thread, and encode each while the next one trains.
+
+    Versions count published states: frame numbers, unless previews or a resumed state came before. An error of any
+    stage is raised here after the frames before it; a frame's packets are all made before the frame is given out.
+
+    Args:
+        resume: go on from this keyframe, which has been published, instead of training one.
+        start: first frame to read.
+        previews: also yield early keyframes while the first frame trains, for viewers who wait.
+        on_progress: called on the training thread.
+    """
+
+    def train(outlet: Outlet[_Trained]) -> None:
+        _Training(opened, previews, on_progress, outlet).run(resume, start)
+
+    # at the end the cameras are closed first: training that waits for them could not be ended
+    with closing(made_by(train, "training")) as trained, closing(opened):
+        for state in trained:
+            yield _encoded(state)
+
+
+def train_clip(
+    opened: OpenJob,
+    out: Path,
+    on_frame: Callable[[EncodedFrame], None],
+    on_progress: Callable[[Progress], None] | None = None,
+) -> None:
+    """Train a clip into the file `out`, which appears when it is complete; figures go beside it into `out`.json."""
+    first_seconds, seconds, reports = 0.0, [], []
+    with SlodWriter(out) as writer, closing(train_stream(opened, on_progress=on_progress)) as frames:
+        for encoded in frames:
+            begin = time.perf_counter()
+            for packet in encoded.packets:
+                writer.append(packet)
+            written = Span("write", "write", begin, time.perf_counter())
+            reports.append(encoded.report)
+            if encoded.version == 0:
+                first_seconds = encoded.report["total_seconds"]
+            else:
+                seconds.append(encoded.report["total_seconds"])
+            on_frame(replace(encoded, spans=(*encoded.spans, written)))
+    figures = {
+        "train_seconds": float(np.mean(seconds)) if seconds else None,
+        "first_frame_seconds": first_seconds,
+        "job": {name: str(value) for name, value in opened.job.to_json().items()},
+        "per_frame": reports,
+    }
+    sidecar = out.with_name(out.name + ".json")
+    temporary = sidecar.with_name(sidecar.name + ".part")
+    temporary.write_text(json.dumps(figures, indent=1))
+    temporary.replace(sidecar)
+
+
+class _Training:
+    """The stage that trains; what it makes goes into `outlet`."""
+
+    def __init__(
+        self,
+        opened: OpenJob,
+        previews: bool,
+        on_progress: Callable[[Progress], None] | None,
+        outlet: Outlet[_Trained],
+    ) -> None:
+        self._job, self._dataset, self._opened = opened.job, opened.dataset, opened
+        self._previews, self._on_progress, self._outlet = previews, on_progress, outlet
+        job, dataset = opened.job, opened.dataset
+        self._trainer = Trainer(
+            dataset.cameras,
+            replace(preset(job.preset), seed=job.seed),
+            dataset.fps,
+            job.device,
+            opened.rig,
+            frame_budget_ms=job.frame_budget_ms,
+            target_kbps=job.target_kbps,
+            label_motion=False,
+        )
+        self._renewal = Renewal(RenewalRule(longest=job.keyframe_interval))
+
+    def run(self, resume: Scene | None, start: int) -> None:
+        """All frames from `start`, after the state to resume if there is one."""
+        if self._job.frame_budget_ms is not None:
+            rehearse(self._job.preset, self._job.device)  # loading code must not use up the first frames' time
+        shift = 0
+        if resume is not None:
+            self._trainer.resume(resume)
+            shift = resume.version + 1 - start
+        with closing(self._opened.frames(start, self._trainer.prepare)) as frames:
+            for filmed, read in frames:
+                captured, frame = self._captured(read), replace(filmed, index=filmed.index + shift)
+                if self._trainer.has_state:
+                    trained = self._later(frame)
+                else:
+                    trained = self._first(frame)
+                    shift = trained.scene.version - filmed.index
+                self._outlet.put(replace(trained, spans=(read, *trained.spans), captured=captured))
+
+    def _captured(self, read: Span) -> float | None:
+        """When a live frame that has just been read was filmed, in seconds of `time.perf_counter`."""
+        statistics = self._opened.statistics()
+        return None if statistics is None else read.end - statistics.latency_ns / 1e9
+
+    def _first(self, frame: FrameSet) -> _Trained:
+        """The first keyframe, with early ones before it where viewers wait for them."""
+        dataset, version = self._dataset, frame.index
+        points, found = timing(
+            "train",
+            lambda: first_points(
+                frame,
+                dataset.cameras,
+                depth_bounds=dataset.depth_bounds,
+                method=self._job.points,
+                dataset_points=dataset.points(),
+                seed=self._job.seed,
+            ),
+        )
+
+        def tell(progress: Progress) -> None:
+            nonlocal version
+            self._outlet.check()
+            if self._on_progress is not None:
+                self._on_progress(progress)
+            shown = version - frame.index
+            if self._previews and progress.preview is not None and progress.fraction >= _PREVIEWS_AT[shown]:
+                scene = replace(progress.preview(), keyframe=version, version=version)
+                self._outlet.put(_Trained(scene, frame.time_ns, {"fraction": progress.fraction}, preview=True))
+                version += 1
+
+        trained = self._trainer.keyframe(frame, points, tell)
+        scene = trained.scene
+        if version != frame.index:
+            scene = replace(scene, keyframe=version, version=version)
+            self._trainer.resume(scene, keep_references=True)
+        spans = (replace(found, name="points"), *_spans(trained))
+        return _Trained(scene, frame.time_ns, _report(trained, spans, version), spans=spans)
+
+    def _renewing(self, progress: Progress) -> None:
+        self._outlet.check()
+        _LOG.debug("keyframe: %.0f %% of its training done", 100 * progress.fraction)
+
+    def _later(self, frame: FrameSet) -> _Trained:
+        """One later frame: its residual, and now and then a keyframe of the same instant after it."""
+        before = self._trainer.scene
+        trained = self._trainer.predict(frame)
+        assert trained.residual is not None
+        scene, renewed, spans = trained.scene, None, _spans(trained)
+        if self._renewal.due(before, scene) is not None:
+            self._trainer.want_keyframe()
+        if self._trainer.keyframe_is_ready:
+            _LOG.info("version %d: a new keyframe", scene.version)
+            keyframe = self._trainer.renew(frame, self._renewing)
+            renewed, spans = keyframe.scene, (*spans, *_spans(keyframe))
+        report = _report(trained, spans, scene.version)
+        state = _Trained(scene, frame.time_ns, report, (before, trained.residual), renewed, spans=spans)
+        if self._job.target_kbps is None:
+            return state
+        packet, span = timing("encode", state.changing)
+        self._trainer.sent(trained, len(packet), span.end - span.begin)
+        return replace(state, packet=packet)
+
+
+def _announced(frames: Iterator[FrameSet], announce: Callable[[FrameSet], None]) -> Generator[FrameSet, None, None]:
+    for frame in frames:
+        announce(frame)
+        yield frame
+
+
+def _encoded(state: _Trained) -> EncodedFrame:
+    """All packets of a state, with the time that encoding took in its report."""
+
+    def encode() -> Iterator[bytes]:
+        if state.change is None:
+            yield encode_keyframe(state.scene, time_ns=state.time_ns)
+        else:
+            yield state.packet or state.changing()
+        if state.renewed is not None:
+            yield encode_keyframe(state.renewed, time_ns=state.time_ns)
+
+    packets, span = timing("encode", lambda: tuple(encode()))
+    report, seconds = state.report, span.end - span.begin
+    if not state.preview:
+        report = {**report, "seconds": {**report["seconds"], "encode": seconds}}
+        report["total_seconds"] += seconds
+    if state.captured is not None:
+        report = {**report, "latency_seconds": span.end - state.captured}
+    return EncodedFrame(state.scene.version, packets, report, state.preview, (*state.spans, span))
+
+
+def _spans(trained: TrainedFrame) -> tuple[Span, ...]:
+    return tuple(Span("train", *span) for span in trained.report.spans)
+
+
+def _report(trained: TrainedFrame, spans: tuple[Span, ...], version: int) -> dict[str, Any]:
+    """The figures of `trained`, with the seconds of all stages in `spans`."""
+    seconds: dict[str, float] = {}
+    for span in spans:
+        seconds[span.name] = seconds.get(span.name, 0.0) + span.end - span.begin
+    figures = asdict(replace(trained.report, spans=()))
+    del figures["spans"]
+    return {**figures, "seconds": seconds, "total_seconds": sum(seconds.values()), "version": version}

@@ -1,0 +1,1 @@
+"""Messages and packets of the viewer protocol."""

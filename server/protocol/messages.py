@@ -1,0 +1,189 @@
+"""Control messages of the viewer protocol `streamlod.v1`: text to values, refused with the documented close codes."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from core.errors import SessionError
+from server.protocol.packets import Position
+from server.protocol.thin_messages import Pick, Shown, View, parse_view_message
+
+SUBPROTOCOL = "streamlod.v1"
+PROTOCOL_VERSION = 1
+LIVE = "live"
+ACK_EVERY = 32  # packets
+
+BAD_MESSAGE, UNAUTHORISED, FORBIDDEN, NO_STREAM = 4400, 4401, 4403, 4404
+HELLO_TIMEOUT, BAD_VERSION, FLOOD = 4408, 4415, 4429
+DONE, STOPPING, FAULT, BUSY = 1000, 1001, 1011, 1013
+
+_MOST = 2**53  # integers that every JSON reader keeps
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """A viewer's first message; None stands for "no limit", and `start` None for the live edge.
+
+    `pictures` asks for pictures instead of packets.
+    """
+
+    client: str
+    start: Position | None
+    levels: int | None
+    kilobytes_per_second: float | None
+    pictures: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """Bytes of packets received so far."""
+
+    received_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Set:
+    """New wishes; only the fields named in `given` were sent."""
+
+    levels: int | None
+    kilobytes_per_second: float | None
+    given: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Seek:
+    """Jump; None is the live edge. `stop`: pause there, where the server draws."""
+
+    to: Position | None
+    stop: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Stop sending."""
+
+
+@dataclass(frozen=True, slots=True)
+class Play:
+    """Go on."""
+
+
+Control = Ack | Set | Seek | Pause | Play | View | Shown | Pick
+
+
+def parse_hello(text: str) -> Hello:
+    """A viewer's first message.
+
+    Raises:
+        SessionError: 4400 malformed, 4415 no common version.
+    """
+    message = _object(text)
+    if message.get("type") != "hello":
+        raise SessionError(BAD_MESSAGE, "the first message must be a hello")
+    versions = message.get("versions")
+    if not isinstance(versions, list) or len(versions) > 64:
+        raise SessionError(BAD_MESSAGE, "hello needs a list of versions")
+    if PROTOCOL_VERSION not in [v for v in versions if type(v) is int]:
+        raise SessionError(BAD_VERSION, f"this server speaks version {PROTOCOL_VERSION}")
+    client = message.get("client", "")
+    if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # it is logged
+        raise SessionError(BAD_MESSAGE, "client must be a string of at most 200 printable characters")
+    start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
+    return Hello(client, start, _levels(message), _rate(message), pictures)
+
+
+def parse_control(text: str) -> Control:
+    """Any later message.
+
+    Raises:
+        SessionError: 4400, it is malformed or not one of the protocol.
+    """
+    message = _object(text)
+    match message.get("type"):
+        case "ack" if "picture" not in message:
+            return Ack(_integer(message.get("bytes"), "bytes"))
+        case "set":
+            given = frozenset(message) & {"levels", "kilobytes_per_second"}
+            return Set(_levels(message), _rate(message), given)
+        case "seek":
+            return Seek(_target(message.get("to"), "to"), _flag(message, "stop"))
+        case "pause":
+            return Pause()
+        case "play":
+            return Play()
+        case "ack" | "view" | "pick":
+            return parse_view_message(message)
+    raise SessionError(BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play, view, pick")
+
+
+def welcome(stream: dict[str, Any], window: dict[str, Any] | None, session: str) -> dict[str, Any]:
+    """The answer to a hello, from STREAM of docs/protocol.md."""
+    about = {"version": PROTOCOL_VERSION, "session": session, "stream": stream["id"]}
+    shared = {name: stream[name] for name in ("state", "detail", "epoch", "levels", "fps")}
+    rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": time.time_ns()}
+    return {"type": "welcome", **about, **shared, **rest}
+
+
+def event(name: str, **fields: Any) -> dict[str, Any]:
+    """An event message."""
+    return {"type": "event", "event": name, **fields}
+
+
+def _object(text: str) -> dict[str, Any]:
+    try:
+        message = _READER.decode(text)
+    except (ValueError, RecursionError) as error:
+        raise SessionError(BAD_MESSAGE, "message is not JSON") from error
+    if not isinstance(message, dict):
+        raise SessionError(BAD_MESSAGE, "message is not a JSON object")
+    return message
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(name)
+
+
+_READER = json.JSONDecoder(parse_constant=_refuse_constant)
+
+
+def _integer(value: object, name: str) -> int:
+    if type(value) is not int or not 0 <= value <= _MOST:
+        raise SessionError(BAD_MESSAGE, f"{name} must be an integer of at least 0")
+    return value
+
+
+def _flag(message: dict[str, Any], name: str) -> bool:
+    value = message.get(name, False)
+    if not isinstance(value, bool):
+        raise SessionError(BAD_MESSAGE, f"{name} must be true or false")
+    return value
+
+
+def _target(value: object, name: str) -> Position | None:
+    if value == LIVE:
+        return None
+    if not isinstance(value, dict):
+        raise SessionError(BAD_MESSAGE, f'{name} must be "live" or a position')
+    return Position(_integer(value.get("epoch"), "epoch"), _integer(value.get("version"), "version"))
+
+
+def _levels(message: dict[str, Any]) -> int | None:
+    value = message.get("levels")
+    if value is None:
+        return None
+    if type(value) is not int or not 1 <= value <= 64:
+        raise SessionError(BAD_MESSAGE, "levels must be an integer from 1 to 64")
+    return value
+
+
+def _rate(message: dict[str, Any]) -> float | None:
+    value = message.get("kilobytes_per_second")
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1 <= value <= 1e9 or math.isnan(value):
+        raise SessionError(BAD_MESSAGE, "kilobytes_per_second must be a number from 1 to 1e9")
+    return float(value)

@@ -1,0 +1,222 @@
+"""Packets as the server handles them: opaque bytes with a place in a stream, and the window of recent ones."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+from codec.packet.info import PacketInfo, peek
+from codec.packet.levels import drop_levels
+from codec.packet.packet import PacketKind
+
+PIECE_BYTES = 32_768  # of a keyframe in one frame's time, for viewers that have a picture already
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Position:
+    """A place in a stream: `epoch` counts encoder runs, `version` is the frame number within."""
+
+    epoch: int
+    version: int
+
+    def to_json(self) -> dict[str, int]:
+        """As in docs/protocol.md."""
+        return {"epoch": self.epoch, "version": self.version}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreamPacket:
+    """One published packet.
+
+    Attributes:
+        number: counts the packets of the stream in this process; a keyframe may share its position with the residual
+            before it, never its number.
+        position: epoch and version of the state after it.
+        info: its header.
+        data: the packet of codec/FORMAT.md.
+        arrived: monotonic time at which it came, in seconds.
+    """
+
+    number: int
+    position: Position
+    info: PacketInfo
+    data: bytes
+    arrived: float
+    _framed: dict[int, bytes] = field(default_factory=dict, repr=False)
+    _pieces: dict[int, tuple[bytes, ...]] = field(default_factory=dict, repr=False)
+
+    @property
+    def is_key(self) -> bool:
+        """Whether decoding can begin here."""
+        return self.info.kind is PacketKind.KEY
+
+    def follows(self, position: Position) -> bool:
+        """Whether a decoder at `position` can take this packet."""
+        return self.is_key or (self.position.epoch == position.epoch and self.info.from_version == position.version)
+
+    def restricted(self, levels: int) -> bytes:
+        """The packet with its coarsest `levels` levels."""
+        return self.data if levels >= self.info.level_mask.bit_length() else drop_levels(self.data, levels - 1)
+
+    def framed(self, levels: int) -> bytes:
+        """`restricted` as one websocket frame, made once and shared by all viewers."""
+        frame = self._framed.get(levels)
+        if frame is None:
+            held = min(levels, self.info.level_mask.bit_length())
+            if held not in self._framed:
+                self._framed[held] = binary_frame(self.restricted(held))
+            frame = self._framed[levels] = self._framed[held]
+        return frame
+
+    def pieces(self, levels: int) -> tuple[bytes, ...]:
+        """`restricted` as one websocket message in frames of `PIECE_BYTES`, made once and shared by all viewers."""
+        pieces = self._pieces.get(levels)
+        if pieces is None:
+            pieces = self._pieces[levels] = tuple(binary_fragments(memoryview(self.restricted(levels)), PIECE_BYTES))
+        return pieces
+
+    def forget_frames(self) -> None:
+        """Let go of what viewers shared; it is made again if one asks."""
+        self._framed.clear()
+        self._pieces.clear()
+
+    def without_frames(self) -> StreamPacket:
+        """The same packet for keeping: what viewers share stays with the original."""
+        return replace(self, _framed={}, _pieces={})
+
+
+def stream_packet(number: int, epoch: int, data: bytes) -> StreamPacket:
+    """`data` as packet `number`; BitstreamError if its header is not valid."""
+    info = peek(data)
+    return StreamPacket(number, Position(epoch, info.to_version), info, data, time.monotonic())
+
+
+def binary_frame(data: bytes) -> bytes:
+    """An unmasked, final websocket frame of opcode 2 (RFC 6455 section 5.2)."""
+    return _frame(0x82, data)
+
+
+def binary_fragments(data: bytes | memoryview, size_bytes: int) -> Iterator[bytes]:
+    """`data` as one message in frames that carry at most `size_bytes` each (RFC 6455 section 5.4)."""
+    for at in range(0, max(len(data), 1), size_bytes):
+        first = (0x02 if at == 0 else 0x00) | (0x80 if at + size_bytes >= len(data) else 0x00)
+        yield _frame(first, data[at : at + size_bytes])
+
+
+def text_frame(message: str) -> bytes:
+    """An unmasked, final websocket frame of opcode 1."""
+    return _frame(0x81, message.encode())
+
+
+def _frame(first: int, data: bytes | memoryview) -> bytes:
+    size = len(data)
+    if size < 126:
+        return bytes((first, size)) + data
+    if size < 1 << 16:
+        return bytes((first, 126)) + size.to_bytes(2, "big") + data
+    return bytes((first, 127)) + size.to_bytes(8, "big") + data
+
+
+def payload_bytes(frame: bytes) -> int:
+    """Length of what a frame made here carries."""
+    return len(frame) - {126: 4, 127: 10}.get(frame[1], 2)
+
+
+class PacketWindow:
+    """The most recent packets of a stream, dropped from the front in whole groups of pictures.
+
+    Args:
+        limit_bytes: sum of packet sizes to keep; the newest group is kept whatever it takes.
+    """
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit = limit_bytes
+        self._packets: list[StreamPacket] = []
+        self._ends: list[int] = []  # running total of bytes up to and with each packet
+        self._dropped_bytes = 0
+
+    @property
+    def packets(self) -> list[StreamPacket]:
+        """All packets kept, oldest first."""
+        return list(self._packets)
+
+    @property
+    def oldest(self) -> StreamPacket | None:
+        """The first packet kept, always a keyframe."""
+        return self._packets[0] if self._packets else None
+
+    @property
+    def newest(self) -> StreamPacket | None:
+        """The last packet."""
+        return self._packets[-1] if self._packets else None
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes kept."""
+        return self._ends[-1] - self._dropped_bytes if self._ends else 0
+
+    def append(self, packet: StreamPacket) -> None:
+        """Add the newest packet.
+
+        Raises:
+            ValueError: it does not follow what is here.
+        """
+        newest = self.newest
+        if newest is None:
+            fits = packet.is_key
+        else:
+            fits = packet.number == newest.number + 1 and packet.follows(newest.position)
+            fits = fits and packet.position >= newest.position
+        if not fits:
+            raise ValueError(f"packet {packet.position} does not apply to the newest state")
+        total = self._ends[-1] if self._ends else self._dropped_bytes
+        self._packets.append(packet)
+        self._ends.append(total + len(packet.data))
+        while self.size_bytes > self._limit and self._drop_oldest_group():
+            pass
+
+    def trim(self, before: Position) -> None:
+        """Drop whole groups that end before `before`; the newest group stays."""
+        while (end := self._group_end()) is not None and self._packets[end].position <= before:
+            self._drop_oldest_group()
+
+    def after(self, number: int) -> StreamPacket | None:
+        """The packet that comes next after packet `number`, if both ends of that step are still here."""
+        index = self._index(number) + 1
+        return self._packets[index] if 0 <= index < len(self._packets) else None
+
+    def bytes_after(self, number: int) -> int:
+        """Bytes of all packets after packet `number`."""
+        if not self._packets:
+            return 0
+        index = max(self._index(number), -1)
+        return self._ends[-1] - (self._ends[index] if index >= 0 else self._dropped_bytes)
+
+    def read(self, first: Position, last: Position) -> list[StreamPacket]:
+        """Packets of positions `first` to `last`, both included."""
+        place: Callable[[StreamPacket], Position] = lambda packet: packet.position  # noqa: E731
+        begin = bisect_left(self._packets, first, key=place)
+        return self._packets[begin : bisect_right(self._packets, last, key=place)]
+
+    def groups(self) -> list[list[StreamPacket]]:
+        """Groups of pictures, each from its keyframe on, oldest first."""
+        starts = [i for i, packet in enumerate(self._packets) if packet.is_key]
+        ends = [*starts[1:], len(self._packets)] if starts else []
+        return [self._packets[a:b] for a, b in zip(starts, ends, strict=True)]
+
+    def _index(self, number: int) -> int:
+        """Where packet `number` is or would be; below -1 if the packet after it is gone as well."""
+        return number - self._packets[0].number if self._packets else -2
+
+    def _group_end(self) -> int | None:
+        return next((i for i in range(1, len(self._packets)) if self._packets[i].is_key), None)
+
+    def _drop_oldest_group(self) -> bool:
+        end = self._group_end()
+        if end is None:
+            return False
+        self._dropped_bytes = self._ends[end - 1]
+        del self._packets[:end], self._ends[:end]
+        return True

@@ -1,0 +1,1 @@
+"""One stream: its live end, its recording, its broadcast."""

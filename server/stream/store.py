@@ -1,0 +1,307 @@
+"""Recordings: one append-only `.slod` file a group of pictures, and a catalogue of them.
+
+All writing happens on one thread. Live streaming never waits for it and survives its failure: a full disk stops the
+recording, says so, and the next keyframe tries again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import shutil
+import sqlite3
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from codec.container import SlodReader, SlodWriter
+from codec.packet.packet import PacketKind
+from core.errors import BitstreamError, InputError
+from server.protocol.packets import Position, StreamPacket
+from server.settings import Retention
+
+_LOG = logging.getLogger(__name__)
+_T = TypeVar("_T")
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS streams(id TEXT PRIMARY KEY, definition TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS segments(
+  stream TEXT NOT NULL, epoch INTEGER NOT NULL, first INTEGER NOT NULL, last INTEGER NOT NULL,
+  packets INTEGER NOT NULL, bytes INTEGER NOT NULL, begun_ns INTEGER NOT NULL, file_bytes INTEGER NOT NULL,
+  PRIMARY KEY(stream, epoch, first));
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """One group of pictures on disk.
+
+    Attributes:
+        path: its `.slod` file.
+        first, last: positions of its keyframe and of its newest packet.
+        packets, size_bytes: count and sum of sizes of its packets.
+        begun_ns: Unix time of its keyframe.
+        begun: monotonic time of its keyframe [s]; retention goes by it, so that a clock that is set deletes nothing.
+        closed: whether it has its index and will not change.
+    """
+
+    path: Path
+    first: Position
+    last: Position
+    packets: int
+    size_bytes: int
+    begun_ns: int
+    begun: float
+    closed: bool
+
+
+class Store:
+    """All recordings below one folder.
+
+    Args:
+        folder: made if it is missing.
+        retention: what to keep.
+
+    Raises:
+        InputError: the folder or its catalogue cannot be used.
+    """
+
+    def __init__(self, folder: Path, retention: Retention) -> None:
+        self.folder, self.retention = folder, retention
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._catalogue = sqlite3.connect(folder / "catalogue.sqlite3", check_same_thread=False)
+            self._catalogue.execute("PRAGMA journal_mode=WAL")
+            self._catalogue.executescript(_SCHEMA)
+        except (OSError, sqlite3.Error) as error:
+            raise InputError(folder, f"cannot hold recordings ({error}); choose another --state-dir") from error
+        self._recordings: list[Recording] = []
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
+
+    async def run(self, work: Callable[[], _T]) -> _T:
+        """Do `work` on the recording thread."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    def submit(self, work: Callable[[], None]) -> None:
+        """Do `work` on the recording thread, later."""
+        self._thread.submit(work)
+
+    def execute(self, statement: str, values: tuple[Any, ...]) -> list[tuple[Any, ...]]:
+        """One catalogue statement, committed."""
+        with self._catalogue:
+            return self._catalogue.execute(statement, values).fetchall()
+
+    def recording(self, stream: str) -> Recording:
+        """The recording of a stream, repaired if the last run broke off."""
+        recording = Recording(self, stream)
+        self._recordings.append(recording)
+        return recording
+
+    def definitions(self) -> dict[str, dict[str, Any]]:
+        """Definitions of streams that were created while running."""
+        return {name: json.loads(text) for name, text in self.execute("SELECT id, definition FROM streams", ())}
+
+    def define(self, stream: str, definition: dict[str, Any] | None) -> None:
+        """Remember, or with None forget, a stream's definition."""
+        if definition is None:
+            self.execute("DELETE FROM streams WHERE id = ?", (stream,))
+        else:
+            self.execute("INSERT OR REPLACE INTO streams VALUES (?, ?)", (stream, json.dumps(definition)))
+
+    @property
+    def has_room(self) -> bool:
+        """Whether the disk has more left than its reserve."""
+        usage = shutil.disk_usage(self.folder)
+        return usage.free > usage.total * self.retention.reserve_fraction
+
+    def close(self) -> None:
+        """Finish what waits, all open segments, and the catalogue."""
+        for recording in self._recordings:
+            self._thread.submit(recording.finish)
+        self._thread.shutdown(wait=True)
+        self._catalogue.close()
+
+
+class Recording:
+    """The recording of one stream; `segments` is what can be read, oldest first."""
+
+    def __init__(self, store: Store, stream: str) -> None:
+        self._store, self._stream = store, stream
+        self._folder = store.folder / "streams" / stream
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._writer: SlodWriter | None = None
+        self._waiting_bytes = 0
+        self.segments: list[Segment] = self._restore()
+        self.fault: str | None = None
+        self.lost_packets = 0
+
+    @property
+    def last_epoch(self) -> int:
+        """Epoch of the newest segment, or 0."""
+        return self.segments[-1].first.epoch if self.segments else 0
+
+    def append(self, packet: StreamPacket) -> None:
+        """Record a packet, soon; drops it if the disk is far behind."""
+        if self._waiting_bytes > self._store.retention.memory_bytes:
+            self.fault, self.lost_packets = "the disk is too slow", self.lost_packets + 1
+            self._store.submit(self._abandon)
+            return
+        self._waiting_bytes += len(packet.data)
+        self._store.submit(lambda: self._write(packet))
+
+    async def flush(self) -> None:
+        """Wait until everything appended so far is written."""
+        await self._store.run(lambda: None)
+
+    async def close(self) -> None:
+        """Finish the open segment."""
+        await self._store.run(self.finish)
+
+    async def trim(self, before: Position) -> None:
+        """Delete closed segments that end before `before`."""
+        await self._store.run(lambda: self._delete([s for s in self.segments if s.closed and s.last < before]))
+
+    async def erase(self) -> None:
+        """Delete everything."""
+
+        def work() -> None:
+            self.finish()
+            self._delete(list(self.segments))
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+        await self._store.run(work)
+
+    def _write(self, packet: StreamPacket) -> None:
+        """Append to the open segment; a keyframe begins one. On the recording thread."""
+        self._waiting_bytes -= len(packet.data)
+        try:
+            if packet.is_key:
+                self.finish()
+                self._retain()
+                self._begin(packet)
+            if self._writer is None:
+                self.lost_packets += 1
+                return
+            self._writer.append(packet.data)
+        except (OSError, sqlite3.Error) as error:
+            self.lost_packets += 1
+            self._stop(error)
+            self._abandon()
+            return
+        last = self.segments[-1]
+        size = last.size_bytes + len(packet.data)
+        self.segments[-1] = replace(last, last=packet.position, packets=last.packets + 1, size_bytes=size)
+        self.fault = None
+
+    def _begin(self, packet: StreamPacket) -> None:
+        if not self._store.has_room:
+            raise OSError("the disk is full up to its reserve")
+        path = self._folder / f"{packet.position.epoch:06d}-{packet.position.version:010d}.slod"
+        if path.exists():
+            raise OSError(f"{path.name} exists already")
+        self._writer = SlodWriter(path, live=True)
+        now = time.time_ns(), time.monotonic()
+        self.segments.append(Segment(path, packet.position, packet.position, 0, 0, *now, False))
+
+    def finish(self) -> None:
+        """Close the open segment. On the recording thread."""
+        if self._writer is None:
+            return
+        writer, self._writer = self._writer, None
+        try:
+            writer.close()
+            self.segments[-1] = replace(self.segments[-1], closed=True)
+            self._enter(self.segments[-1])
+        except (OSError, sqlite3.Error) as error:  # it can be read without its index, and is repaired at the next start
+            self._stop(error)
+
+    def _stop(self, error: Exception) -> None:
+        self.fault = f"recording stopped: {error}"
+        _LOG.error("stream %s: %s", self._stream, self.fault)
+
+    def _abandon(self) -> None:
+        """Leave the open segment as it is up to its last whole packet."""
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return
+        with contextlib.suppress(OSError):
+            writer.close()
+        segment = self.segments.pop()
+        repaired = None
+        with contextlib.suppress(OSError, sqlite3.Error):
+            repaired = self._repair(segment.path, segment.begun_ns)
+        if repaired is not None:
+            self.segments.append(repaired)
+
+    def _retain(self) -> None:
+        """Delete what is too old or too much; the newest segment stays."""
+        retention, now = self._store.retention, time.monotonic()
+        kept = self.segments[-1:]
+        total = sum(s.size_bytes for s in kept)
+        old = []
+        for segment in reversed(self.segments[:-1]):
+            total += segment.size_bytes
+            if total > retention.bytes or now - segment.begun > retention.seconds:
+                old.append(segment)
+        self._delete(old)
+
+    def _delete(self, segments: list[Segment]) -> None:
+        for segment in segments:
+            segment.path.unlink(missing_ok=True)
+            key = (self._stream, segment.first.epoch, segment.first.version)
+            self._store.execute("DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?", key)
+        self.segments = [s for s in self.segments if s not in segments]
+
+    def _enter(self, s: Segment) -> None:
+        place = (self._stream, s.first.epoch, s.first.version, s.last.version)
+        values = (*place, s.packets, s.size_bytes, s.begun_ns, s.path.stat().st_size)
+        self._store.execute("INSERT OR REPLACE INTO segments VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
+
+    def _restore(self) -> list[Segment]:
+        """Segments on disk; those that the catalogue does not know as they are were torn, and are repaired."""
+        statement = "SELECT epoch, first, last, packets, bytes, begun_ns, file_bytes FROM segments WHERE stream = ?"
+        known = {(row[0], row[1]): row for row in self._store.execute(statement, (self._stream,))}
+        segments = []
+        for path in sorted(self._folder.glob("*-*.slod")):
+            epoch, first = (int(part) for part in path.stem.split("-"))
+            row = known.pop((epoch, first), None)
+            stat = path.stat()
+            if row is not None and row[6] == stat.st_size:
+                place = Position(epoch, first), Position(epoch, row[2])
+                segments.append(Segment(path, *place, row[3], row[4], row[5], _monotonic(row[5]), True))
+            elif (repaired := self._repair(path, stat.st_mtime_ns)) is not None:
+                segments.append(repaired)
+        for epoch, first in known:
+            statement = "DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?"
+            self._store.execute(statement, (self._stream, epoch, first))
+        return segments
+
+    def _repair(self, path: Path, begun_ns: int) -> Segment | None:
+        """Cut a torn tail and write the index; None, and no file, if no keyframe survived."""
+        try:
+            with SlodReader(path) as reader:
+                entries = reader.entries
+        except (BitstreamError, InputError):
+            entries = ()
+        if not entries or entries[0].kind is not PacketKind.KEY:
+            _LOG.warning("stream %s: %s holds no whole keyframe and is deleted", self._stream, path.name)
+            path.unlink(missing_ok=True)
+            return None
+        SlodWriter(path, live=True).close()
+        epoch = int(path.stem.split("-")[0])
+        first, last = Position(epoch, entries[0].to_version), Position(epoch, entries[-1].to_version)
+        size = sum(entry.size_bytes for entry in entries)
+        segment = Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
+        self._enter(segment)
+        os.utime(path, ns=(begun_ns, begun_ns))
+        return segment
+
+
+def _monotonic(unix_ns: int) -> float:
+    """The monotonic time of an earlier Unix time, by the clock as it is set now."""
+    return time.monotonic() - max(0, time.time_ns() - unix_ns) / 1e9

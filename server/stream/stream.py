@@ -1,0 +1,257 @@
+"""One stream: its worker, its live end, its past, and the state that everybody asks for."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from server.ingest.statistics import complaint
+from server.pipeline.spec import StreamSpec
+from server.protocol.messages import event
+from server.protocol.packets import Position, stream_packet, text_frame
+from server.settings import Settings
+from server.stream.bus import LocalBus
+from server.stream.counters import Counters
+from server.stream.hub import Hub
+from server.stream.store import Recording
+from server.worker.process import Resume, Tag
+from server.worker.supervisor import Ending, Supervisor
+
+_LOG = logging.getLogger(__name__)
+_HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
+_WINDOW_SECONDS = 1.0  # from one window event to the next
+
+
+class Stream:
+    """A running or idle stream; owner of its supervisor.
+
+    Args:
+        spec: what it is made from.
+        settings: of the server.
+        recording: its place on disk, or None.
+        push_socket: where its worker takes pictures that capture nodes push, or None.
+    """
+
+    def __init__(
+        self,
+        spec: StreamSpec,
+        settings: Settings,
+        recording: Recording | None = None,
+        push_socket: Path | None = None,
+    ) -> None:
+        self.spec, self._settings, self.push_socket = spec, settings, push_socket
+        self.bus = LocalBus(settings.retention.memory_bytes, recording)
+        self.counters = Counters()
+        self.hub = Hub(_HUB_BYTES, self.counters)
+        self.viewers = self.thin_viewers = 0
+        self.state, self.detail = "idle", ""
+        self.progress: dict[str, Any] | None = None
+        self.report: dict[str, Any] | None = None
+        self.ingest: dict[str, Any] | None = None  # how live cameras do
+        self.created_at = datetime.now(UTC)
+        self.deleted = False
+        self.live_at = 0.0  # monotonic time of the newest packet
+        self._epoch = recording.last_epoch if recording else 0
+        self._number = 0
+        self._windowed_at = 0.0
+        self._new_epoch = True
+        self._frames_done = 0
+        self._events: list[asyncio.Queue[dict[str, Any]]] = []
+        self._supervisor = self._make_supervisor()
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def restarts(self) -> int:
+        """Worker restarts since the start."""
+        return self._supervisor.restarts
+
+    @property
+    def worker_pid(self) -> int | None:
+        """Process id of the worker."""
+        return self._supervisor.pid
+
+    @property
+    def is_running(self) -> bool:
+        """Whether there is, or will be, a worker."""
+        return self._task is not None and not self._task.done()
+
+    @property
+    def newest(self) -> Position | None:
+        """The live edge."""
+        return self.hub.newest.position if self.hub.newest else None
+
+    @property
+    def levels(self) -> int | None:
+        """Levels of the scene."""
+        return self.hub.newest.info.level_mask.bit_length() if self.hub.newest else None
+
+    @property
+    def window(self) -> dict[str, Any] | None:
+        """Oldest and newest position, as in docs/protocol.md."""
+        oldest, newest = self.bus.oldest, self.newest
+        if oldest is None or newest is None:
+            return None
+        return {"oldest": oldest.to_json(), "newest": newest.to_json()}
+
+    def describe(self) -> dict[str, Any]:
+        """STREAM of docs/protocol.md."""
+        scene, newest = self.hub.scene, self.newest
+        return {
+            "id": self.spec.id,
+            "name": self.spec.id,
+            "state": self.state,
+            "detail": self.detail,
+            "epoch": newest.epoch if newest else None,
+            "version": newest.version if newest else None,
+            "fps": scene.header.fps if scene else None,
+            "levels": self.levels,
+            "anchors": scene.anchor_count if scene else None,
+            "viewers": self.viewers,
+            "restarts": self.restarts,
+            "recording": self._recording_state(),
+            "progress": self.progress,
+            "report": self.report,
+            "ingest": self.ingest,
+            "created_at": self.created_at.isoformat(timespec="seconds").replace("+00:00", "Z"),
+            "live_path": f"/v1/streams/{self.spec.id}/live",
+        }
+
+    def start(self) -> None:
+        """Start the worker, unless it runs or the stream was deleted; an ended source begins again."""
+        if self.is_running or self.deleted:
+            return
+        if self.state in {"ended", "failed"}:
+            self._frames_done, self._new_epoch = 0, True
+        self._supervisor = self._make_supervisor()
+        self._enter("starting")
+        self._task = asyncio.create_task(self._supervisor.run())
+
+    async def stop(self) -> None:
+        """Stop the worker and finish the open segment; viewers stay."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+            self._task = None
+        if self.bus.recording is not None:
+            await self.bus.recording.close()
+        if self.state in {"starting", "live", "degraded"}:
+            self._enter("idle")
+
+    async def delete(self) -> None:
+        """Stop for good and erase the recording."""
+        self.deleted = True  # nobody starts it again meanwhile
+        await self.stop()
+        if self.bus.recording is not None:
+            await self.bus.recording.erase()
+        self.hub.wake()
+
+    def listen(self) -> asyncio.Queue[dict[str, Any]]:
+        """A queue of this stream's events; give it back to `unlisten`."""
+        queue: asyncio.Queue[dict[str, Any]] = asyncio.Queue(64)
+        self._events.append(queue)
+        return queue
+
+    def unlisten(self, queue: asyncio.Queue[dict[str, Any]]) -> None:
+        """No more events into `queue`."""
+        self._events.remove(queue)
+
+    async def on_message(self, tag: Tag, body: bytes) -> None:
+        """See `supervisor.Owner`."""
+        if tag in {Tag.PACKET, Tag.PREVIEW}:
+            await self._on_packet(body, record=tag is Tag.PACKET)
+        elif tag is Tag.REPORT:
+            self.report = json.loads(body)
+            self._frames_done = self.report.get("done", self._frames_done + 1) if self.report else 0
+        elif tag is Tag.PROGRESS:
+            self.progress = json.loads(body)
+            self._tell(event("progress", **(self.progress or {})))
+        elif tag is Tag.INGEST:
+            self._on_ingest(json.loads(body))
+        elif tag is Tag.EPOCH:
+            self._new_epoch, self._frames_done = True, 0
+
+    async def resume_point(self) -> Resume:
+        """See `supervisor.Owner`."""
+        self._new_epoch, self.ingest = True, None
+        if self._frames_done == 0:
+            return Resume()
+        return Resume(tuple(await self.hub.snapshot()), self._frames_done)
+
+    def on_restart(self, ending: Ending, delay_seconds: float) -> None:
+        """See `supervisor.Owner`."""
+        _LOG.warning("stream %s: %s; restart in %g s", self.spec.id, ending.text, delay_seconds)
+        state = "degraded" if self.newest else "starting"
+        self._enter(state, f"{ending.text}; it is being restarted")
+
+    def on_finish(self, ending: Ending) -> None:
+        """See `supervisor.Owner`."""
+        _LOG.info("stream %s: %s", self.spec.id, ending.text)
+        if self.bus.recording is not None:
+            asyncio.get_running_loop().create_task(self.bus.recording.close())
+        self._enter("ended" if ending.done else "failed", ending.text)
+
+    async def _on_packet(self, data: bytes, *, record: bool) -> None:
+        packet = stream_packet(self._number, self._epoch + self._new_epoch, data)
+        await self.hub.accept(packet, self._window_message(), self._begin_epoch)
+        self.bus.publish(packet, record=record)
+        self._number += 1
+        self.counters.packets += 1
+        self.counters.packet_bytes += len(data)
+        self.live_at = time.monotonic()
+        if record:
+            self._enter_live()
+
+    def _begin_epoch(self) -> None:
+        """Tell of a new epoch in the moment in which its first packet becomes the newest one.
+
+        Earlier, who joins between the two would be welcomed to the old epoch and never hear of this one.
+        """
+        if self._new_epoch:
+            self._epoch, self._new_epoch = self._epoch + 1, False
+            self._tell(event("epoch", epoch=self._epoch))
+
+    def _window_message(self) -> bytes:
+        """A framed window event, now and then."""
+        now, window = time.monotonic(), self.window
+        if window is None or now - self._windowed_at < _WINDOW_SECONDS:
+            return b""
+        self._windowed_at = now
+        return text_frame(json.dumps(event("window", **window)))
+
+    def _on_ingest(self, figures: dict[str, Any]) -> None:
+        self.ingest = figures
+        if self.state == "starting":
+            self._enter("starting", complaint(figures))
+        elif not self._new_epoch:  # a worker that has sent nothing yet does not end the trouble
+            self._enter_live()
+
+    def _enter_live(self) -> None:
+        """Live, or degraded while a camera is missing."""
+        fault = complaint(self.ingest) if self.ingest else ""
+        self._enter("degraded" if fault else "live", fault)
+
+    def _enter(self, state: str, detail: str = "") -> None:
+        if (state, detail) != (self.state, self.detail):
+            self.state, self.detail = state, detail
+            self._tell(event("state", state=state, detail=detail))
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        for queue in self._events:
+            if queue.full():  # a viewer that takes nothing; the newest events tell most
+                queue.get_nowait()
+            queue.put_nowait(message)
+        self.hub.wake()
+
+    def _recording_state(self) -> str:
+        if self.bus.recording is None:
+            return "off"
+        return self.bus.recording.fault or "on"
+
+    def _make_supervisor(self) -> Supervisor:
+        settings = self._settings
+        return Supervisor(self.spec, settings.worker, settings.limits.packet_bytes, self, self.push_socket)

@@ -1,0 +1,1 @@
+"""One viewer's session: live, replayed, or drawn by the server."""

@@ -1,0 +1,209 @@
+"""Pictures drawn by the server, for viewers that cannot draw: scene and camera in, JPEG out, at a grade that adapts.
+
+Drawing runs in one thread for all viewers, in turn; its kernels let the event loop go on meanwhile.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import struct
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from core.arrays import Float64, UInt8
+from core.camera import Camera
+from core.errors import ModelError
+from core.render.cpu import render
+from core.render.splatter import Splatter
+from core.scene.anchors import Scene
+from core.scene.expand import anchor_positions
+from core.scene.gaussians import GaussianCloud
+
+T = TypeVar("T")
+
+HEADER = struct.Struct("<IIIHHBBHI")  # number, epoch, version, width, height, quality, levels, 0, drawing time in us
+_MOST_PAIRS = 1 << 24  # of a Gaussian and a tile: 64 MB and about a second, whatever a viewer asks for
+_SMALLEST_SIDE = 16  # pixels
+_FULL_CHROMA = 90  # JPEG quality from which colour keeps its full resolution
+
+
+@dataclass(frozen=True, slots=True)
+class Grade:
+    """How good a picture is: fraction of the size asked for, JPEG quality."""
+
+    scale: float
+    quality: int
+
+
+GRADES = (Grade(1, 92), Grade(1, 80), Grade(0.75, 75), Grade(0.5, 70), Grade(0.35, 60), Grade(0.25, 50))
+
+
+class Pace:
+    """Chooses the grade from how long pictures take, from the begin of drawing to the viewer's acknowledgement.
+
+    Coarser at once when a picture takes long; finer after a calm while, if the next grade should still be quick. A
+    picture of a view that rests may take longer.
+    """
+
+    _SLOW, _QUICK, _REST = 0.25, 0.15, 1.5  # seconds a picture
+    _CALM = 5  # pictures
+
+    def __init__(self) -> None:
+        self._index, self._calm = 1, 0
+        self._cost = 0.0  # seconds for all pixels at grade 0, from the last picture
+
+    @property
+    def moving(self) -> int:
+        """Index of the grade for a picture that another will follow soon."""
+        return self._index
+
+    @property
+    def resting(self) -> int:
+        """Index of the grade for a picture that stays."""
+        fine = (index for index in range(self._index) if self._expected(index) <= self._REST)
+        return next(fine, self._index)
+
+    def delivered(self, index: int, seconds: float) -> None:
+        """A picture of grade `index` took `seconds`."""
+        self._cost = seconds / _work(index)
+        if index < self._index:
+            return  # it had time
+        if seconds > self._SLOW:
+            steps = 2 if seconds > 3 * self._SLOW else 1
+            self._index, self._calm = min(self._index + steps, len(GRADES) - 1), 0
+            return
+        self._calm += 1
+        if self._calm >= self._CALM and self._index > 0 and self._expected(self._index - 1) <= self._QUICK:
+            self._index, self._calm = self._index - 1, 0
+
+    def _expected(self, index: int) -> float:
+        return self._cost * _work(index)
+
+
+def _work(index: int) -> float:
+    """What a picture of a grade costs, relative to the first: its pixels, and bytes that grow with the quality."""
+    grade = GRADES[index]
+    return grade.scale**2 * (grade.quality / GRADES[0].quality) ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Painted:
+    """A JPEG file with its size in pixels, and how long it took to make."""
+
+    jpeg: bytes
+    width: int
+    height: int
+    seconds: float
+
+
+class Painter:
+    """The thread that draws, and the places of the viewers it draws for.
+
+    Args:
+        places: how many viewers at most.
+        most_pixels: of a picture.
+    """
+
+    def __init__(self, places: int, most_pixels: int) -> None:
+        self.places, self._most_pixels = places, most_pixels
+        self.taken = 0
+        self._thread: ThreadPoolExecutor | None = None
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no place is left."""
+        return self.taken >= self.places
+
+    @contextlib.contextmanager
+    def place(self) -> Iterator[None]:
+        """Hold one place; ask `is_full` first."""
+        assert not self.is_full
+        self.taken += 1
+        try:
+            yield
+        finally:
+            self.taken -= 1
+
+    async def run(self, work: Callable[[], T]) -> T:
+        """`work` in the drawing thread, after what waits there."""
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(1, thread_name_prefix="painter")
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    def paint(self, splatter: Splatter, scene: Scene, camera: Camera, levels: int, grade: Grade) -> Painted:
+        """Draw and compress; call it through `run`."""
+        started = time.perf_counter()
+        camera = fitted(camera, grade.scale, self._most_pixels)
+        image = draw(splatter.cloud(scene, camera, levels), camera, scene)
+        jpeg = compress(image, grade.quality)
+        return Painted(jpeg, camera.width, camera.height, time.perf_counter() - started)
+
+    def close(self) -> None:
+        """End the thread after what it is doing."""
+        if self._thread is not None:
+            self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+def fitted(camera: Camera, scale: float, most_pixels: int) -> Camera:
+    """`camera` with both sides of its picture scaled, and shrunk to at most `most_pixels`."""
+    scale *= min(1.0, (most_pixels / (scale**2 * camera.width * camera.height)) ** 0.5)
+    width, height = (max(_SMALLEST_SIDE, int(side * scale)) for side in (camera.width, camera.height))
+    return camera.scaled(width, height)
+
+
+def draw(cloud: GaussianCloud, camera: Camera, scene: Scene) -> UInt8:
+    """[H,W,3] uint8 RGB of the camera's size; coarser inside where the view would cost too much."""
+    inner = camera
+    while True:
+        try:
+            image = render(cloud, inner, scene.header.background, _MOST_PAIRS).image
+            break
+        except ModelError:
+            size = max(1, inner.width // 2), max(1, inner.height // 2)
+            if size == (1, 1):
+                image = np.broadcast_to(scene.header.background, (1, 1, 3))
+                break
+            inner = inner.scaled(*size)
+    picture = np.asarray(np.clip(np.round(image * 255), 0, 255), np.uint8)
+    if inner is camera:
+        return picture
+    import cv2
+
+    return np.asarray(cv2.resize(picture, (camera.width, camera.height)), np.uint8).reshape(
+        camera.height, camera.width, 3
+    )
+
+
+def compress(image: UInt8, quality: int) -> bytes:
+    """[H,W,3] RGB as a JPEG file."""
+    import cv2
+
+    chroma = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444 if quality >= _FULL_CHROMA else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, chroma]
+    return bytes(cv2.imencode(".jpg", image[:, :, ::-1], options)[1])
+
+
+def look_along(
+    cloud: GaussianCloud, scene: Scene, origin: Float64, direction: Float64
+) -> tuple[list[float] | None, float]:
+    """What lies along a ray: the first clearly visible point, if any, and the median depth of anchors around it (or 0).
+
+    The same rules as `pick` and `depthAlong` of the page's engine.
+    """
+    away = cloud.means - origin
+    depth = away @ direction
+    apart = (away**2).sum(axis=1) - depth**2
+    reach = np.maximum(2 * (cloud.scales**2).max(axis=1, initial=0), (0.004 * depth) ** 2)
+    hit = depth[(cloud.opacities >= 0.2) & (depth > 0.02) & (apart < reach)]
+    point = None if not len(hit) else [float(x) for x in origin + hit.min() * direction]
+    parts = [anchor_positions(scene.header, number, level) for number, level in enumerate(scene.levels)]
+    away = np.concatenate(parts) - origin
+    depth = away @ direction
+    near = depth[(depth > 0) & ((away**2).sum(axis=1) < 1.1 * depth**2)]
+    return point, float(np.sort(near)[len(near) // 2]) if len(near) else 0.0

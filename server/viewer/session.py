@@ -1,0 +1,188 @@
+"""One viewer's session: what it wishes, and what it gets next.
+
+A viewer has no queue. It has a place in the hub's window or in the past, and whenever its socket takes more, the next
+packet is chosen from there: the following one, or one residual over everything it missed. So a slow viewer costs a
+socket buffer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+import time
+
+from core.errors import SessionError
+from server.protocol.messages import DONE, FLOOD, STOPPING, Ack, Control, Hello, Pause, Play, Seek, Set, event, welcome
+from server.protocol.packets import Position
+from server.settings import Limits
+from server.stream.stream import Stream
+from server.viewer.delivery import Delivery, Transport
+from server.viewer.follower import Follower
+from server.viewer.pacing import Allowance, LevelControl
+from server.viewer.playhead import Course
+from server.viewer.replay import Replay
+
+_LOG = logging.getLogger(__name__)
+_TICK_SECONDS = 1.0
+_MOST_LEVELS = 64
+
+
+class ViewerSession:
+    """A viewer that has said hello.
+
+    Args:
+        stream: what it watches.
+        hello: its wishes.
+        transport: its connection.
+        limits: of the server.
+    """
+
+    def __init__(self, stream: Stream, hello: Hello, transport: Transport, limits: Limits) -> None:
+        self._stream, self._limits = stream, limits
+        self.id = secrets.token_hex(6)
+        self.client = hello.client
+        self.draining = False
+        self.wake = asyncio.Event()
+        now = time.monotonic()
+        wanted = hello.levels or _MOST_LEVELS
+        self._levels = LevelControl(wanted, wanted, quiet_since=now)
+        rate = hello.kilobytes_per_second
+        self._delivery = Delivery(transport, stream.hub, stream.counters, limits, rate, self._rouse)
+        self._follower = Follower(stream, self._delivery, self._levels, limits)
+        transport.on_blocked(self._follower.leave_lane)
+        self._replay = Replay(stream.bus, self._delivery, self._levels)
+        self._course = Course(hello.start)
+        self._tell_levels = False
+        self._windowed_at = now
+        self._allowance = Allowance(limits.messages_per_second, now)
+        self._begun = now
+
+    def on_control(self, message: Control) -> None:
+        """Take a control message; its effect comes with the next step.
+
+        Raises:
+            SessionError: 4429, too many.
+        """
+        now = time.monotonic()
+        if not self._allowance.take(now):
+            raise SessionError(FLOOD, f"more than {self._allowance.per_second:g} messages a second")
+        if isinstance(message, Ack):
+            waiting = self._delivery.is_full
+            self._delivery.acknowledge(message.received_bytes, now)
+            if waiting or self._delivery.is_full:
+                self._rouse()
+            return
+        self._rouse()
+        match message:
+            case Set(levels, rate_kilobytes, given):
+                if "levels" in given:
+                    self._levels.want(levels or _MOST_LEVELS, now)
+                    self._tell_levels = True
+                if "kilobytes_per_second" in given:
+                    self._delivery.limit_rate(rate_kilobytes)
+            case Seek(to):
+                self._course.seek(to)
+            case Pause():
+                self._course.pause()
+            case Play():
+                self._course.play(self._delivery.position)
+
+    def _rouse(self) -> None:
+        """Let the session's task look what is to be done."""
+        self._follower.leave_lane()
+        self.wake.set()
+
+    async def run(self) -> None:
+        """Feed the viewer until it leaves.
+
+        Raises:
+            SessionError: the connection is to be closed with its code.
+        """
+        stream = self._stream
+        events = stream.listen()
+        stream.hub.listeners.add(self._rouse)
+        stream.viewers += 1
+        stream.counters.joins += 1
+        _LOG.info("stream %s: viewer %s (%s) joins", stream.spec.id, self.id, self.client)
+        try:
+            await self._delivery.event(welcome(stream.describe(), stream.window, self.id))
+            while True:
+                self.wake.clear()
+                while not events.empty():
+                    await self._delivery.event(events.get_nowait())
+                if stream.deleted:
+                    raise SessionError(DONE, "the stream was deleted")
+                if self.draining:
+                    raise SessionError(STOPPING, "the server is stopping; connect again")
+                if not await self._step():
+                    await self._idle()
+        finally:
+            stream.viewers -= 1
+            self._follower.leave_lane()
+            stream.hub.listeners.discard(self._rouse)
+            stream.unlisten(events)
+            seconds = time.monotonic() - self._begun
+            _LOG.info("stream %s: viewer %s left after %.1f s, %d bytes", stream.spec.id, self.id, seconds,
+                      self._delivery.lane.sent)  # fmt: skip
+
+    async def _idle(self) -> None:
+        """Wait until there may be something to do."""
+        if self._follower.is_content:
+            await self.wake.wait()
+            return
+        now = time.monotonic()
+        wait = _TICK_SECONDS
+        if self._delivery.free_at > now:
+            wait = min(wait, self._delivery.free_at - now)
+        if self._course.mode == "replay" and (due := self._replay.seconds_to_next(now)) is not None:
+            wait = min(wait, due)
+        full = self._delivery.is_full
+        timer = asyncio.get_running_loop().call_later(wait, self._rouse)
+        try:
+            await self.wake.wait()
+        finally:
+            timer.cancel()
+            if full:
+                self._delivery.held_seconds += time.monotonic() - now
+
+    async def _step(self) -> bool:
+        """Send the next thing; whether there was anything."""
+        now = time.monotonic()
+        if self._stream.newest is None:
+            return False
+        if self._course.changed:
+            await self._begin()
+            return True
+        if self._tell_levels:
+            self._tell_levels = False
+            await self._delivery.event(event("levels", levels=self._follower.shown_levels, reason="requested"))
+        if self._course.mode == "paused" or self._delivery.must_wait(now):
+            return False
+        if now - self._windowed_at >= _TICK_SECONDS and self._stream.window is not None:
+            self._windowed_at = now
+            await self._delivery.event(event("window", **self._stream.window))
+        if self._course.mode == "live":
+            return await self._follower.step(now)
+        going_on = await self._replay.step(now)
+        if not self._replay.is_over:
+            return going_on
+        self._course.mode = "live"
+        self._follower.resume()
+        return True
+
+    async def _begin(self) -> None:
+        """Answer hello, seek, pause or play with a position, and start over from there."""
+        newest = self._stream.newest
+        assert newest is not None
+        place, clamped = self._course.settle(self._delivery.position, self._stream.bus.oldest or newest, newest)
+        mode = self._course.mode
+        if mode != "paused":
+            self._follower.restart()
+            self._replay.clear()
+        await self._delivery.event(event("position", mode=mode, **place.to_json(), clamped=clamped))
+        if mode == "replay":
+            await self._go_back(place)
+
+    async def _go_back(self, place: Position) -> None:
+        await self._replay.load(place)

@@ -1,0 +1,242 @@
+"""A viewer that gets pictures: an ordinary session whose decoder lives here, and a loop that draws for it.
+
+So joining, levels, seeking, pausing and falling behind are those of every viewer; only the last step, from the state to
+a picture, happens on this side. One picture is on its way at a time, the newest view wins.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from codec.decoder import SceneDecoder
+from core.camera import Camera, pinhole
+from core.errors import SessionError
+from core.render.splatter import Splatter
+from core.scene.anchors import Scene
+from server.protocol.messages import BUSY, FORBIDDEN, Control, Hello, Pause, Play, Seek, event
+from server.protocol.packets import Position, binary_frame
+from server.protocol.thin_messages import Pick, Shown, View
+from server.settings import Limits
+from server.stream.counters import Counters
+from server.stream.stream import Stream
+from server.viewer.delivery import Transport
+from server.viewer.renderer import GRADES, HEADER, Pace, Painter, look_along
+from server.viewer.session import ViewerSession
+
+_REST_SECONDS = 0.3  # after which a view that does not move gets a better picture
+_SHORTEST_SECONDS = 0.05  # between two pictures
+
+
+class _Inlet:
+    """Where the inner session writes: packets go to a decoder, events through to the viewer."""
+
+    def __init__(self, outer: Transport, changed: asyncio.Event) -> None:
+        self._outer, self._changed = outer, changed
+        self._decoder = SceneDecoder()
+        self.scene: Scene | None = None
+        self.levels = 0  # of the scene that are at its version, coarse ones first
+
+    async def binary(self, frame: bytes) -> None:
+        await asyncio.to_thread(self._decoder.push, _payload(frame))
+        scene, versions = self._decoder.scene, self._decoder.versions
+        assert scene is not None
+        lagging = (number for number, held in enumerate(versions) if held != scene.version)
+        self.scene, self.levels = scene, next(lagging, len(versions))
+        self._changed.set()
+
+    async def text(self, message: str) -> None:
+        await self._outer.text(message)
+
+    def post(self, frame: bytes) -> None:
+        raise AssertionError("decoding takes a while")
+
+    @property
+    def is_clear(self) -> bool:
+        """Never: decoding takes a while."""
+        return False
+
+    def on_blocked(self, call: Callable[[], None]) -> None:
+        """Nothing is ever posted."""
+
+
+class ThinSession(ViewerSession):
+    """A viewer that said hello with `pictures`.
+
+    Args:
+        stream, hello, transport, limits: as of `ViewerSession`.
+        painter: draws.
+    """
+
+    def __init__(self, stream: Stream, hello: Hello, transport: Transport, limits: Limits, painter: Painter) -> None:
+        self._changed = asyncio.Event()
+        self._inlet = _Inlet(transport, self._changed)
+        super().__init__(stream, hello, self._inlet, limits)
+        self._delivery.counters = Counters()  # packets stay in this process: they count as nobody's bytes
+        self._outlet, self._painter = transport, painter
+        self._splatter, self._pace = Splatter(), Pace()
+        self._camera: Camera | None = None
+        self._number = self._shown = 0
+        self._keyframe: Scene | None = None  # that the viewer was told of
+        self._picks: list[Pick] = []
+        self._stop = False  # pause as soon as the place of a seek is reached
+        self._frozen: tuple[Scene, int] | None = None  # paused: what is looked at, whatever has arrived since
+        self._drawn: tuple[Scene, int, Camera] | None = None
+
+    def on_control(self, message: Control) -> None:
+        super().on_control(message)
+        match message:
+            case Pause():
+                self._frozen = self._drawn[:2] if self._drawn else None
+            case Seek(_, stop):
+                self._stop, self._frozen = stop, None
+            case Play():
+                self._frozen = None
+            case View(camera):
+                self._camera = camera
+            case Shown(picture):
+                self._shown = max(self._shown, min(picture, self._number))
+            case Pick():
+                self._picks = [*self._picks[-7:], message]
+        self._changed.set()
+
+    async def run(self) -> None:
+        if self._painter.is_full:
+            self._stream.counters.thin_refused += 1
+            if self._painter.places == 0:
+                raise SessionError(FORBIDDEN, "this server draws no pictures")
+            raise SessionError(BUSY, f"the server draws for {self._painter.places} viewers already; try again later")
+        tasks: list[asyncio.Task[None]] = []
+        with self._painter.place():
+            self._stream.thin_viewers += 1
+            try:
+                tasks = [asyncio.create_task(super().run()), asyncio.create_task(self._draw())]
+                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                self._stream.thin_viewers -= 1
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+        for task in done:
+            task.result()
+
+    async def _go_back(self, place: Position) -> None:
+        await super()._go_back(place)
+        if self._stop:
+            self._stop = False
+            self._course.pause()
+
+    async def _draw(self) -> None:
+        """Picture after picture: at once when there is something new, better ones while nothing changes."""
+        fine = True
+        while True:
+            self._changed.clear()
+            scene, levels = self._frozen or (self._inlet.scene, self._inlet.levels)
+            camera = self._camera
+            if scene is not None and levels:
+                await self._introduce(scene)
+                await self._answer(scene, levels)
+            if scene is None or not levels or camera is None:
+                await self._changed.wait()
+                continue
+            index = self._pace.moving
+            if self._drawn == (scene, levels, camera):
+                if fine:
+                    await self._changed.wait()
+                    continue
+                if not await self._rests():
+                    continue
+                index = self._pace.resting
+            self._drawn = scene, levels, camera
+            await self._picture(scene, camera, levels, index)
+            fine = index <= self._pace.resting
+
+    async def _rests(self) -> bool:
+        """Wait for a change; whether none came."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_REST_SECONDS):
+                await self._changed.wait()
+        return not self._changed.is_set()
+
+    async def _picture(self, scene: Scene, camera: Camera, levels: int, index: int) -> None:
+        """Draw, send, and wait until it is on the viewer's screen."""
+        begin, grade = time.monotonic(), GRADES[index]
+        place = self._delivery.position
+        painted = await self._painter.run(lambda: self._painter.paint(self._splatter, scene, camera, levels, grade))
+        self._number += 1
+        head = (
+            self._number,
+            place.epoch if place else 0,
+            scene.version,
+            painted.width,
+            painted.height,
+            grade.quality,
+            levels,
+            0,
+        )
+        data = HEADER.pack(*head, int(painted.seconds * 1e6)) + painted.jpeg
+        counters = self._stream.counters
+        counters.pictures += 1
+        counters.picture_bytes += len(data)
+        counters.picture_seconds += painted.seconds
+        await self._outlet.binary(binary_frame(data))
+        await self._acknowledged()
+        seconds = time.monotonic() - begin
+        self._pace.delivered(index, seconds)
+        await asyncio.sleep(max(0.0, _SHORTEST_SECONDS - seconds))
+
+    async def _acknowledged(self) -> None:
+        limit = self._limits.stuck_seconds
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(limit):
+                while self._shown < self._number:
+                    self._changed.clear()
+                    await self._changed.wait()
+                return
+        self._stream.counters.stuck += 1
+        raise SessionError(BUSY, f"no picture was acknowledged for {limit:g} s")
+
+    async def _introduce(self, scene: Scene) -> None:
+        """Tell of a new scene, once."""
+        if self._keyframe is not None and self._keyframe.weights is scene.weights:
+            return
+        self._keyframe = scene
+        await self._tell_scene(scene)
+
+    async def _tell_scene(self, scene: Scene) -> None:
+        header = scene.header
+        cameras = [
+            {
+                "name": camera.name, "width": camera.width, "height": camera.height,
+                "intrinsics": camera.intrinsics.ravel().tolist(),
+                "world_to_camera": camera.world_to_camera.ravel().tolist(),
+            }
+            for camera in header.cameras
+        ]  # fmt: skip
+        facts: dict[str, Any] = {"background": header.background.tolist(), "fps": header.fps}
+        facts |= {"levels": header.octree.levels, "view_dependent": header.view_dependent, "cameras": cameras}
+        await self._outlet.text(json.dumps(event("scene", **facts)))
+
+    async def _answer(self, scene: Scene, levels: int) -> None:
+        """Answer what was asked about rays."""
+        picks, self._picks = self._picks, []
+        for pick in picks:
+            point, depth = await self._painter.run(partial(self._look, scene, levels, pick))
+            await self._outlet.text(json.dumps(event("picked", id=pick.id, point=point, depth=depth)))
+
+    def _look(self, scene: Scene, levels: int, pick: Pick) -> tuple[list[float] | None, float]:
+        pose = np.concatenate([np.eye(3), -pick.origin[:, None]], axis=1)
+        cloud = self._splatter.cloud(scene, pinhole("pick", (1, 1), (0, 0), (1, 1), pose), levels)
+        return look_along(cloud, scene, pick.origin, pick.direction)
+
+
+def _payload(frame: bytes) -> bytes:
+    """What a websocket frame of `binary_frame` carries."""
+    return frame[{126: 4, 127: 10}.get(frame[1], 2) :]

@@ -1,0 +1,1 @@
+"""The worker process that makes packets, and its supervisor."""

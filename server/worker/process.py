@@ -1,0 +1,294 @@
+"""The process that makes a stream's packets: training, or reading a recorded file. It talks to its supervisor by pipe.
+
+A message is one byte that names it, and a body; `Tag` lists them.
+Nothing else of the server is here, so that a crash, a leak or a kill costs viewers nothing but a moment.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import logging
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from core.errors import InputError, StreamlodError
+from server.pipeline.job import TrainJob
+from server.pipeline.spec import StreamSpec
+
+if TYPE_CHECKING:
+    from core.scene.anchors import Scene
+    from server.pipeline.stages import OpenJob
+
+_LOG = logging.getLogger(__name__)
+HEARTBEAT_SECONDS = 1.0
+_INGEST_SECONDS = 0.5
+_NICENESS = 5  # of training: serving comes first, and so does showing the last state again
+_LOADING_NICENESS = 19  # of importing what may never be needed
+
+
+class Tag(IntEnum):
+    """First byte of a message."""
+
+    PACKET = 1  # the packet
+    PREVIEW = 2  # an early keyframe, shown but not recorded
+    REPORT = 3  # JSON: figures of a finished frame
+    PROGRESS = 4  # JSON: fraction, loss, text
+    FAILURE = 5  # JSON: text, fatal
+    EPOCH = 6  # empty: versions begin anew
+    END = 7  # empty: the source has no more frames
+    HEARTBEAT = 8  # empty
+    INGEST = 9  # JSON: how live cameras do, and whether training waits for them
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Where a restarted worker goes on.
+
+    Attributes:
+        packets: a keyframe and, where it is older than the state, the residual that leads there.
+        frames: frames of the source that are done.
+    """
+
+    packets: tuple[bytes, ...] = ()
+    frames: int = 0
+
+
+def send_resume(resume: Resume, pipe: Connection) -> None:
+    """Tell a worker where to go on; blocks until it has begun to listen."""
+    pipe.send_bytes(json.dumps({"frames": resume.frames, "packets": len(resume.packets)}).encode())
+    for packet in resume.packets:
+        pipe.send_bytes(packet)
+
+
+def receive_resume(pipe: Connection) -> Resume:
+    """What `send_resume` sent."""
+    told = json.loads(pipe.recv_bytes())
+    return Resume(tuple(pipe.recv_bytes() for _ in range(told["packets"])), told["frames"])
+
+
+class Sender:
+    """Messages to the supervisor, from several threads."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe, self._lock = pipe, threading.Lock()
+
+    def send(self, tag: Tag, body: bytes | dict[str, Any] = b"") -> None:
+        """Send one message; blocks while the supervisor is behind."""
+        data = body if isinstance(body, bytes) else json.dumps(_plain(body)).encode()
+        with self._lock:
+            self._pipe.send_bytes(bytes((tag,)) + data)
+
+
+def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = None, spare: bool = False) -> None:
+    """Entry of the process; returns when the source ends, and never raises.
+
+    Args:
+        pipe: to the supervisor, which first sends where to go on.
+        push_socket: where to take pictures that capture nodes push to the serving process.
+        spare: load everything before it is needed.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
+    sender = Sender(pipe)
+    try:
+        loading = None
+        if spare and spec.job is not None:
+            loading = threading.Thread(target=_load, args=(spec.job,), daemon=True, name="loading")
+            loading.start()
+        resume = receive_resume(pipe)
+        threading.Thread(target=_beat, args=(sender,), daemon=True, name="heartbeat").start()
+        if spec.job is None:
+            play(spec, resume, sender)
+        else:
+            scene = show_again(resume, sender) if resume.packets else None
+            os.nice(_NICENESS)
+            if loading is not None:
+                loading.join()
+            train(spec.job, scene, resume.frames, sender, push_socket)
+        sender.send(Tag.END)
+    except StreamlodError as error:
+        sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError)})
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return  # the supervisor is gone
+    except Exception as error:
+        _LOG.exception("worker of stream %s", spec.id)
+        sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
+
+
+def _load(job: TrainJob) -> None:
+    """Load what showing the last state takes, then what training takes, out of the way of the worker that trains."""
+    from server.pipeline.warming import warm_codec
+
+    os.nice(_NICENESS)
+    try:
+        warm_codec()
+        # most of the work, and it starts no thread that would stay at such a niceness
+        importing = threading.Thread(target=_import_training, daemon=True, name="importing")
+        importing.start()
+        importing.join()
+        from server.pipeline.rehearsal import rehearse
+
+        rehearse(job.preset, job.device)
+    except Exception:  # training tells better what is wrong, if it is
+        _LOG.warning("a spare worker could not rehearse", exc_info=True)
+
+
+def _import_training() -> None:
+    if sys.platform == "linux":  # elsewhere it would hold for the whole process, for good
+        os.nice(_LOADING_NICENESS)
+    importlib.import_module("server.pipeline.stages")
+
+
+def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_socket: Path | None = None) -> None:
+    """Train the source's frames as they come and send their packets; of live cameras, also tell how they do.
+
+    Args:
+        scene: the keyframe to go on from, which has been sent; None to train one.
+        start: first frame to read.
+    """
+    if job.frames is not None and start >= job.frames:
+        return
+    from server.pipeline.stages import open_job, train_stream
+
+    def tell(progress: Any) -> None:
+        body = {"fraction": float(progress.fraction), "loss": float(progress.loss), "text": str(progress.stage)}
+        sender.send(Tag.PROGRESS, body)
+
+    opened = open_job(job, push_socket)
+    frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=tell)
+    with closing(frames), _told(opened, sender):
+        for encoded in frames:
+            for packet in encoded.packets:
+                sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
+            if not encoded.preview:
+                sender.send(Tag.REPORT, encoded.report)
+
+
+@contextmanager
+def _told(opened: OpenJob, sender: Sender) -> Iterator[None]:
+    """Tell twice a second how live cameras do, while the context lasts."""
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.wait(_INGEST_SECONDS):
+            statistics = opened.statistics()
+            if statistics is not None:
+                sender.send(Tag.INGEST, asdict(statistics))
+
+    thread = threading.Thread(target=run, name="ingest statistics", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
+    """Send the packets of a recorded file at the times at which they were filmed."""
+    from codec.packet.packet import PacketKind
+
+    assert spec.play is not None
+    entries = list(_recorded(spec))
+    start = 0
+    if resume.frames:
+        done = min(resume.frames, len(entries)) - 1
+        start = max(n for n in range(done + 1) if entries[n][1].kind is PacketKind.KEY)
+    while True:
+        begin = time.monotonic() - entries[start][1].time_ns / 1e9
+        for number, (_, info, data) in enumerate(_packets(spec, entries)):
+            if number < start:
+                continue
+            time.sleep(max(0.0, begin + info.time_ns / 1e9 - time.monotonic()))
+            sender.send(Tag.PACKET, data)
+            sender.send(Tag.REPORT, {"version": info.to_version, "done": number + 1})
+        if not spec.loop:
+            return
+        time.sleep(_frame_seconds(entries))
+        sender.send(Tag.EPOCH)
+        start = 0
+
+
+def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
+    """Number and entry of each packet of the file that belongs to the chain."""
+    from codec.container import SlodReader
+    from codec.packet.info import peek
+    from codec.packet.packet import PacketKind
+
+    assert spec.play is not None
+    version = None
+    with SlodReader(spec.play) as reader:
+        for number, entry in enumerate(reader.entries):
+            if entry.kind is PacketKind.KEY:
+                if not peek(reader.read(number)).has_header:
+                    raise InputError(spec.play, "its keyframes are cut into parts, which cannot be streamed")
+            elif entry.kind in (PacketKind.SKIP, PacketKind.CATCH_UP) or entry.from_version != version:
+                continue
+            version = entry.to_version
+            yield number, entry
+    if version is None:
+        raise InputError(spec.play, "it holds no packet")
+
+
+def _packets(spec: StreamSpec, entries: list[tuple[int, Any]]) -> Iterator[tuple[int, Any, bytes]]:
+    from codec.container import SlodReader
+
+    assert spec.play is not None
+    with SlodReader(spec.play) as reader:
+        for number, entry in entries:
+            yield number, entry, reader.read(number)
+
+
+def _frame_seconds(entries: list[tuple[int, Any]]) -> float:
+    """Pause between the last frame and the first one of the next round."""
+    first, last = entries[0][1], entries[-1][1]
+    frames = last.to_version - first.to_version
+    return float(min(1.0, max(0.01, (last.time_ns - first.time_ns) / 1e9 / frames))) if frames else 1.0
+
+
+def show_again(resume: Resume, sender: Sender) -> Scene:
+    """Publish the state to go on from as a keyframe, before anything slow is loaded or a camera is asked."""
+    from codec.decoder import SceneDecoder
+    from codec.encoder import encode_keyframe
+    from codec.packet.info import peek
+    from core.scene.rekey import rekey
+
+    decoder = SceneDecoder()
+    for packet in resume.packets:
+        decoder.push(packet)
+    assert decoder.scene is not None
+    scene = rekey(decoder.scene, decoder.scene.version + 1)
+    sender.send(Tag.PACKET, encode_keyframe(scene, time_ns=peek(resume.packets[-1]).time_ns))
+    sender.send(Tag.REPORT, {"version": scene.version, "done": resume.frames, "resumed": True})
+    return scene
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON has it: plain numbers, and none that are not finite."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    return float(value) if math.isfinite(float(value)) else None
+
+
+def _beat(sender: Sender) -> None:
+    try:
+        while True:
+            sender.send(Tag.HEARTBEAT)
+            time.sleep(HEARTBEAT_SECONDS)
+    except OSError:
+        os._exit(1)  # the supervisor is gone; nobody needs this process

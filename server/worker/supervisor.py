@@ -1,0 +1,242 @@
+"""Keeps a stream's worker process alive: crash, hang and greed are noticed, restarts back off."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import multiprocessing
+import os
+import time
+from collections.abc import Awaitable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Any, Protocol
+
+from server.pipeline.spec import StreamSpec
+from server.settings import WorkerSettings
+from server.worker.process import Resume, Tag, run_worker, send_resume
+
+_LOG = logging.getLogger(__name__)
+_WATCH_SECONDS = 0.25
+_SPARE_AFTER_SECONDS = 3.0  # of progress: starting takes the worker all the processor it can get
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a worker went: `text` for people, `done` at the source's end, `fatal` when another try is pointless."""
+
+    text: str
+    done: bool = False
+    fatal: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Worker:
+    """A process, and our end of its pipe. It does nothing until it is told where to go on."""
+
+    process: SpawnProcess
+    pipe: Connection
+
+    def end(self) -> None:
+        """Kill it, whatever it does."""
+        if self.process.is_alive():
+            self.process.kill()
+
+
+class Owner(Protocol):
+    """What a supervisor serves."""
+
+    async def on_message(self, tag: Tag, body: bytes) -> None:
+        """Handle one message; the worker waits until this returns."""
+
+    async def resume_point(self) -> Resume:
+        """Where the next worker goes on."""
+
+    def on_restart(self, ending: Ending, delay_seconds: float) -> None:
+        """A worker went and another will come."""
+
+    def on_finish(self, ending: Ending) -> None:
+        """No further worker will come."""
+
+
+class Supervisor:
+    """Runs workers for one stream, one at a time.
+
+    Args:
+        spec: what they work on.
+        settings: how they are watched.
+        packet_bytes: longest message that is accepted.
+        owner: told everything.
+        push_socket: where workers take pictures that capture nodes push, or none.
+    """
+
+    def __init__(
+        self,
+        spec: StreamSpec,
+        settings: WorkerSettings,
+        packet_bytes: int,
+        owner: Owner,
+        push_socket: Path | None = None,
+    ) -> None:
+        self._spec, self._settings, self._owner = spec, settings, owner
+        self._limit, self._push_socket = packet_bytes + 1, push_socket
+        self._worker: _Worker | None = None
+        self._spare: _Worker | None = None  # waits, with everything loaded
+        self._heard = self._progressed = 0.0
+        self._ending: Ending | None = None
+        self._handling = False
+        self.restarts = 0
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the worker, while there is one."""
+        return self._worker.process.pid if self._worker is not None else None
+
+    async def run(self) -> None:
+        """Start workers until the source ends, another try is pointless, or this task is cancelled."""
+        failures = 0
+        try:
+            while True:
+                begun = self._progressed = time.monotonic()
+                try:
+                    ending = await self._run_once()
+                except Exception as error:
+                    _LOG.exception("stream %s: its worker could not be run", self._spec.id)
+                    ending = Ending(f"the worker could not be run ({error})")
+                failures = 1 if self._progressed > begun else failures + 1
+                if ending.done or ending.fatal or failures > self._settings.attempts:
+                    self._owner.on_finish(ending)
+                    return
+                delay = self._settings.first_delay_seconds * 2.0 ** (failures - 1)
+                delay = min(delay, self._settings.longest_delay_seconds)
+                self.restarts += 1
+                self._owner.on_restart(ending, delay)
+                await asyncio.sleep(delay)
+        finally:
+            self._kill()
+            if self._spare is not None:
+                self._spare.end()
+                self._spare.pipe.close()
+                await asyncio.shield(asyncio.to_thread(self._spare.process.join, 5))
+
+    async def _run_once(self) -> Ending:
+        resume = await self._owner.resume_point()
+        self._ending, self._heard = None, time.monotonic()
+        spare, self._spare = self._spare, None
+        worker = self._worker = spare if spare is not None and spare.process.is_alive() else self._start()
+        begun = self._heard
+        loop = asyncio.get_running_loop()
+        thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool could run dry
+        pump = loop.run_in_executor(thread, self._pump, worker.pipe, resume, loop)
+        reason = None
+        try:
+            while not pump.done():
+                await asyncio.wait([pump], timeout=_WATCH_SECONDS)
+                if self._spare is None and self._wants_spare and self._progressed > begun + _SPARE_AFTER_SECONDS:
+                    self._spare = self._start(spare=True)
+                reason = reason or self._complaint()
+                if reason is not None:
+                    self._kill()
+            await pump
+        finally:
+            self._kill()
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.shield(asyncio.wait([pump], timeout=2))
+            worker.pipe.close()
+            thread.shutdown(wait=False)
+            await asyncio.shield(asyncio.to_thread(worker.process.join, 5))
+        return self._last_words() or Ending(reason or f"the worker ended by {_cause(worker.process.exitcode)}")
+
+    @property
+    def _wants_spare(self) -> bool:
+        """Whether another process is to wait: one that plays a file loads nothing that takes long."""
+        return self._settings.spare and self._spec.job is not None
+
+    def _start(self, *, spare: bool = False) -> _Worker:
+        """A new process; not on a thread, so that a cancellation cannot come between start and kill."""
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        name = f"streamlod-{self._spec.id}"
+        arguments = (self._spec, theirs, self._push_socket, spare)
+        process = context.Process(target=run_worker, args=arguments, name=name, daemon=True)
+        process.start()
+        theirs.close()
+        return _Worker(process, ours)
+
+    def _last_words(self) -> Ending | None:
+        """What the worker said about its end; the pump's thread has noted it."""
+        return self._ending
+
+    def _pump(self, pipe: Connection, resume: Resume, loop: asyncio.AbstractEventLoop) -> None:
+        """Read messages on a thread; each is handled before the next is read, which holds back the worker."""
+        with contextlib.suppress(OSError):  # what it died of shows below
+            send_resume(resume, pipe)
+        while True:
+            try:
+                message = pipe.recv_bytes(self._limit)
+            except (EOFError, OSError):
+                return
+            self._heard = time.monotonic()
+            tag, body = Tag(message[0]), message[1:]
+            if tag is Tag.HEARTBEAT:
+                continue
+            if tag is Tag.END:
+                self._ending = Ending("the source has ended", done=True)
+            elif tag is Tag.FAILURE:
+                failure: dict[str, Any] = json.loads(body)
+                self._ending = Ending(failure["text"], fatal=failure["fatal"])
+            else:
+                if tag is not Tag.INGEST or json.loads(body)["waiting"]:  # without pictures, nobody can get on
+                    self._progressed = self._heard
+                self._handling = True
+                handled: Awaitable[None] = self._owner.on_message(tag, body)
+                try:
+                    asyncio.run_coroutine_threadsafe(_await(handled), loop).result()
+                except Exception as error:
+                    _LOG.exception("stream %s: a message of the worker is refused", self._spec.id)
+                    self._ending = Ending(f"the worker sent something unusable ({error})")
+                    return
+                finally:
+                    self._heard, self._handling = time.monotonic(), False
+
+    def _complaint(self) -> str | None:
+        """Why the worker has to go, if it has to."""
+        now = time.monotonic()
+        if self._handling:  # heartbeats wait behind the message that is being handled
+            return None
+        if now - self._heard > self._settings.heartbeat_seconds:
+            return f"the worker was silent for {self._settings.heartbeat_seconds:g} s"
+        if now - self._progressed > self._settings.stall_seconds:
+            return f"the worker made no progress for {self._settings.stall_seconds:g} s"
+        used = _resident_bytes(self.pid)
+        if used > self._settings.memory_bytes:
+            return f"the worker took {used / 1e6:.0f} MB of memory"
+        return None
+
+    def _kill(self) -> None:
+        if self._worker is not None:
+            self._worker.end()
+
+
+async def _await(handled: Awaitable[None]) -> None:
+    await handled
+
+
+def _resident_bytes(pid: int | None) -> int:
+    """Resident memory of a process; 0 where the system does not tell."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES
+    except (OSError, IndexError, ValueError):
+        return 0
+
+
+def _cause(exit_code: int | None) -> str:
+    if exit_code is not None and exit_code < 0:
+        return f"signal {-exit_code}"
+    return f"exit code {exit_code}"

@@ -1,0 +1,34 @@
+"""A tiny synthetic clip on disk, its footage, and configurations that train within a second."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from client.evaluation.measure.footage import Footage, open_footage
+from core.data import linspace_split
+from core.synthetic import SyntheticSpec, write_clip
+from core.train import TrainConfig
+
+SPEC = SyntheticSpec(cameras=4, frames=3, width=128, height=72)
+
+
+@pytest.fixture(scope="session")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("clip") / "room"
+    write_clip(SPEC, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def footage(clip: Path) -> Footage:
+    names = tuple(f"cam{number:02d}" for number in range(SPEC.cameras))
+    return open_footage(clip, linspace_split(names, 2, names[:1]), frames=None, downscale=1)
+
+
+def shortened(config: TrainConfig) -> TrainConfig:
+    """`config` with hardly any steps."""
+    keyframe = replace(config.keyframe, steps=25, growth_interval=8)
+    return replace(config, keyframe=keyframe, predict=replace(config.predict, epochs=1, minimum_steps=6))

@@ -1,0 +1,62 @@
+"""Shannon's estimate on values whose entropy is known."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from client.evaluation.measure.footage import Footage
+from client.evaluation.measure.sizes import (
+    KEYFRAME_INTERVAL,
+    entropy_bits,
+    shannon_keyframe_bytes,
+    shannon_residual_bytes,
+    stream_bytes,
+)
+from client.evaluation.packet_sizes import packet_size
+from codec.renewal import RenewalRule
+from core.scene.residual import difference
+from core.train import TrainConfig, Trainer
+from server.cli.main import serve, train
+from server.pipeline.job import TrainJob
+from server.pipeline.options import NewStream
+from tests.client.evaluation.conftest import shortened
+
+
+def test_entropy_of_known_histograms() -> None:
+    assert entropy_bits(np.zeros(100, np.int32)) == 0
+    assert entropy_bits(np.array([], np.int32)) == 0
+    assert entropy_bits(np.arange(256)) == pytest.approx(256 * 8)
+    assert entropy_bits(np.array([0, 1, 1, 1])) == pytest.approx(4 * 2 - 3 * np.log2(3))
+
+
+def test_a_stream_pays_for_its_keyframes() -> None:
+    """Every frame of a stream is predicted, and the first of each interval comes as a keyframe as well."""
+    packets = [6000 + 20] + [20] * 99
+    assert stream_bytes(6000, 20, interval=100) == pytest.approx(np.mean(packets * 3))
+    assert stream_bytes(KEYFRAME_INTERVAL, 0) == 1
+    defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RenewalRule().longest
+    assert defaults == (KEYFRAME_INTERVAL, KEYFRAME_INTERVAL)
+    assert NewStream.model_fields["keyframe_interval"].default == KEYFRAME_INTERVAL
+    commands = [inspect.signature(command).parameters["keyframe_interval"].default for command in (train, serve)]
+    assert commands == [KEYFRAME_INTERVAL, KEYFRAME_INTERVAL]
+
+
+def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
+    """An ideal coder without headers: real keyframes cost more, though context can make up for part of it."""
+    trainer = Trainer(footage.training.cameras, shortened(TrainConfig()), 30, "cpu")
+    first, second = (pair[0] for pair, _ in zip(footage.pairs(), range(2), strict=False))
+    before = trainer.keyframe(first, footage.points).scene
+    real = packet_size(None, before, None)
+    assert 0.5 * real.total_bytes < shannon_keyframe_bytes(before) < 1.2 * real.total_bytes
+    assert sum(real.level_bytes) < real.total_bytes
+    trained = trainer.predict(second)
+    assert trained.residual is not None
+    estimate = shannon_residual_bytes(before, trained.residual)
+    assert 0 < estimate < 1.5 * packet_size(before, trained.scene, trained.residual).total_bytes
+    still = difference(before, replace(before, version=1))
+    assert shannon_residual_bytes(before, still) == 0
+    assert packet_size(before, replace(before, version=1), still).total_bytes <= 64

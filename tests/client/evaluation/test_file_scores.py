@@ -1,0 +1,109 @@
+"""The report, on a clip whose truth is known: what the decoded file itself shows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from client.commands import evaluate, export
+from client.evaluation.file_scores import evaluate_file, side_by_side
+from core.errors import InputError
+from core.render.splatter import Splatter
+from core.scene.anchors import Scene
+from tests.client.clips import plain_scene, states, write_clip
+from tests.core.data.writers import llff_rows, write_video
+
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[Scene], list[bytes]]:
+    """A file, and a data set of twice the size that shows exactly what the file does."""
+    folder = tmp_path_factory.mktemp("clip")
+    scene = plain_scene()
+    small = tuple(camera.scaled(80, 48) for camera in scene.header.cameras)
+    scenes = states(FRAMES, replace(scene, header=replace(scene.header, cameras=small)))
+    packets = write_clip(folder / "a.slod", scenes)
+    large = [camera.scaled(160, 96) for camera in small]
+    data = folder / "data"
+    data.mkdir()
+    np.save(data / "poses_bounds.npy", llff_rows(large))
+    for camera in large:
+        splatter = Splatter()
+        write_video(data / f"{camera.name}.mp4", [splatter.picture(state, camera) for state in scenes])
+    return folder / "a.slod", data, scenes, packets
+
+
+def test_report_holds_the_contract(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:
+    scene, data, _, packets = clip
+    scene.with_name("a.slod.json").write_text(json.dumps({"train_seconds": 1.5, "first_frame_seconds": 30}))
+    text = evaluate(scene, data, ("cam01",), tmp_path / "new" / "report.json", tmp_path / "images")
+    report = json.loads((tmp_path / "new" / "report.json").read_text())
+    assert [frame["frame"] for frame in report["per_frame"]] == list(range(FRAMES))
+    assert [frame["bytes"] for frame in report["per_frame"]] == [len(packet) for packet in packets]
+    assert set(report["per_frame"][0]) >= {"frame", "psnr", "ssim", "lpips", "bytes"}
+    mean = report["mean"]
+    assert mean["keyframe_kilobytes"] == len(packets[0]) / 1000
+    assert mean["predicted_kilobytes"] == pytest.approx(np.mean([len(packet) for packet in packets[1:]]) / 1000)
+    assert (mean["train_seconds"], mean["first_frame_seconds"]) == (1.5, 30)
+    assert mean["render_fps"] > 0
+    assert mean["psnr"] > 25  # half size, video compression
+    assert mean["psnr_fitted"] >= mean["psnr"]
+    assert mean["ssim"] > 0.8
+    assert f"PSNR                      {mean['psnr']:.2f} dB" in text
+    names = sorted(path.name for path in (tmp_path / "images").iterdir())
+    assert names == [f"cam01_{index:05d}.png" for index in range(FRAMES)]
+    assert cv2.imread(str(tmp_path / "images" / names[0])).shape == (48, 3 * 80, 3)
+
+
+def test_another_scene_scores_worse(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:
+    scene, data, scenes, _ = clip
+    other = states(FRAMES, replace(plain_scene(seed=9), header=scenes[0].header))
+    write_clip(tmp_path / "other.slod", other)
+    right = evaluate_file(scene, data, ("cam00", "cam01"))
+    wrong = evaluate_file(tmp_path / "other.slod", data, ("cam00", "cam01"))
+    for mine, theirs in zip(right["per_frame"], wrong["per_frame"], strict=True):
+        assert theirs["psnr"] < mine["psnr"] - 3
+    assert wrong["mean"]["train_seconds"] is None
+
+
+def test_what_cannot_be_evaluated(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:
+    scene, data, _, _ = clip
+    with pytest.raises(InputError, match="cam07"):
+        evaluate_file(scene, data, ("cam07",))
+    with pytest.raises(InputError, match="does not exist"):
+        evaluate_file(scene, tmp_path / "nothing", ("cam00",))
+    (tmp_path / "cut.slod").write_bytes(scene.read_bytes()[:-1])
+    with pytest.raises(InputError, match=r"cut\.slod: is cut short"):
+        evaluate_file(tmp_path / "cut.slod", data, ("cam00",))
+    scene.with_name("a.slod.json").write_text("{")
+    with pytest.raises(InputError, match=r"a\.slod\.json: cannot be read"):
+        evaluate_file(scene, data, ("cam00",))
+    scene.with_name("a.slod.json").unlink()
+
+
+def test_side_by_side_shows_the_difference() -> None:
+    truth, drawn = np.full((2, 2, 3), 100, np.uint8), np.full((2, 2, 3), 90, np.uint8)
+    joined = side_by_side(truth, drawn)
+    assert joined.shape == (2, 6, 3)
+    assert [int(joined[0, column, 0]) for column in (0, 2, 4)] == [100, 90, 40]
+    assert int(side_by_side(truth, np.full((2, 2, 3), 255, np.uint8))[0, 4, 0]) == 255
+
+
+def test_export_of_a_sequence(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:
+    scene = clip[0]
+    text = export(scene, 1, "average", "ply", tmp_path / "out", sequence=True)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"frame_{n:05d}.ply" for n in (1, 2, 3)]
+    assert "3 snapshots" in text
+    assert b"averaged over the rig" in (tmp_path / "out" / "frame_00001.ply").read_bytes()[:200]
+    assert "as seen from cam01" in export(scene, 2, "cam01", "spz", tmp_path / "one.spz")
+    with pytest.raises(InputError, match="frames 0 to 3"):
+        export(scene, 9, "average", "ply", tmp_path / "nine.ply")
+    with pytest.raises(InputError, match="cam77"):
+        export(scene, 0, "cam77", "ply", tmp_path / "x.ply")
+    assert not (tmp_path / "x.ply").exists()

@@ -1,0 +1,149 @@
+"""The report of a whole study, and of a sweep, on a tiny clip."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from client.evaluation.design import one_at_a_time
+from client.evaluation.measure.footage import chosen_split
+from client.evaluation.packet_sizes import packet_size
+from client.evaluation.report.quoted import MEET_ROOM, N3DV
+from client.evaluation.resume import earlier_report
+from client.evaluation.rows import Row, study_rows
+from client.evaluation.study import StudyOptions, run_study
+from client.evaluation.summary import FIGURES
+from client.evaluation.tradeoff import COSTS, TradeoffOptions, beaten_by, run_tradeoff
+from core.data.pictures import read_picture
+from core.errors import InputError
+from tests.client.evaluation.conftest import SPEC, shortened
+
+
+def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) -> None:
+    (ours, *_) = study_rows("balanced", [])
+    rows = [replace(ours, config=shortened(ours.config))]
+    options = StudyOptions(views=(2, 3), frames=2, seeds=2, device="cpu")
+    text = run_study(clip, tmp_path / "out", options, packet_size, tuple(rows))
+    assert "study.md" in text
+    value = json.loads((tmp_path / "out" / "study.json").read_text())
+    assert [split["name"] for split in value["splits"]] == [
+        "linspace 2 of 3 without cam00",
+        "linspace 3 of 3 without cam00",
+    ]
+    for split in value["splits"]:
+        assert [row["name"] for row in split["rows"]] == [row.name for row in rows]
+        assert not set(split["train"]) & set(split["test"])
+        assert len(split["plots"]) == 4
+        for plot in split["plots"]:
+            ElementTree.fromstring((tmp_path / "out" / plot).read_text())
+        for row in split["rows"]:
+            assert [run["seed"] for run in row["seeds"]] == [0, 1]
+            assert set(row["summary"]) == set(FIGURES)
+            assert {"psnr", "bytes", "shannon_bytes", "seconds"} < set(row["seeds"][0]["per_frame"][0])
+            assert row["summary"]["psnr"]["spread"] > 0
+            assert read_picture(tmp_path / "out" / row["picture"]).shape == (SPEC.height, 3 * SPEC.width, 3)
+    report = (tmp_path / "out" / "study.md").read_text()
+    for word in ("linspace 2 of 3", "ours", "±", "Quoted, not measured here", "A800", "RTX 3090"):
+        assert word in report
+    widths = {line.count("|") for line in report.splitlines() if line.startswith("| ours |")}
+    assert len(widths) > 1
+    assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_a_study_goes_on_where_it_stopped(clip: Path, tmp_path: Path) -> None:
+    """What was measured stays as it is, times and all; another system is measured."""
+    split = tmp_path / "split.json"
+    split.write_text('{"train": ["cam01", "cam03"], "test": ["cam02"]}')
+    (ours, *_) = study_rows("balanced", [])
+    row = replace(ours, config=shortened(ours.config))
+    out = tmp_path / "out"
+
+    def measure(row: Row, seeds: int) -> list[dict[str, Any]]:
+        options = StudyOptions(split=split, frames=1, seeds=seeds, device="cpu")
+        run_study(clip, out, options, packet_size, (row,))
+        (entry,) = json.loads((out / "study.json").read_text())["splits"]
+        assert (entry["name"], entry["train"], entry["test"]) == ("split.json", ["cam01", "cam03"], ["cam02"])
+        runs: list[dict[str, Any]] = entry["rows"][0]["seeds"]
+        return runs
+
+    (first,) = measure(row, 1)
+    both = measure(row, 2)
+    assert both[0] == first
+    assert both[1]["psnr"] != first["psnr"]
+    assert measure(row, 2) == both
+    shorter = replace(row.config, keyframe=replace(row.config.keyframe, steps=10))
+    assert measure(replace(row, config=shorter), 1)[0]["psnr"] != first["psnr"]
+
+
+def test_a_split_file_must_hold_out_cameras_that_exist(clip: Path, tmp_path: Path) -> None:
+    split = tmp_path / "split.json"
+    for text, fault in (
+        ('{"train": ["cam01"]}', "'test' must name at least one held-out camera"),
+        ('{"train": ["cam01"], "test": ["cam01"]}', "both train and test"),
+        ('{"train": ["cam77"], "test": ["cam00"]}', "there is no camera cam77"),
+    ):
+        split.write_text(text)
+        with pytest.raises(InputError, match=fault):
+            chosen_split(clip, split, None, (), 1.0)
+    assert chosen_split(clip, None, 2, (), 1.0).test == ("cam00",)
+
+
+def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "study.json"
+    assert earlier_report(path, {}) == {}
+    path.write_text("my notes")
+    with pytest.raises(InputError, match="is not a report"):
+        earlier_report(path, {})
+    path.write_text('{"schema": 2, "data": "room"}')
+    assert earlier_report(path, {"data": "room"}) == {"schema": 2, "data": "room"}
+    assert earlier_report(path, {"data": "kitchen"}) == {}
+
+
+def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> None:
+    names = {"balanced", "paper", "rate weight 0.03", "downscale 2"}
+    points = [replace(point, config=shortened(point.config)) for point in one_at_a_time() if point.name in names]
+    options = TradeoffOptions(frames=2, views=2, device="cpu", seeds=2)
+    run_tradeoff(clip, tmp_path, replace(options, seeds=1), packet_size, points)
+    single = json.loads((tmp_path / "tradeoff.json").read_text())
+    assert all(point["psnr_spread"] == 0 for point in single["points"])
+    run_tradeoff(clip, tmp_path, options, packet_size, points)
+    value = json.loads((tmp_path / "tradeoff.json").read_text())
+    assert {point["name"] for point in value["points"]} == names
+    for point, before in zip(value["points"], single["points"], strict=True):
+        assert point["runs"][0] == before["runs"][0]  # not measured again
+        first, second = (run["psnr"] for run in point["runs"])
+        assert point["psnr"] == pytest.approx((first + second) / 2)
+        assert point["psnr_spread"] == pytest.approx(abs(first - second) / 2**0.5)
+        assert first != second
+    assert set(value["fronts"]) == {cost.key for cost in COSTS}
+    best = max(value["points"], key=lambda point: point["psnr"])["name"]
+    for cost in COSTS:
+        front = value["fronts"][cost.key]
+        assert front[-1] == best
+        cheapest = min(point[cost.key] for point in value["points"])
+        assert cheapest in {point[cost.key] for point in value["points"] if point["name"] == front[0]}
+        ElementTree.fromstring((tmp_path / f"{cost.key}.svg").read_text())
+    better = {point["name"]: beaten_by(point, value["points"]) for point in value["points"]}
+    assert better[best] == []
+    assert not any(name in beaten for name, beaten in better.items())
+    report = (tmp_path / "tradeoff.md").read_text()
+    assert all(name in report for name in names)
+    run_tradeoff(clip, tmp_path, options, packet_size, points)
+    assert json.loads((tmp_path / "tradeoff.json").read_text()) == value  # nothing was measured again
+
+
+def test_quoted_tables_hold_what_was_published() -> None:
+    """Spot checks, and the best value of each column in the blocks that name one."""
+    paper = {row.views: row for row in MEET_ROOM if row.method == "StreamLoD-GS"}
+    assert {views: row.psnr for views, row in paper.items()} == {3: 18.85, 4: 21.40, 5: 22.73, 12: 27.84}
+    for rows in (MEET_ROOM, N3DV):
+        for views in {row.views for row in rows}:
+            block = [row for row in rows if row.views == views]
+            assert max(block, key=lambda row: row.psnr).method == "StreamLoD-GS"
+            assert min(block, key=lambda row: row.seconds).method == "QUEEN"
+            assert "StreamLoD-GS" in min(block, key=lambda row: row.megabytes).method

@@ -1,0 +1,60 @@
+"""Recordings appear when they are complete."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from client.recorder import open_recorder
+from core.arrays import UInt8
+from core.errors import InputError
+
+
+def picture(number: int, size: tuple[int, int] = (48, 64)) -> UInt8:
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    return np.stack([rows * 4 + number, columns * 3, np.full(size, 40 * number)], axis=2).astype(np.uint8)
+
+
+def test_png_folder_keeps_every_value(tmp_path: Path) -> None:
+    with open_recorder(tmp_path / "a" / "b", 30) as recorder:
+        for number in range(3):
+            recorder.add(picture(number))
+    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == [f"0000{n}.png" for n in range(3)]
+    read = cv2.imread(str(tmp_path / "a" / "b" / "00002.png"))
+    np.testing.assert_array_equal(read[..., ::-1], picture(2))
+
+
+def test_mp4_holds_the_pictures_at_their_rate(tmp_path: Path) -> None:
+    with open_recorder(tmp_path / "a.mp4", 29.97) as recorder:
+        for number in range(5):
+            recorder.add(picture(number, (49, 65)))
+        assert not (tmp_path / "a.mp4").exists()
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        stream = container.streams.video[0]
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        assert abs(float(stream.average_rate or 0) - 29.97) < 0.01
+    assert len(frames) == 5
+    assert np.abs(frames[3].astype(int) - picture(3)[:48, :64]).mean() < 6
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mp4"]
+
+
+def test_an_error_leaves_no_video(tmp_path: Path) -> None:
+    def record() -> None:
+        with open_recorder(tmp_path / "a.mp4", 30) as recorder:
+            recorder.add(picture(0))
+            recorder.add(picture(1, (20, 20)))
+
+    with pytest.raises(InputError, match="changed their size"):
+        record()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file" / "x.mp4", tmp_path / "file" / "x"):
+        with pytest.raises(InputError, match="cannot be written"):
+            open_recorder(out, 30)

@@ -1,0 +1,129 @@
+"""Frame budget and rate control in the trainer: a burst of motion costs quality for a while, never time or buffer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from codec.encoder import encode_residual
+from codec.packet.packet import PacketKind
+from core.arrays import UInt8
+from core.data import Dataset
+from core.frames import FrameSet
+from core.initialise import first_points
+from core.metrics import psnr
+from core.render.cpu import render
+from core.scene.anchors import Scene
+from core.scene.expand import expand
+from core.synthetic import SyntheticSpec, open_synthetic
+from core.train import TrainConfig, Trainer, preset
+
+SPEC = SyntheticSpec(cameras=4, frames=5, width=96, height=54, fps=4.0)  # a quarter of a second a frame: fast motion
+FPS = 30.0
+PRESENT = np.ones(SPEC.cameras, np.bool_)
+
+
+class Ticks:
+    """A clock on which every look takes a millisecond: time is what the trainer does, not how fast the machine is."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        self.now += 0.001
+        return self.now
+
+
+def config() -> TrainConfig:
+    live = preset("live")
+    return replace(
+        live,
+        model=replace(live.model, max_anchors=2500),
+        keyframe=replace(live.keyframe, steps=80, growth_interval=20),
+        predict=replace(live.predict, epochs=4, minimum_steps=20, least_gain=0.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def clip() -> Dataset:
+    return open_synthetic(SPEC)
+
+
+@pytest.fixture(scope="module")
+def pictures(clip: Dataset) -> list[UInt8]:
+    """Still, a burst of motion, and still again."""
+    images = [frame.images for frame in clip.frames()]
+    return [images[0], images[0], *images[1:], *[images[-1]] * 10]
+
+
+@pytest.fixture(scope="module")
+def first(clip: Dataset, pictures: list[UInt8]) -> Scene:
+    frame = FrameSet(0, 0, pictures[0], PRESENT)
+    points = first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds)
+    return Trainer(clip.cameras, config(), FPS, "cpu").keyframe(frame, points).scene
+
+
+def quality(scene: Scene, clip: Dataset, images: UInt8) -> float:
+    camera = clip.cameras[0]
+    shown = render(expand(scene, camera.centre), camera, scene.header.background).image.clip(0, 1)
+    return psnr(shown, images[0].astype(np.float32) / 255)
+
+
+def unbound_quality(clip: Dataset, pictures: list[UInt8], first: Scene) -> float:
+    """Of the last picture, without a budget or a rate."""
+    trainer = Trainer(clip.cameras, config(), FPS, "cpu")
+    trainer.resume(first)
+    for index, images in enumerate(pictures, start=1):
+        last = trainer.predict(FrameSet(index, index, images, PRESENT))
+    return quality(last.scene, clip, pictures[-1])
+
+
+def test_a_burst_holds_the_frame_budget_and_quality_returns(clip: Dataset, pictures: list[UInt8], first: Scene) -> None:
+    budget, clock = 0.035, Ticks()
+    trainer = Trainer(clip.cameras, config(), FPS, "cpu", frame_budget_ms=1000 * budget, clock=clock)
+    trainer.resume(first)
+    steps, scores = list[int](), list[float]()
+    calm = [pictures[-1]] * 20  # with six steps a frame, what is left undone takes a while
+    for index, images in enumerate([*pictures, *calm], start=1):
+        begin = clock.now
+        result = trainer.predict(FrameSet(index, index, images, PRESENT))
+        assert clock.now - begin <= budget + 0.001
+        steps.append(result.report.steps)
+        scores.append(quality(result.scene, clip, images))
+    planned = max(config().predict.epochs * SPEC.cameras, config().predict.minimum_steps)
+    assert 0 < max(steps) < planned
+    burst = min(scores[2:6])
+    assert scores[-1] > burst + 0.1
+    assert scores[-1] > unbound_quality(clip, pictures, first) - 0.5
+
+
+def test_no_time_at_all_still_gives_every_frame(clip: Dataset, pictures: list[UInt8], first: Scene) -> None:
+    trainer = Trainer(clip.cameras, config(), FPS, "cpu", frame_budget_ms=0.5, clock=Ticks())
+    trainer.resume(first)
+    for index, images in enumerate(pictures[:5], start=1):
+        result = trainer.predict(FrameSet(index, index, images, PRESENT))
+        assert result.scene.version == index
+        assert result.report.steps == 0
+
+
+def test_a_burst_stays_within_the_buffer_and_quality_returns(
+    clip: Dataset, pictures: list[UInt8], first: Scene
+) -> None:
+    kbps = 40.0
+    drain, capacity = kbps * 1000 / 8 / FPS, kbps * 1000 / 8
+    trainer = Trainer(clip.cameras, config(), FPS, "cpu", target_kbps=kbps)
+    trainer.resume(first)
+    held, scores, sizes = 0.3 * capacity, list[float](), list[int]()
+    for index, images in enumerate([*pictures, *[pictures[-1]] * 20], start=1):
+        before, result = trainer.scene, trainer.predict(FrameSet(index, index, images, PRESENT))
+        assert result.residual is not None
+        size = len(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0))
+        trainer.sent(result, size)
+        held = max(held - drain, 0.0) + size
+        assert held <= 1.1 * capacity
+        scores.append(quality(result.scene, clip, images))
+        sizes.append(size)
+    assert max(sizes) > drain  # the burst does want more than the channel carries
+    assert scores[-1] > unbound_quality(clip, pictures, first) - 0.3

@@ -1,0 +1,89 @@
+"""The trainer's kernels against what torch makes of the same formulas."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import pytest
+import torch
+
+from core.scene.anchors import LATENTS
+from core.train.kernels import adam, decode, rate
+from core.train.kernels.warming import warm
+from core.train.optimise.adam import update, update_reference
+from core.train.optimise.rate import residual_bits, residual_bits_reference
+from tests.core.train.fields import random_field
+
+
+@pytest.mark.parametrize("count", [1, 7, 4099])
+def test_adam_equals_torch_step_by_step(count: int) -> None:
+    generator = torch.Generator().manual_seed(count)
+    start = torch.randn(count, generator=generator)
+    ours, theirs = ([start.clone(), torch.zeros(count), torch.zeros(count)] for _ in range(2))
+    for step in range(1, 30):
+        gradient = torch.randn(count, generator=generator) * 10.0 ** torch.randint(-8, 8, (count,), generator=generator)
+        if step == 5:
+            gradient[0] = math.nan
+            gradient[-1] = -math.inf
+        rate, correction2 = 0.1 / (1 - 0.9**step), 1 - 0.999**step
+        broken = update(ours[0], gradient, ours[1], ours[2], rate, correction2)
+        assert broken == update_reference(theirs[0], gradient, theirs[1], theirs[2], rate, correction2)
+        assert int(broken) == (min(count, 2) if step == 5 else 0)
+    for found, wanted in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(found, wanted, rtol=2e-6, atol=1e-6)
+
+
+def test_adam_is_the_same_for_any_number_of_threads() -> None:
+    threads, found = numba.get_num_threads(), []
+    for count in {1, threads}:
+        numba.set_num_threads(count)
+        value, first, second = torch.ones(1001), torch.zeros(1001), torch.zeros(1001)
+        update(value, torch.linspace(-1, 1, 1001), first, second, 0.1, 0.001)
+        found.append(value)
+    numba.set_num_threads(threads)
+    assert all(torch.equal(found[0], other) for other in found)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.3, 3.0, 100.0])
+@pytest.mark.parametrize("count", [0, 1, 900])
+def test_rate_equals_torch(count: int, size: float) -> None:
+    generator = torch.Generator().manual_seed(1)
+    energy = size * torch.rand(count, 1, generator=generator) ** 2
+    values = [energy * torch.randn(count, channels, generator=generator) for channels in (LATENTS, 3)]
+    bits, gradients = [], []
+    for function in (residual_bits, residual_bits_reference):
+        leaves = [value.clone().requires_grad_() for value in values]
+        total = function(*leaves)
+        (0.5 * total).backward()
+        bits.append(float(total.detach()))
+        gradients.append([leaf.grad for leaf in leaves])
+    assert bits[0] == pytest.approx(bits[1], rel=1e-5)
+    for found, wanted in zip(*gradients, strict=True):
+        assert found is not None
+        assert wanted is not None
+        # a value whose expected magnitude lies on the edge of a bin may fall on either side
+        assert (found - wanted).abs().gt(1e-5).sum() <= found.numel() / 1000
+
+
+def test_rate_of_broken_values_stays_in_its_table() -> None:
+    latent = torch.zeros(4, LATENTS)
+    latent[0, :3] = torch.tensor([math.nan, math.inf, -1e30])
+    position = torch.zeros(4, 3, requires_grad=True)
+    bits = residual_bits(latent.requires_grad_(), position)
+    bits.backward()
+    assert latent.grad is not None
+    assert not latent.grad[0, :3].any() or bits.isnan()
+
+
+def test_warming_compiles_what_training_uses() -> None:
+    warm()
+    kernels = (adam.adam_step, rate.residual_bits, decode.activate, decode.differentiate)
+    signatures = [len(kernel.signatures) for kernel in kernels]
+    value, moments = torch.ones(3, 2), [torch.zeros(3, 2), torch.zeros(3, 2)]
+    update(value, torch.ones(3, 2), *moments, 0.1, 0.001)
+    residual_bits(torch.ones(3, LATENTS), torch.ones(3, 3))
+    field = random_field(6)
+    field.network.hidden_weight.requires_grad_()
+    field.decode(torch.zeros(3)).means.sum().backward()  # type: ignore[no-untyped-call]
+    assert [len(kernel.signatures) for kernel in kernels] == signatures

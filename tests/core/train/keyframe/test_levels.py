@@ -1,0 +1,67 @@
+"""Levels chosen by distance in later frames, and what anchors show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from core.camera import look_at, pinhole
+from core.train.field.field import Field, visible_levels
+from core.train.field.rendered import rendered
+from core.train.motion.coverage import coverage
+from core.train.motion.partition import tiles_of
+from core.train.pictures.views import Views
+from tests.core.train.fields import random_field
+
+POSE = look_at(np.array([0.0, -3.0, 0.5]), np.zeros(3), np.array([0.0, 0.0, 1.0]))
+CAMERA = pinhole("c", (60.0, 60.0), (32.0, 24.0), (64, 48), POSE)
+
+
+@pytest.fixture
+def field() -> Field:
+    return random_field(120)
+
+
+def test_levels_that_the_distance_does_not_call_for_are_transparent(field: Field) -> None:
+    centre = torch.from_numpy(CAMERA.centre).float()
+    everything, chosen = field.decode(centre), replace(field, by_distance=True).decode(centre)
+    drawn = visible_levels(field, centre, field.octree.levels - 1).repeat_interleave(field.slots)
+    torch.testing.assert_close(chosen.opacities[drawn], everything.opacities[drawn])
+    assert (chosen.opacities[~drawn] == 0).all()
+    assert field.looks_the_same
+    assert not replace(field, by_distance=True).looks_the_same
+
+
+def test_areas_shown_add_up_to_what_is_opaque(field: Field) -> None:
+    rows = torch.arange(len(field))
+    maps = torch.zeros(CAMERA.height, CAMERA.width, 2)
+    maps[..., 0] = 1
+    maps[:, :32, 1] = 1
+    shown = coverage(field, rows, rows[:0], CAMERA, maps, "cpu")
+    assert shown.shape == (len(field), 2)
+    assert (shown >= -1e-4).all()
+    assert (shown[:, 1] <= shown[:, 0] + 1e-4).all()
+    assert 0 < shown[:, 0].sum() <= CAMERA.width * CAMERA.height + 1
+    half = len(field) // 2
+    asked = coverage(field, rows[:half], rows[half:], CAMERA, maps, "cpu")
+    torch.testing.assert_close(asked, shown[:half], atol=1e-3, rtol=1e-3)
+
+
+def test_tiles_hold_every_pixel_of_a_mask() -> None:
+    mask = torch.zeros(40, 50, dtype=torch.bool)
+    mask[39, 49] = mask[0, 17] = True
+    tiles = tiles_of(mask)
+    assert tiles.shape == (3, 4)
+    assert tiles.nonzero().tolist() == [[0, 1], [2, 3]]
+    assert tiles_of(mask, room=1).sum() == 6 + 4 - 1
+
+
+def test_a_camera_without_a_picture_is_shown_nothing_known(field: Field) -> None:
+    views = Views((CAMERA, CAMERA), torch.zeros(2, CAMERA.height, CAMERA.width, 3), usable=[1])
+    pictures = rendered(field, torch.ones(len(field), dtype=torch.bool), views, "cpu")
+    assert pictures[0].isnan().all()
+    assert not pictures[1].isnan().any()
+    assert pictures[1].max() > 0

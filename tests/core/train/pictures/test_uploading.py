@@ -1,0 +1,78 @@
+"""Pictures for training: the right ones, once, whoever sent them and when."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from core.frames import FrameSet
+from core.render.backends import cuda_fault
+from core.train.pictures.uploading import _MOST, Uploader
+
+cuda = pytest.param(
+    "cuda",
+    marks=[pytest.mark.cuda, pytest.mark.skipif(cuda_fault() is not None, reason=f"no CUDA: {cuda_fault()}")],
+)
+devices = pytest.mark.parametrize("device", ["cpu", cuda])
+
+
+@devices
+def test_pictures_are_the_same_sent_ahead_or_not(device: str) -> None:
+    uploader, frames = Uploader(device), filmed(3)
+    for frame in frames[:2]:
+        uploader.begin(frame)
+    for frame in (frames[1], frames[2], frames[0]):
+        pictures = uploader.take(replace(frame, index=90))  # numbered anew on its way
+        assert pictures.device.type == device
+        np.testing.assert_allclose(pictures.cpu().numpy(), frame.images.astype(np.float32) / 255, atol=1e-7)
+
+
+@devices
+def test_what_was_sent_ahead_is_taken_once(device: str) -> None:
+    uploader, (frame,) = Uploader(device), filmed(1)
+    uploader.begin(frame)
+    first = uploader.take(frame)
+    first.zero_()
+    assert float(uploader.take(frame).sum()) > 0
+
+
+@devices
+def test_only_a_few_wait(device: str) -> None:
+    uploader, frames = Uploader(device), filmed(_MOST + 3)
+    for frame in frames:
+        uploader.begin(frame)
+    assert len(uploader._waiting) == _MOST
+    for frame in frames:  # those that gave way are sent again
+        assert torch.equal(uploader.take(frame).cpu(), Uploader("cpu").take(frame))
+
+
+@devices
+def test_a_reading_thread_sends_while_this_one_trains(device: str) -> None:
+    uploader, frames, wrong = Uploader(device), filmed(30), list[int]()
+    turn = threading.Semaphore(2)
+
+    def read() -> None:
+        for frame in frames:
+            turn.acquire()
+            uploader.begin(frame)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    for frame in frames:
+        pictures = uploader.take(frame)
+        if not np.allclose(pictures.cpu().numpy(), frame.images.astype(np.float32) / 255, atol=1e-7):
+            wrong.append(frame.index)
+        turn.release()
+    thread.join()
+    assert not wrong
+
+
+def filmed(count: int) -> list[FrameSet]:
+    generator = np.random.default_rng(0)
+    sizes = (2, 9, 7, 3)
+    pictures = [generator.integers(1, 256, sizes, dtype=np.uint8) for _ in range(count)]
+    return [FrameSet(i, i, picture, np.ones(2, np.bool_)) for i, picture in enumerate(pictures)]

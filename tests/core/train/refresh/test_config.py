@@ -1,0 +1,216 @@
+"""A keyframe in mid-stream: better than the state that it replaces, where it moved, and nothing where nothing did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet.packet import PacketKind
+from core.data import Dataset
+from core.frames import FrameSet
+from core.initialise import first_points
+from core.metrics import psnr
+from core.render.cpu import render
+from core.scene.anchors import AnchorLevel, Scene
+from core.scene.expand import expand
+from core.scene.rekey import coarseness, rekey
+from core.synthetic import SyntheticSpec, open_synthetic
+from core.train import TrainConfig, Trainer, preset
+from core.train.field.convert import field_of, scene_of
+from core.train.refresh.background import FRAMES
+from tests.core.train.fields import random_field
+
+SPEC = SyntheticSpec(cameras=4, frames=6, width=96, height=54, fps=10.0)
+
+
+def config() -> TrainConfig:
+    """Preset live with few steps, most of them in the keyframe that renews."""
+    live = preset("live")
+    return replace(
+        live,
+        model=replace(live.model, max_anchors=2500),
+        keyframe=replace(live.keyframe, steps=80, growth_interval=20, renewal_steps=60),
+        predict=replace(live.predict, epochs=2, minimum_steps=8),
+    )
+
+
+@pytest.fixture(scope="module")
+def clip() -> Dataset:
+    return open_synthetic(SPEC)
+
+
+@pytest.fixture(scope="module")
+def frames(clip: Dataset) -> list[FrameSet]:
+    return list(clip.frames())
+
+
+@pytest.fixture(scope="module")
+def first(clip: Dataset, frames: list[FrameSet]) -> Scene:
+    points = first_points(frames[0], clip.cameras, depth_bounds=clip.depth_bounds)
+    return Trainer(clip.cameras, config(), clip.fps, "cpu").keyframe(frames[0], points).scene
+
+
+def trainer_at(
+    clip: Dataset, first: Scene, pictures: list[FrameSet], budget_ms: float | None = None, renewal_steps: int = 60
+) -> Trainer:
+    """A trainer that has seen `pictures`."""
+    chosen = replace(config(), keyframe=replace(config().keyframe, renewal_steps=renewal_steps))
+    trainer = Trainer(clip.cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget_ms)
+    trainer.resume(first)
+    for frame in pictures:
+        trainer.predict(frame)
+    return trainer
+
+
+def quality(scene: Scene, clip: Dataset, frame: FrameSet) -> float:
+    """Mean PSNR over the training cameras."""
+    pictures = [render(expand(scene, c.centre), c, np.zeros(3, np.float32)).image.clip(0, 1) for c in clip.cameras]
+    truths = frame.images.astype(np.float32) / 255
+    return float(np.mean([psnr(picture, truth) for picture, truth in zip(pictures, truths, strict=True)]))
+
+
+def test_catches_up_and_goes_on(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
+    """It shows its frame better than the state did, and the frames after it lead on from what viewers decode."""
+    trainer = trainer_at(clip, first, frames[1:5])
+    before = trainer.scene
+    renewed = trainer.renew(frames[4])
+    assert renewed.report.steps == 60
+    assert (renewed.scene.keyframe, renewed.scene.version) == (before.version, before.version)
+    assert quality(renewed.scene, clip, frames[4]) > quality(before, clip, frames[4]) + 0.5
+    decoder = SceneDecoder()
+    decoder.push(encode_keyframe(renewed.scene, time_ns=0))
+    after = trainer.predict(frames[5])
+    assert after.residual is not None
+    assert after.residual.changed > 0
+    decoder.push(encode_residual(renewed.scene, after.residual, kind=PacketKind.PREDICTED, time_ns=1))
+    assert decoder.scene is not None
+    for mine, theirs in zip(decoder.scene.levels, after.scene.levels, strict=True):
+        for name in AnchorLevel.__slots__:
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+
+
+def test_a_still_scene_trains_nothing(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
+    """What has not changed is sent again as it is, and the still frame after it is empty too."""
+    trainer = trainer_at(clip, first, [replace(frames[0], index=1)])  # which trains: it has not seen the cameras yet
+    keyframe = rekey(trainer.scene, 1)
+    trainer.resume(keyframe, keep_references=True)
+    trainer.predict(replace(frames[0], index=2))
+    renewed = trainer.renew(replace(frames[0], index=2))
+    assert renewed.report.steps == 0
+    assert (renewed.scene.keyframe, renewed.scene.version) == (2, 2)
+    for mine, theirs in zip(renewed.scene.levels, keyframe.levels, strict=True):
+        np.testing.assert_array_equal(mine.feature, theirs.feature)
+    assert trainer.predict(replace(frames[0], index=3)).report.steps == 0
+
+
+@pytest.fixture(scope="module")
+def pictures(clip: Dataset) -> list[FrameSet]:
+    """Of a longer clip by the same cameras, in which the same things move."""
+    return list(open_synthetic(replace(SPEC, frames=FRAMES + 4)).frames())
+
+
+class Clock:
+    """A clock on which every look takes `look` seconds."""
+
+    def __init__(self) -> None:
+        self.now = self.look = 0.0
+
+    def __call__(self) -> float:
+        self.now += self.look
+        return self.now
+
+
+def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
+    """As many steps as without one, spread over frames in which things move; the frames after it lead on from it."""
+    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, renewal_steps=12 * FRAMES)
+    trainer.want_keyframe()
+    last = 1 + 1 + FRAMES  # it begins with a frame, and has the next ones
+    for frame in pictures[2 : last + 1]:
+        assert not trainer.keyframe_is_ready
+        trainer.predict(frame)
+    assert trainer.keyframe_is_ready
+    before = trainer.scene
+    renewed = trainer.renew(pictures[last])
+    assert renewed.report.steps == 12 * FRAMES
+    assert (renewed.scene.keyframe, renewed.scene.version) == (before.version, before.version)
+    assert renewed.scene.anchor_count == before.anchor_count
+    assert quality(renewed.scene, clip, pictures[last]) > quality(before, clip, pictures[last]) + 0.3
+    for mine, known in zip(renewed.scene.levels, rekey(before, before.version).levels, strict=True):
+        every = np.arange(len(mine))
+        coarser = coarseness(mine, every) >= coarseness(known, every)
+        assert coarser.mean() > 0.99  # rounded as the keyframe before was
+    decoder = SceneDecoder()
+    decoder.push(encode_keyframe(renewed.scene, time_ns=0))
+    after = trainer.predict(pictures[last + 1])
+    assert after.residual is not None
+    decoder.push(encode_residual(renewed.scene, after.residual, kind=PacketKind.PREDICTED, time_ns=1))
+    assert decoder.scene is not None
+    assert [level.digest() for level in decoder.scene.levels] == [level.digest() for level in after.scene.levels]
+
+
+def test_no_time_at_all_sends_the_state_as_it_is(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
+    clock = Clock()
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu", frame_budget_ms=1000, clock=clock)
+    trainer.resume(first)
+    trainer.predict(pictures[1])
+    trainer.predict(pictures[2])
+    clock.look = 100.0
+    trainer.want_keyframe()
+    for number in range(FRAMES + 1):
+        assert not trainer.keyframe_is_ready
+        trainer.predict(replace(pictures[3], index=3 + number))
+    assert trainer.keyframe_is_ready
+    known = trainer.scene
+    renewed = trainer.renew(pictures[3])
+    assert renewed.report.steps == 0
+    expected = rekey(known, known.version)
+    shown, as_it_is = (quality(scene, clip, pictures[3]) for scene in (renewed.scene, expected))
+    assert shown == pytest.approx(as_it_is, abs=0.02)
+
+
+def test_asked_for_before_its_time_it_is_the_state_as_it_is(
+    clip: Dataset, pictures: list[FrameSet], first: Scene
+) -> None:
+    trainer = trainer_at(clip, first, pictures[1:3], budget_ms=60_000)
+    trainer.want_keyframe()
+    trainer.predict(pictures[3])
+    trainer.predict(pictures[4])
+    expected = rekey(trainer.scene, trainer.scene.version)
+    renewed = trainer.renew(pictures[4])
+    assert renewed.report.steps == 0
+    assert [level.digest() for level in renewed.scene.levels] == [level.digest() for level in expected.levels]
+    trainer.predict(pictures[5])
+    assert not trainer.keyframe_is_ready  # it is not wanted any more
+
+
+@pytest.mark.parametrize("alive", [0, 1, 3])
+def test_a_scene_that_is_nearly_gone(clip: Dataset, frames: list[FrameSet], first: Scene, alive: int) -> None:
+    """After a black picture, say: hardly an anchor lives, and none of them need be seen."""
+    coarse, *finer = first.levels
+    levels = [replace(coarse, alive=np.arange(len(coarse)) < alive)]
+    levels += [replace(level, alive=np.zeros(len(level), np.bool_)) for level in finer]
+    trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
+    trainer.resume(replace(first, levels=tuple(levels)))
+    renewed = trainer.renew(frames[0]).scene
+    assert renewed.anchor_count <= alive
+    SceneDecoder().push(encode_keyframe(renewed, time_ns=0))
+
+
+def test_moved_anchors_stay_where_they_are() -> None:
+    """A keyframe's anchors lie on nodes; those of a state have moved, by whole position steps."""
+    field = random_field(60)
+    scene = scene_of(field, preset("live").predict, (), 30.0, 0)
+    rng = np.random.default_rng(0)
+    levels = tuple(
+        replace(level, position=rng.integers(-300, 300, level.position.shape).astype(np.int32))
+        for level in scene.levels
+    )
+    moved = field_of(replace(scene, levels=levels))
+    again = field_of(scene_of(moved, preset("live").predict, (), 30.0, 1))
+    torch.testing.assert_close(again.position, moved.position, rtol=0, atol=1e-6)
+    assert not torch.equal(again.position, field_of(scene).position)

@@ -1,0 +1,224 @@
+"""The live websocket: joining, leaving out, seeking, faults. A decoded frame always equals the sequential decode."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from codec.packet.info import peek
+from codec.packet.packet import PacketKind
+from server.pipeline.spec import StreamSpec
+from server.settings import Limits, Settings
+from tests.codec.scenes import assert_same_level, assert_same_state
+from tests.server.conftest import Clip, Running, Viewer, make_clip, running, viewing
+
+PIECE = 32_768  # bytes of a keyframe in one frame's time
+LIMITS = Limits(hello_seconds=0.4, messages_per_second=20, viewer_lag_seconds=30)
+
+
+@pytest.fixture(scope="module")
+def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    state = tmp_path_factory.mktemp("state")
+    with running(Settings(state=state, limits=LIMITS), StreamSpec(play=clip.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        yield server
+
+
+def check(viewer: Viewer, clip: Clip) -> None:
+    """The viewer's state is that of the sequential decode at its version."""
+    scene = viewer.decoder.scene
+    assert scene is not None
+    assert_same_state(clip.states[scene.version], scene)
+
+
+def test_joins_coarse_first_and_follows_every_frame(server: Running, clip: Clip) -> None:
+    with viewing(server) as viewer:
+        viewer.hello()
+        assert viewer.until("position")["mode"] == "live"
+        viewer.next_packet()
+        assert viewer.decoder.versions[1:] == (-1, -1)  # the coarse level alone makes the first picture
+        viewer.until("caught_up")
+        check(viewer, clip)
+        seen = []
+        for _ in range(30):
+            if isinstance(viewer.step(), bytes) and len(set(viewer.decoder.versions)) == 1:
+                seen.append(viewer.decoder.versions[0])
+                check(viewer, clip)
+        assert len(seen) > 15
+        assert all(later in {earlier + 1, 0, 60} for earlier, later in itertools.pairwise(seen))
+
+
+def test_a_new_keyframe_comes_in_pieces_while_the_old_picture_stays(tmp_path: Path) -> None:
+    """No burst at the live edge: one message of many frames, then one residual over what has come since."""
+    clip = make_clip(tmp_path / "scene.slod", 60, counts=(200, 600, 2500), key_every=20)
+    with running(Settings(limits=LIMITS), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
+        viewer.hello().until("caught_up")
+        renewed = 0
+        while renewed < 2:
+            parts = [part for part in viewer.connection.recv_streaming() if isinstance(part, bytes)]
+            if not parts:  # an event
+                continue
+            packet = b"".join(parts)
+            key = peek(packet).kind is PacketKind.KEY
+            viewer.decoder.push(packet)
+            if key:
+                assert len(packet) > 3 * PIECE
+                assert [len(part) for part in parts] == [PIECE] * (len(packet) // PIECE) + [len(packet) % PIECE]
+            else:
+                assert len(set(viewer.decoder.versions)) == 1
+                check(viewer, clip)
+            renewed += key
+
+
+def test_fewer_levels_are_sent_on_request_and_come_back(server: Running, clip: Clip) -> None:
+    with viewing(server) as viewer:
+        viewer.hello(levels=1)
+        viewer.until("caught_up")
+        assert viewer.decoder.versions[1:] == (-1, -1)
+        viewer.send(type="set", levels=3)
+        while not viewer.named("levels") or viewer.named("levels")[-1]["levels"] < 3:
+            viewer.step()
+        while len(set(viewer.decoder.versions)) > 1:
+            viewer.step()
+        check(viewer, clip)
+        viewer.send(type="set", levels=2)
+        assert viewer.until("levels")["reason"] == "requested"
+        at = viewer.decoder.versions[2]
+        while viewer.decoder.versions[0] < at + 3 and viewer.decoder.versions[0] >= at:
+            viewer.step()
+        scene = viewer.decoder.scene
+        assert scene is not None
+        for number in (0, 1):
+            assert_same_level(clip.states[viewer.decoder.versions[number]].levels[number], scene.levels[number])
+
+
+def test_seeks_back_pauses_and_returns(server: Running, clip: Clip) -> None:
+    server.wait(lambda stream: stream["epoch"] >= 2)
+    with viewing(server) as viewer:
+        viewer.hello()
+        viewer.until("caught_up")
+        viewer.send(type="seek", to={"epoch": 1, "version": 70})
+        while True:
+            if (place := viewer.until("position"))["mode"] == "replay":
+                break
+        assert (place["epoch"], place["version"], place["clamped"]) == (1, 70, False)
+        for _ in range(5):
+            viewer.next_packet()
+        check(viewer, clip)
+        viewer.send(type="pause")
+        paused = viewer.until("position")
+        assert paused["mode"] == "paused"
+        viewer.send(type="play")
+        assert viewer.until("position")["version"] == paused["version"]
+        viewer.send(type="seek", to={"epoch": 0, "version": 5})
+        clamped = viewer.until("position")
+        assert clamped["clamped"]
+        assert (clamped["epoch"], clamped["version"]) == (1, 0)
+        viewer.send(type="seek", to="live")
+        assert viewer.until("position")["mode"] == "live"
+        viewer.until("caught_up")
+        check(viewer, clip)
+
+
+def test_a_hello_may_start_in_the_past(server: Running, clip: Clip) -> None:
+    with viewing(server) as viewer:
+        viewer.hello(start={"epoch": 1, "version": 3})
+        place = viewer.until("position")
+        assert place == {"type": "event", "event": "position", "mode": "replay", "epoch": 1, "version": 3,
+                         "clamped": False}  # fmt: skip
+        while not viewer.decoder.versions or viewer.decoder.versions[0] < 8:
+            viewer.step()
+        check(viewer, clip)
+
+
+def closed(viewer: Viewer) -> tuple[int, str]:
+    """Close code and reason, after taking everything that comes before."""
+    with pytest.raises(ConnectionClosed) as caught:
+        viewer.until("nothing that the server sends")
+    assert caught.value.rcvd is not None
+    return caught.value.rcvd.code, caught.value.rcvd.reason
+
+
+def test_protocol_faults_close_with_their_code(server: Running) -> None:
+    with viewing(server) as viewer:
+        assert closed(viewer) == (4408, "no hello within 0.4 s")
+    for text, code in (
+        ("{", 4400),
+        ("[]", 4400),
+        ('{"type":"ack","bytes":1}', 4400),
+        ('{"type":"hello","versions":[7]}', 4415),
+        ('{"type":"hello","versions":[1],"levels":0}', 4400),
+        ('{"type":"hello","versions":[1],"start":{"epoch":-1,"version":0}}', 4400),
+    ):
+        with viewing(server) as viewer:
+            viewer.connection.send(text)
+            assert closed(viewer)[0] == code, text
+    with viewing(server) as viewer:
+        viewer.hello().connection.send(b"binary")
+        assert closed(viewer)[0] == 4400
+    with viewing(server) as viewer:
+        viewer.hello().connection.send("x" * 5000)
+        assert closed(viewer)[0] == 1009
+    with viewing(server, "nobody") as viewer:
+        assert closed(viewer)[0] == 4404
+    with viewing(server, subprotocols=None) as viewer:
+        assert closed(viewer)[0] == 4415
+    with viewing(server, additional_headers={"Origin": "https://elsewhere.example"}) as viewer:
+        assert closed(viewer)[0] == 4403
+    with viewing(server) as viewer:
+        viewer.hello()
+        with contextlib.suppress(ConnectionClosed):
+            for _ in range(80):
+                viewer.send(type="pause")
+        assert closed(viewer)[0] == 4429
+    assert server.stream()["state"] == "live"
+
+
+def test_worker_killed_in_mid_frame_is_replaced_and_viewers_stay(clip: Clip, tmp_path: Path) -> None:
+    with running(Settings(state=tmp_path), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
+        server.wait(lambda stream: stream["state"] == "live")
+        viewer.hello()
+        viewer.until("caught_up")
+        pid = server.registry.streams["main"].worker_pid
+        assert pid is not None
+        os.kill(pid, signal.SIGKILL)
+        killed = time.monotonic()
+        assert viewer.until("state")["state"] == "degraded"
+        assert viewer.until("epoch")["epoch"] == 2
+        viewer.step()
+        while len(set(viewer.decoder.versions)) > 1:
+            viewer.step()
+        assert time.monotonic() - killed < 10
+        check(viewer, clip)
+        found = server.wait(lambda stream: stream["state"] == "live")
+        assert (found["restarts"], found["epoch"]) == (1, 2)
+
+
+def test_a_deleted_stream_closes_its_viewers(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
+        server.wait(lambda stream: stream["state"] == "live")
+        viewer.hello()
+        with server.client() as client:
+            assert client.delete("/v1/streams/main").status_code == 204
+        assert closed(viewer)[0] == 1000
+
+
+def test_stopping_the_server_tells_viewers_to_come_back(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        with viewing(server) as viewer:
+            viewer.hello()
+            server.registry.draining = True
+            for session in server.registry.sessions:
+                session.draining = True
+            assert closed(viewer)[0] == 1001
+            with server.client() as client:
+                assert client.get("/readyz").status_code == 503

@@ -1,0 +1,272 @@
+"""REST: what there is, what it says, downloads and their conditions, rights."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import jwt
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from codec.container import SlodReader
+from codec.decoder import SceneDecoder
+from core.errors import InputError
+from server.auth.gate import hash_token
+from server.pipeline.spec import StreamSpec
+from server.settings import Limits, Settings, load_settings
+from tests.codec.scenes import assert_same_state
+from tests.server.conftest import Clip, Running, running, viewing
+
+
+@pytest.fixture(scope="module")
+def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    state = tmp_path_factory.mktemp("state")
+    with running(Settings(state=state), StreamSpec(play=clip.path, loop=False)) as server:
+        server.wait(lambda stream: stream["state"] == "ended")
+        yield server
+
+
+@pytest.fixture
+def client(server: Running) -> Iterator[httpx.Client]:
+    with server.client() as client:
+        yield client
+
+
+def test_a_stream_tells_its_state(client: httpx.Client) -> None:
+    listed = client.get("/v1/streams").json()
+    assert listed["next_cursor"] is None
+    assert listed["items"] == [client.get("/v1/streams/main").json()]
+    stream = listed["items"][0]
+    assert (stream["state"], stream["epoch"], stream["version"], stream["levels"]) == ("ended", 1, 99, 3)
+    assert stream["recording"] == "on"
+    assert client.get("/v1/streams", params={"cursor": "main"}).json()["items"] == []
+    assert client.get("/healthz").json()["status"] == client.get("/readyz").json()["status"] == "ok"
+
+
+def test_the_manifest_lists_groups_that_decode_alone(client: httpx.Client, clip: Clip, tmp_path: Path) -> None:
+    manifest = client.get("/v1/streams/main/manifest").json()
+    assert [(gop["first"], gop["last"], gop["packets"]) for gop in manifest["gops"]] == [(0, 59, 60), (60, 99, 40)]
+    for gop in manifest["gops"]:
+        answer = client.get(gop["path"])
+        path = tmp_path / "gop.slod"
+        path.write_bytes(answer.content)
+        decoder = SceneDecoder()
+        with SlodReader(path) as reader:
+            for packet in reader.packets():
+                decoder.push(packet)
+        assert decoder.scene is not None
+        assert_same_state(clip.states[gop["last"]], decoder.scene)
+    begin = time.monotonic()
+    later = client.get("/v1/streams/main/manifest", params={"after_epoch": 1, "after_version": 99, "wait_ms": 200})
+    assert later.json()["window"]["newest"]["version"] == 99
+    assert time.monotonic() - begin >= 0.2
+
+
+def test_a_packet_is_what_was_published(client: httpx.Client, clip: Clip) -> None:
+    for version in (0, 17, 60):
+        answer = client.get(f"/v1/streams/main/packets/1/{version}")
+        assert answer.content == clip.packets[version]
+        assert "immutable" in answer.headers["cache-control"]
+    for path, status in (("packets/1/100", 404), ("packets/2/0", 404), ("gops/1/1", 404), ("packets/x/0", 422)):
+        answer = client.get(f"/v1/streams/main/{path}")
+        assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
+        assert answer.json()["status"] == status
+
+
+def test_the_bitstream_is_the_recorded_file(client: httpx.Client, clip: Clip, tmp_path: Path) -> None:
+    path = tmp_path / "whole.slod"
+    path.write_bytes(client.get("/v1/streams/main/bitstream").content)
+    with SlodReader(path) as reader:
+        assert list(reader.packets()) == clip.packets
+        assert not reader.torn
+        assert path.read_bytes() == clip.path.read_bytes()  # the index as well
+
+
+def test_downloads_answer_ranges_and_conditions(client: httpx.Client) -> None:
+    path = "/v1/streams/main/bitstream"
+    whole = client.get(path)
+    body, etag, size = whole.content, whole.headers["etag"], len(whole.content)
+    head = client.head(path)
+    assert (head.status_code, head.headers["content-length"], head.content) == (200, str(size), b"")
+    for text, span in (
+        ("bytes=0-0", (0, 1)), ("bytes=5-", (5, size)), ("bytes=-7", (size - 7, size)), ("bytes=3-99999999", (3, size)),
+        (f"bytes=30000-{size - 2}", (30000, size - 1)),
+    ):  # fmt: skip
+        part = client.get(path, headers={"Range": text})
+        assert (part.status_code, part.content) == (206, body[slice(*span)])
+        assert part.headers["content-range"] == f"bytes {span[0]}-{span[1] - 1}/{size}"
+    for text in (f"bytes={size}-", "bytes=-0"):
+        refused = client.get(path, headers={"Range": text})
+        assert (refused.status_code, refused.headers["content-range"]) == (416, f"bytes */{size}")
+    for text in ("bytes=", "bytes=-", "bytes=1-2,4-5", "items=1-2", "bytes=5-2"):
+        assert client.get(path, headers={"Range": text}).status_code == 200
+    assert client.get(path, headers={"If-None-Match": etag}).status_code == 304
+    assert client.get(path, headers={"If-None-Match": '"other"'}).status_code == 200
+    assert client.get(path, headers={"Range": "bytes=0-0", "If-Range": etag}).status_code == 206
+    assert client.get(path, headers={"Range": "bytes=0-0", "If-Range": '"other"'}).status_code == 200
+
+
+def test_what_is_closed_may_be_kept_for_ever_and_what_grows_may_not(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path)) as server, server.client() as client:
+        server.wait(lambda stream: stream["state"] == "live" and stream["version"] > 60)
+        closed, tags = "/v1/streams/main/gops/1/0", set()
+        for path in (closed, "/v1/streams/main/packets/1/7"):
+            answer = client.get(path)
+            etag, caching = answer.headers["etag"], answer.headers["cache-control"]
+            assert (etag[0], etag[-1]) == ('"', '"')  # strong
+            assert caching == "public, max-age=31536000, immutable"
+            assert client.get(path).headers["etag"] == etag
+            kept = client.get(path, headers={"If-None-Match": f'"x", {etag}'})
+            assert (kept.status_code, kept.content, kept.headers["cache-control"]) == (304, b"", caching)
+            head = client.head(path)
+            assert (head.status_code, head.headers["content-length"]) == (200, str(len(answer.content)))
+            assert client.get(path, headers={"Range": "bytes=2-5"}).content == answer.content[2:6]
+            beyond = client.get(path, headers={"Range": "bytes=99999999-"})
+            assert (beyond.status_code, beyond.headers["content-type"]) == (416, "application/problem+json")
+            tags.add(etag)
+        growing = "/v1/streams/main/gops/1/60"
+        for _ in range(2):
+            answer = client.get(growing)
+            assert answer.headers["cache-control"] in {"public, no-cache", "public, max-age=31536000, immutable"}
+            tags.add(answer.headers["etag"])
+            version = server.stream()["version"]
+            server.wait(lambda stream, version=version: stream["version"] != version)  # type: ignore[misc]
+        assert len(tags) >= 3
+
+
+def test_a_blocking_manifest_answers_as_soon_as_there_is_more(clip: Clip) -> None:
+    with running(Settings(), StreamSpec(play=clip.path)) as server, server.client() as client:
+        server.wait(lambda stream: stream["state"] == "live")
+        seen = []
+        for _ in range(5):
+            window = client.get("/v1/streams/main/manifest").json()["window"]["newest"]
+            after = {"after_epoch": window["epoch"], "after_version": window["version"], "wait_ms": 5000}
+            later = client.get("/v1/streams/main/manifest", params=after).json()["window"]["newest"]
+            seen.append((window["epoch"], window["version"]) < (later["epoch"], later["version"]))
+        assert all(seen)
+
+
+def test_an_idle_stream_has_an_empty_manifest_and_other_methods_are_named(client: httpx.Client, clip: Clip) -> None:
+    assert client.post("/v1/streams", json={"id": "idle", "play": str(clip.path)}).json()["state"] == "idle"
+    manifest = client.get("/v1/streams/idle/manifest").json()
+    assert (manifest["window"], manifest["gops"], manifest["epoch"]) == (None, [], None)
+    assert client.get("/v1/streams/idle/bitstream").status_code == 404
+    for method, path, allowed in (
+        ("PUT", "/v1/streams", "GET, POST"),
+        ("GET", "/v1/streams/idle/start", "POST"),
+        ("POST", "/v1/streams/idle/bitstream", "GET, HEAD"),
+    ):
+        refused = client.request(method, path)
+        assert (refused.status_code, refused.headers["allow"]) == (405, allowed)
+        assert refused.headers["content-type"] == "application/problem+json"
+    assert client.post("/v1/streams", content=b"\xff", headers={"Content-Type": "application/json"}).status_code in {
+        400,
+        422,
+    }
+    assert client.delete("/v1/streams/idle").status_code == 204
+
+
+def test_streams_are_created_started_stopped_and_deleted(client: httpx.Client, server: Running, clip: Clip) -> None:
+    made = client.post("/v1/streams", json={"id": "second", "play": str(clip.path), "start": True})
+    assert (made.status_code, made.headers["location"]) == (201, "/v1/streams/second")
+    server.wait(lambda stream: stream["state"] == "live", "second")
+    assert client.post("/v1/streams", json={"id": "second", "play": str(clip.path)}).status_code == 409
+    assert client.post("/v1/streams/second/stop").json()["state"] == "idle"
+    assert client.post("/v1/streams/second/start").status_code == 202
+    server.wait(lambda stream: stream["state"] == "live" and stream["epoch"] == 2, "second")
+    assert client.delete("/v1/streams/second").status_code == 204
+    assert client.get("/v1/streams/second").status_code == 404
+    for body in (
+        {"id": "Bad", "play": "x"},
+        {"id": "x"},
+        {"id": "x", "play": "/none"},
+        {"id": "x", "play": "n" * 4096},
+        {"id": "x", "more": 1},
+    ):
+        assert client.post("/v1/streams", json=body).status_code == 422
+
+
+def test_a_window_that_moved_on_is_gone_not_unknown(clip: Clip) -> None:
+    settings = Settings.model_validate({"retention": {"memory_bytes": 1_000_000}})
+    with running(settings, StreamSpec(play=clip.path)) as server, server.client() as client:
+        server.wait(lambda stream: stream["epoch"] is not None and (stream["epoch"], stream["version"]) >= (2, 0))
+        bus = server.registry.streams["main"].bus
+        newest = bus.window.newest
+        assert newest is not None
+        bus.window.trim(newest.position)
+        assert client.get("/v1/streams/main/packets/1/0").status_code == 410
+        assert client.get("/v1/streams/main/packets/9/0").status_code == 404
+
+
+def test_openapi_describes_every_operation(client: httpx.Client) -> None:
+    document = client.get("/openapi.json").json()
+    operations = [op for path in document["paths"].values() for op in path.values()]
+    assert len(operations) >= 12
+    assert all(op.get("summary") and (op.get("description") or "health" in op["tags"]) for op in operations)
+    for name in ("StreamBody", "NewStream", "NewLink", "Manifest"):
+        assert document["components"]["schemas"][name]["examples"], name
+
+
+def token_file(folder: Path, **rights: list[str]) -> Path:
+    path = folder / "tokens.json"
+    entries = [{"name": name, "sha256": hash_token(name), "rights": given} for name, given in rights.items()]
+    path.write_text(json.dumps(entries))
+    return path
+
+
+def test_rights_are_kept_apart(clip: Clip, tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    key.write_text("k" * 40)
+    tokens = token_file(tmp_path, reader=["read"], boss=["read", "control"])
+    settings = Settings(tokens=tokens, jwt_key=key, limits=Limits(refusals_per_minute=3))
+    with running(settings, StreamSpec(play=clip.path)) as server, server.client() as client:
+
+        def status(method: str, path: str, token: str | None) -> int:
+            headers = {"Authorization": f"Bearer {token}"} if token else {}
+            return client.request(method, path, headers=headers).status_code
+
+        claim = {"exp": time.time() + 60, "aud": "streamlod", "lod": {"rights": ["read"], "streams": "ma*"}}
+        signed = jwt.encode(claim, "k" * 40, "HS256")
+        other = jwt.encode({**claim, "lod": {"rights": ["read"], "streams": "x"}}, "k" * 40, "HS256")
+        assert client.get("/healthz").status_code == 200
+        assert status("GET", "/v1/streams/main", "reader") == status("GET", "/v1/streams/main", signed) == 200
+        assert status("GET", "/v1/streams/main", other) == 403
+        assert status("POST", "/v1/streams/main/stop", "reader") == 403
+        assert status("POST", "/v1/streams/main/start", "boss") == 202
+        limit = time.monotonic() + 20
+        while client.get("/v1/streams/main", headers={"Authorization": "Bearer boss"}).json()["state"] != "live":
+            assert time.monotonic() < limit
+            time.sleep(0.05)
+        with viewing(server, subprotocols=["streamlod.v1", "bearer.reader"]) as viewer:
+            assert viewer.connection.subprotocol == "streamlod.v1"
+            viewer.hello()
+        with viewing(server) as viewer, pytest.raises(ConnectionClosed) as caught:
+            viewer.step()
+        assert caught.value.rcvd is not None
+        assert caught.value.rcvd.code == 4401
+        expired = jwt.encode({**claim, "exp": time.time() - 60}, "k" * 40, "HS256")
+        assert status("GET", "/v1/streams/main", expired) == 401
+        assert status("GET", "/v1/streams/main", "wrong") == 401
+        assert status("GET", "/v1/streams/main", "reader") == 429
+        server.registry.gate.reload()
+
+
+def test_unsafe_settings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="insecure"):
+        Settings(host="0.0.0.0").check()
+    Settings(host="0.0.0.0", insecure=True).check()
+    Settings(host="::1").check()
+    path = tmp_path / "server.toml"
+    path.write_text("port = 70000")
+    with pytest.raises(InputError, match="port"):
+        load_settings(path)
+    path.write_text("[limits]\nviewers = 5")
+    assert load_settings(path).limits.viewers == 5
+    for text in ("{}", '[{"sha256": "00", "rights": ["read"]}]', '[{"sha256": 1}]', "nonsense"):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"server\.toml"), running(Settings(tokens=path)):
+            pass

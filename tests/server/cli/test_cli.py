@@ -1,0 +1,244 @@
+"""The command line, as a user starts it."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.data import LAYOUTS
+from server.cli import main as cli
+from server.cli import options
+from tests.client.clips import states, write_clip
+from tests.core.data.writers import llff_rows, rig, write_video_clip
+
+COMMANDS = "synth train evaluate serve push view info export bench demo study tradeoff warm"
+
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+def streamlod(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end."""
+    command = [sys.executable, "-m", "server.cli", *map(str, arguments)]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=100, check=False, env={**os.environ, **environment}
+    )
+
+
+def assert_refused(done: subprocess.CompletedProcess[str], *parts: object) -> None:
+    """One sentence that holds `parts`, exit code 2, no traceback."""
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    sentences = [line for line in done.stderr.splitlines() if line.startswith("streamlod: ")]
+    assert len(sentences) == 1, done.stderr
+    for part in parts:
+        assert str(part) in sentences[0]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Runs the command in this process, which saves the imports."""
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(cli, "_configure_logging", lambda verbose: None)
+
+    def call(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = ["streamlod", *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", command)
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        return subprocess.CompletedProcess(command, int(caught.value.code or 0), *capsys.readouterr())
+
+    yield call
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture
+def clip(tmp_path: Path) -> Path:
+    """A data set in the N3DV layout."""
+    (tmp_path / "clip").mkdir()
+    write_video_clip(tmp_path / "clip", ["cam00", "cam01", "cam03"], 3)
+    return tmp_path / "clip"
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A recorded file."""
+    write_clip(tmp_path / "a.slod", states(4))
+    return tmp_path / "a.slod"
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    begin = time.perf_counter()
+    done = streamlod("--help")
+    with capsys.disabled():
+        sys.stdout.write(f" [--help took {time.perf_counter() - begin:.2f} s] ")
+    assert done.returncode == 0
+    assert re.findall(r"^  ([a-z]+)  ", done.stdout, re.MULTILINE) == COMMANDS.split()
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("synth", "--cameras --frames --size --seed"),
+        (
+            "train",
+            "--out --views --train --test --frames --downscale --preset --device --seed --json --trace",
+        ),
+        ("evaluate", "--test --json --save-images"),
+        ("serve", "--data --play --host --port --device"),
+        ("view", "--camera --orbit --pose --out --frames"),
+        ("export", "--frame --view --format --sequence"),
+    ],
+)
+def test_the_contract_of_options(run: Run, command: str, options: str) -> None:
+    shown = run(command, "--help").stdout
+    for option in options.split():
+        assert re.search(rf"^ +(-\w, )?{option}\b", shown, re.MULTILINE), option
+
+
+def test_layouts_are_those_of_the_readers() -> None:
+    assert {layout.value for layout in options.Layout} == set(LAYOUTS)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("evaluate", "x", "y", "--test", "z", "--layout", "pile"),
+        ("train",),
+        ("fly",),
+        ("train", "x", "--out", "y", "--device", "tpu"),
+        ("synth", "x", "--frames", "many"),
+    ],
+)
+def test_wrong_usage_exits_with_2(run: Run, arguments: tuple[str, ...]) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert "Error" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_missing_inputs_are_named(run: Run, tmp_path: Path, scene: Path) -> None:
+    nowhere, empty = tmp_path / "nowhere", tmp_path / "empty"
+    empty.mkdir()
+    assert_refused(run("train", nowhere, "--out", tmp_path / "o.slod"), nowhere, "does not exist")
+    assert_refused(run("train", empty, "--out", tmp_path / "o.slod"), empty, "empty")
+    assert_refused(run("evaluate", scene, nowhere, "--test", "cam00"), nowhere)
+    assert_refused(run("info", nowhere), nowhere)
+    assert_refused(run("serve", "--play", nowhere), nowhere, "does not exist")
+    assert_refused(run("export", scene, "--frame", 9), scene, "frames 0 to 3")
+    assert_refused(run("synth", empty, "--size", "12"), "WIDTHxHEIGHT")
+    assert not (tmp_path / "o.slod").exists()
+
+
+def test_unusable_rigs_are_named_before_a_server_starts(run: Run, tmp_path: Path, clip: Path) -> None:
+    rig = tmp_path / "rig.json"
+    assert_refused(run("serve", "--live", rig), "rig.json", "does not exist")
+    rig.write_text('{"fps": 0, "cameras": []}')
+    assert_refused(run("serve", "--live", rig), "rig.json", "fps")
+    cameras = [{"name": f"cam0{n}", "source": "push:"} for n in (0, 1, 3)]
+    rig.write_text(json.dumps({"fps": 30, "calibration": str(clip), "cameras": cameras}))
+    assert_refused(run("serve", "--live", rig, "--train", "cam09"), "cam09")
+    assert_refused(run("serve", "--live", rig, "--views", 9), "9")
+    assert_refused(run("serve", "--live", rig, "--play", clip), "name one source")
+    assert_refused(run("push", "ws://127.0.0.1:1/v1/streams/main/ingest", "a=nothing.mp4"), "nothing.mp4")
+
+
+def test_damaged_data_sets_are_named(run: Run, tmp_path: Path, clip: Path) -> None:
+    out, poses = tmp_path / "o.slod", clip / "poses_bounds.npy"
+    good = llff_rows(rig(["cam00", "cam01", "cam03"]))
+    zero_focal, not_finite = good.copy(), good.copy()
+    zero_focal[:, 14] = 0
+    not_finite[1, 3] = np.nan
+    for rows, fault in ((good[:2], "poses_bounds"), (good[:, :9], "poses_bounds"), (not_finite, ""), (zero_focal, "")):
+        np.save(poses, rows)
+        assert_refused(run("train", clip, "--out", out), fault)
+    np.save(poses, good)
+    video = clip / "cam01.mp4"
+    video.write_bytes(video.read_bytes()[:200])
+    assert_refused(run("train", clip, "--out", out), "cam01.mp4")
+    video.unlink()
+    assert_refused(run("train", clip, "--out", out))
+    assert [path.name for path in tmp_path.iterdir()] == ["clip"]
+
+
+def test_cameras_and_views_that_do_not_exist(run: Run, tmp_path: Path, clip: Path) -> None:
+    out = tmp_path / "o.slod"
+    assert_refused(run("train", clip, "--out", out, "--train", "cam01,cam09"), "cam09")
+    assert_refused(run("train", clip, "--out", out, "--views", 9), "9")
+    assert_refused(run("train", clip, "--out", out, "--preset", "wild"), "wild")
+    assert_refused(run("train", clip, "--out", tmp_path), tmp_path, "folder")
+    assert not out.exists()
+
+
+def test_a_cut_file_is_refused_by_every_command(run: Run, tmp_path: Path, scene: Path, clip: Path) -> None:
+    cut, data = tmp_path / "cut.slod", scene.read_bytes()
+    for size in (0, 5, 300, len(data) // 2, len(data) - 1):
+        cut.write_bytes(data[:size])
+        assert_refused(run("info", cut), cut)
+    assert_refused(run("export", cut, "--out", tmp_path / "x.ply"), cut)
+    assert_refused(run("evaluate", cut, clip, "--test", "cam00", "--json", tmp_path / "r.json"), cut)
+    assert not (tmp_path / "x.ply").exists()
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_debug_shows_the_traceback_wherever_it_stands(tmp_path: Path) -> None:
+    for arguments in (("--debug", "info", tmp_path / "x"), ("info", tmp_path / "x", "--debug")):
+        done = streamlod(*arguments)
+        assert done.returncode == 2
+        assert "Traceback" in done.stderr
+        assert "InputError" in done.stderr
+
+
+def test_info_and_export(run: Run, tmp_path: Path, scene: Path) -> None:
+    assert "frames 0 to 3" in run("info", scene).stdout
+    done = run("export", scene, "--frame", 2, "--view", "cam00", "--format", "spz", "--out", tmp_path / "s.spz")
+    assert "as seen from cam00" in done.stdout
+    assert (tmp_path / "s.spz").read_bytes()[:2] == b"\x1f\x8b"
+
+
+def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert_refused(run("serve", "--play", scene, "--port", port), f"port {port}")
+
+
+def test_serve_and_view_until_interrupted(run: Run, tmp_path: Path, scene: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "server.cli", "serve", "--play", str(scene), "--port", str(port)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
+        assert server.stderr is not None
+        try:
+            for line in server.stderr:
+                if "listening" in line:
+                    break
+            url = f"ws://127.0.0.1:{port}/v1/streams/main/live"
+            poses = tmp_path / "pose.json"
+            poses.write_text(json.dumps({"world_to_camera": np.eye(4).tolist(), "width": 64, "height": 36}))
+            done = run("view", url, "--pose", poses, "--out", tmp_path / "views", "--frames", 3)
+            assert done.returncode == 0, done.stderr
+            assert len(list((tmp_path / "views").glob("*.png"))) == 3
+            assert_refused(run("view", url, "--camera", "cam77", "--out", tmp_path / "v"), "cam77", "cam00")
+            wrong = url.replace("main", "other")
+            assert_refused(run("view", wrong, "--out", tmp_path / "v"), wrong, "4404")
+            server.send_signal(signal.SIGINT)
+            server.stderr.read()
+            assert server.wait(20) == 0
+        finally:
+            server.kill()
+    assert not (tmp_path / "v").exists()

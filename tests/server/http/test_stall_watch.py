@@ -1,0 +1,84 @@
+"""Peers that send and take nothing: they neither fill memory nor hold a connection for good."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from server.pipeline.spec import StreamSpec
+from server.settings import Limits, Settings
+from tests.server.conftest import Running, running
+from tests.server.test_faults import masked, raw
+
+_STREAM = StreamSpec(play=Path("nothing.slod"))
+_PINGS = masked(9, bytes(125)) * 1000
+
+
+@contextmanager
+def peer_of(server: Running, *, upgraded: bool) -> Iterator[socket.socket]:
+    """A connection with a small receive buffer, as a websocket or before that."""
+    with raw(server.port, 4096) if upgraded else socket.socket() as peer:
+        if not upgraded:
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            peer.settimeout(10)
+            peer.connect(("127.0.0.1", server.port))
+        yield peer
+
+
+def until_away(server: Running, reason: str) -> None:
+    limit = time.monotonic() + 10
+    while server.registry.turned_away[reason] != 1:
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+
+
+def test_answers_to_pings_do_not_pile_up() -> None:
+    with running(Settings(), _STREAM) as server, raw(server.port, 4096) as peer:
+        for _ in range(30):
+            peer.sendall(_PINGS)
+        peer.sendall(masked(1, b'{"type":"goodbye"}'))
+        until_away(server, "4400")  # and all pings were taken before
+        answers = b""
+        while b"the first message must be a hello" not in answers:
+            answers += peer.recv(1 << 20)
+        assert len(answers) < len(_PINGS) * 30 / 4
+
+
+def test_a_message_in_endless_parts_is_refused() -> None:
+    with running(Settings(), _STREAM) as server, raw(server.port) as peer:
+        peer.sendall(b"\x01\x80" + bytes(4) + (b"\x00\x80" + bytes(4)) * 2000)
+        frame = peer.recv(4096)
+        assert frame[0] == 0x88
+        assert int.from_bytes(frame[2:4], "big") == 1008
+        assert server.registry.turned_away["1008"] == 1
+
+
+@pytest.mark.parametrize("upgraded", [False, True])
+def test_a_peer_that_takes_no_answer_is_cut(upgraded: bool) -> None:
+    settings = Settings(limits=Limits(stuck_seconds=0.3, hello_seconds=0.2))
+    with running(settings, _STREAM) as server, peer_of(server, upgraded=upgraded) as peer:
+        request = _PINGS * 10 if upgraded else b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * 120
+        with contextlib.suppress(ConnectionError):
+            peer.sendall(request)
+        until_away(server, "stalled")
+        with contextlib.suppress(ConnectionError):
+            while peer.recv(1 << 20):  # what the kernel had; then it ends
+                pass
+
+
+def test_requests_that_wait_for_each_other_are_not_piled_up() -> None:
+    with running(Settings(), _STREAM) as server, peer_of(server, upgraded=False) as peer:
+        peer.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n" * 1000)
+        answers = b""
+        with contextlib.suppress(ConnectionError):
+            while more := peer.recv(1 << 20):
+                answers += more
+        assert b"400 Bad Request" in answers
+        assert answers.count(b'"status":"ok"') <= 130
+        assert server.registry.turned_away["crowded"] == 1

@@ -1,0 +1,106 @@
+"""A rig's file: what is read, and what is refused, in one sentence each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from core.data import open_dataset
+from core.errors import InputError
+from server.ingest.cameras.address import parse_address
+from server.ingest.cameras.definition import read_definition
+from server.ingest.live import open_live
+from tests.core.data.writers import picture, rig, write_transforms
+from tests.server.ingest.rig import write_definition
+
+
+def _changed(tmp_path: Path, change: dict[str, Any], camera: dict[str, Any]) -> Path:
+    path = write_definition(tmp_path, ["rtsp://10.0.0.1/a", "push:"])
+    file = json.loads(path.read_text()) | change
+    if "cameras" not in change:
+        file["cameras"][0] |= camera
+        file["cameras"][0] = {name: value for name, value in file["cameras"][0].items() if value is not None}
+    path.write_text(json.dumps(file))
+    return path
+
+
+def test_reads_cameras_sources_and_policy(tmp_path: Path) -> None:
+    path = _changed(tmp_path, {"policy": {"quorum": 1}, "depth_bounds": [1, 9]}, {"distortion": [0.01, 0, 0, 0, 0]})
+    definition = read_definition(path)
+    assert [camera.name for camera in definition.cameras] == ["cam0", "cam1"]
+    assert definition.quorum == 1
+    assert [address.scheme for address in definition.addresses] == ["rtsp", "push"]
+    assert definition.cameras[0].has_distortion
+    dataset = open_live(path, downscale=2)
+    assert not dataset.cameras[0].has_distortion
+    assert (dataset.cameras[0].width, dataset.fps, dataset.depth_bounds) == (80, 30, (1, 9))
+
+
+@pytest.mark.parametrize(
+    ("change", "camera", "message"),
+    [
+        ({"fps": 0}, {}, "fps"),
+        ({"fps": float("nan")}, {}, "fps"),
+        ({"policy": "sometimes"}, {}, "policy"),
+        ({"policy": {"quorum": 3}}, {}, "ask for fewer"),
+        ({"colour": 1}, {}, "colour"),
+        ({"cameras": []}, {}, "cameras"),
+        ({"depth_bounds": [3, 1]}, {}, "nearer one first"),
+        ({"realtime": False}, {}, "all sources are files"),
+        ({"calibration": "nowhere"}, {}, "nowhere"),
+        ({}, {"name": "cam1"}, "two cameras called cam1"),
+        ({}, {"name": "../x"}, "name"),
+        ({}, {"width": None}, "needs width"),
+        ({}, {"width": 10**9}, "width"),
+        ({}, {"intrinsics": [[1, 0], [0, 1]]}, "intrinsics"),
+        ({}, {"world_to_camera": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "rotation"),
+        ({}, {"source": "gopher://x"}, "scheme"),
+        ({}, {"source": "rtsp://"}, "no host"),
+        ({}, {"source": "v4l2:///etc/passwd"}, "/dev/video0"),
+        ({}, {"source": "udp+listen://a:1"}, "scheme"),
+        ({}, {"source": "rtsp://a:99999/b"}, "URL"),
+        ({}, {"source": ""}, "path"),
+    ],
+)
+def test_refuses_in_one_sentence(tmp_path: Path, change: dict[str, Any], camera: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message) as refusal:
+        read_definition(_changed(tmp_path, change, camera))
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"fps": 30}', '"' + "x" * 2_000_000 + '"'])
+def test_refuses_what_is_no_definition(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "rig.json"
+    path.write_text(text)
+    with pytest.raises(InputError):
+        read_definition(path)
+
+
+def test_calibration_comes_from_a_data_set(tmp_path: Path) -> None:
+    cameras = rig(["a", "b"])
+    (tmp_path / "scan").mkdir()
+    files = [f"{camera.name}.png" for camera in cameras]
+    for row, file in enumerate(files):
+        cv2.imwrite(str(tmp_path / "scan" / file), picture(row, 0))
+    write_transforms(tmp_path / "scan", files, cameras)
+    known = open_dataset(tmp_path / "scan").recording.cameras
+    entries = [{"name": known[1].name, "source": "push:"}]
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": entries}))
+    definition = read_definition(path)
+    np.testing.assert_array_equal(definition.cameras[0].world_to_camera, known[1].world_to_camera)
+    path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": [{"name": "zz", "source": "push:"}]}))
+    with pytest.raises(InputError, match="not in the calibration"):
+        read_definition(path)
+
+
+def test_addresses_let_no_playlist_reach_files() -> None:
+    assert parse_address("http://a/b.m3u8").options["protocol_whitelist"] == "http,tcp"
+    assert parse_address("/data/a.mp4").options["protocol_whitelist"] == "file"
+    listening = parse_address("rtsp+listen://0.0.0.0:8554/cam0")
+    assert (listening.url, listening.listens) == ("rtsp://0.0.0.0:8554/cam0", True)

@@ -1,0 +1,289 @@
+"""Capture nodes: the message format and its limits, pictures through a real websocket and the worker's socket."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import msgpack
+import numpy as np
+import pytest
+import uvicorn
+import websockets.sync.client as websocket_client
+from fastapi import FastAPI
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from starlette.websockets import WebSocket
+from websockets.exceptions import ConnectionClosed
+
+from core.errors import InputError, SessionError
+from core.frames import FrameSet
+from server.ingest.live import LiveDataset, open_live
+from server.ingest.push.intake import Intake
+from server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push, parse_push
+from server.ingest.push.relay import RelayedIntake
+from server.ingest.push.router import push_router
+from server.ingest.sync.clock import ClockSource
+from server.ingest.sync.synchroniser import CameraState
+from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, free_ports, number_of, write_definition
+
+
+def encoded(number: int, suffix: str = ".png") -> bytes:
+    ok, data = cv2.imencode(suffix, burnt(number))
+    assert ok
+    return bytes(data)
+
+
+def message(number: int, camera: str = "cam0", capture_ns: int | None = None) -> PushMessage:
+    return PushMessage(camera, number, capture_ns, Codec.PNG, encoded(number))
+
+
+def test_a_message_there_and_back() -> None:
+    sent = PushMessage("cam0", 2**40, 1_790_000_000_000_000_000, Codec.H264, b"\0\0\0\1x")
+    assert parse_push(pack_push(sent)) == sent
+    golden = bytes.fromhex(
+        "002b 84 a663616d657261 a163 a873657175656e6365 07 aa636170747572655f6e73 c0 a5636f646563 a46a706567 ff"
+    )
+    assert parse_push(golden) == PushMessage("c", 7, None, Codec.JPEG, b"\xff")
+    assert pack_push(PushMessage("c", 7, None, Codec.JPEG, b"\xff")) == golden
+
+
+GOOD: dict[str, Any] = {"camera": "c", "sequence": 1, "capture_ns": 5, "codec": "png"}
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        GOOD | {"camera": 3},
+        GOOD | {"camera": "c" * 200},
+        GOOD | {"sequence": -1},
+        GOOD | {"sequence": True},
+        GOOD | {"sequence": 2**60},
+        GOOD | {"capture_ns": 1.5},
+        GOOD | {"codec": "gif"},
+        GOOD | {"codec": ["png"]},
+        GOOD | {"more": 1},
+        {"camera": "c"},
+        [1, 2],
+        7,
+    ],
+)
+def test_refuses_headers_that_break_the_rules(fields: object) -> None:
+    header = msgpack.packb(fields)
+    with pytest.raises(SessionError) as refusal:
+        parse_push(len(header).to_bytes(2, "big") + header + b"body")
+    assert refusal.value.close_code == 4400
+
+
+def test_refuses_what_is_too_big_or_cut() -> None:
+    with pytest.raises(SessionError) as refusal:
+        parse_push(bytes(MAX_MESSAGE_BYTES + 1))
+    assert refusal.value.close_code == 1009
+    whole = pack_push(message(1))
+    length = int.from_bytes(whole[:2], "big")
+    for cut in range(2 + length + 1):
+        with pytest.raises(SessionError):
+            parse_push(whole[:cut])
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=80))
+def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
+    for candidate in (data, len(data).to_bytes(2, "big") + data + b"x"):
+        with contextlib.suppress(SessionError):
+            assert parse_push(candidate).body
+
+
+class Frames:
+    """Reads a live data set on a thread."""
+
+    def __init__(self, dataset: LiveDataset) -> None:
+        self.dataset, self.got = dataset, list[FrameSet]()
+        self._thread = threading.Thread(target=lambda: self.got.extend(dataset.frames(0, 30)), daemon=True)
+        self._thread.start()
+        while dataset.rig is None:
+            time.sleep(0.005)
+
+    def wait(self, condition: Any) -> None:
+        end = time.monotonic() + 15
+        while not condition():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+    def close(self) -> None:
+        self.dataset.close()
+        self._thread.join(5)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Frames]:
+    frames = Frames(open_live(write_definition(tmp_path, ["push:", "push:"]), push_socket=tmp_path / "s"))
+    yield frames
+    frames.close()
+
+
+def test_pictures_of_two_nodes_are_paired_by_the_time_they_state(live: Frames) -> None:
+    rig = live.dataset.rig
+    assert rig is not None
+    nodes, begin = [Intake(rig), Intake(rig)], rig.now_ns
+    for k in range(12):
+        for row, node in enumerate(nodes):
+            node.accept(message(k, f"cam{row}", begin + k * 1_000_000_000 // FPS))
+    live.wait(lambda: len(live.got) >= 1)
+    statistics = live.dataset.statistics()
+    assert statistics is not None
+    assert {camera.clock_source for camera in statistics.cameras.values()} == {ClockSource.STATED}
+    for node in nodes:
+        node.accept(message(11, "cam0", begin))  # a repeat for the first node, unheard of for the second
+        node.close()
+    for frame in live.got:
+        assert frame.present.all()
+        assert len({number_of(image) for image in frame.images}) == 1
+    statistics = live.dataset.statistics()
+    assert statistics is not None
+    assert statistics.degraded
+    assert statistics.cameras["cam0"].counts.received in (12, 13)
+
+
+def test_the_later_of_two_nodes_with_one_camera_counts(live: Frames) -> None:
+    rig = live.dataset.rig
+    assert rig is not None
+    early, late, now = Intake(rig), Intake(rig), rig.now_ns
+    early.accept(message(0, "cam0", now))
+    early.accept(message(0, "cam1", now))
+    late.accept(message(1, "cam0", now + 30_000_000))
+    with pytest.raises(InputError, match="another capture node"):
+        early.accept(message(1, "cam0", now + 30_000_000))
+    early.accept(message(1, "cam1", now + 30_000_000))
+    early.close()
+    states = {name: camera.state for name, camera in rig.statistics().cameras.items()}
+    assert states == {"cam0": CameraState.OK, "cam1": CameraState.LOST}
+
+
+def test_refuses_pictures_that_do_not_fit(live: Frames) -> None:
+    rig = live.dataset.rig
+    assert rig is not None
+    intake = Intake(rig)
+    small = bytes(cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1])
+    bomb = bytearray(encoded(1))
+    bomb[16:24] = (60000).to_bytes(4, "big") * 2
+    for camera, codec, body, reason in [
+        ("cam9", Codec.PNG, encoded(1), "not one of"),
+        ("cam0", Codec.JPEG, small, "8x8"),
+        ("cam0", Codec.PNG, bytes(bomb), "60000x60000"),
+        ("cam0", Codec.JPEG, b"GIF89a", "no JPEG"),
+        ("cam0", Codec.H264, b"\0\0\1\x65" + bytes(range(200)), "does not decode"),
+    ]:
+        with pytest.raises(InputError, match=reason):
+            intake.accept(PushMessage(camera, 5, rig.now_ns, codec, body))
+
+
+def test_a_damaged_picture_counts_as_missing(tmp_path: Path) -> None:
+    path = write_definition(tmp_path, ["push:", "push:"], {"quorum": 1})
+    live = Frames(open_live(path))
+    rig = live.dataset.rig
+    assert rig is not None
+    intake, now = Intake(rig), rig.now_ns
+    whole = encoded(3)
+    intake.accept(PushMessage("cam0", 3, now, Codec.PNG, whole[:40] + bytes(50)))
+    intake.accept(PushMessage("cam1", 3, now, Codec.PNG, whole))
+    live.wait(lambda: rig.statistics().delivered >= 1)
+    live.wait(lambda: "decode" in rig.statistics().cameras["cam0"].fault)
+    live.close()
+    assert [list(frame.present) for frame in live.got] == [[False, True]]
+
+
+def test_a_genlocked_rig_counts_by_frame_number_and_h264_decodes(live: Frames) -> None:
+    rig = live.dataset.rig
+    assert rig is not None
+    encoder = av.CodecContext.create("libx264", "w")
+    assert isinstance(encoder, av.VideoCodecContext)
+    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = WIDTH, HEIGHT, "yuv420p", Fraction(FPS)
+    encoder.options = {"tune": "zerolatency", "preset": "ultrafast"}
+    intakes = [Intake(rig), Intake(rig)]
+    for k in range(100, 110):
+        (packet,) = encoder.encode(av.VideoFrame.from_ndarray(burnt(k), format="rgb24"))
+        intakes[0].accept(PushMessage("cam0", k, None, Codec.H264, bytes(packet)))
+        intakes[1].accept(PushMessage("cam1", k, None, Codec.PNG, encoded(k)))
+        time.sleep(0.01)
+    live.wait(lambda: len(rig.statistics().cameras) and rig.statistics().delivered >= 1)
+    assert {c.clock_source for c in rig.statistics().cameras.values()} == {ClockSource.FRAME_NUMBER}
+    live.close()
+    assert live.got
+    for frame in live.got:
+        assert len({number_of(image) for image in frame.images}) == 1
+
+
+@contextlib.contextmanager
+def serving(socket_path: Path) -> Iterator[int]:
+    """A real server with the push route, relaying to the worker's socket."""
+
+    async def open_intake(_: WebSocket, stream_id: str) -> RelayedIntake:
+        if stream_id != "main":
+            raise SessionError(4404, "there is no such stream")
+        return await asyncio.to_thread(RelayedIntake, socket_path)
+
+    app = FastAPI()
+    app.include_router(push_router(open_intake))
+    (port,) = free_ports(1)
+    server = uvicorn.Server(uvicorn.Config(app, port=port, log_level="error", ws="websockets-sansio", lifespan="off"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    yield port
+    server.should_exit = True
+    thread.join(10)
+
+
+def test_a_capture_node_over_the_websocket_and_the_workers_socket(live: Frames, tmp_path: Path) -> None:
+    live.wait((tmp_path / "s").exists)
+    with serving(tmp_path / "s") as port:
+        url = f"ws://127.0.0.1:{port}/v1/streams/"
+        with websocket_client.connect(url + "main/ingest", subprotocols=[PUSH_SUBPROTOCOL]) as node:  # type: ignore[list-item]
+            begin = time.time_ns()
+            for k in range(8):
+                for camera in ("cam0", "cam1"):
+                    node.send(pack_push(message(k, camera, begin + k * 1_000_000_000 // FPS)))
+                    answer = json.loads(node.recv(10))
+                    assert answer == {"type": "ack", "camera": camera, "sequence": k}
+            node.send(pack_push(message(9, "cam7", begin)))
+            refused = json.loads(node.recv(10))
+            assert refused["type"] == "refused"
+            assert "not one of" in refused["reason"]
+            node.send(b"\0")
+            with pytest.raises(ConnectionClosed):
+                node.recv(10)
+            assert node.close_code == 4400
+        with (
+            websocket_client.connect(url + "other/ingest", subprotocols=[PUSH_SUBPROTOCOL]) as node,  # type: ignore[list-item]
+            pytest.raises(ConnectionClosed, match="no such stream"),
+        ):
+            node.recv(10)
+    live.wait(lambda: live.dataset.statistics() is not None and live.dataset.statistics().delivered >= 1)  # type: ignore[union-attr]
+    assert live.dataset.statistics().degraded  # type: ignore[union-attr]  # the node has gone
+
+
+def test_a_worker_that_hangs_holds_up_its_own_capture_nodes_alone(tmp_path: Path) -> None:
+    place = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as hung, serving(place) as port, contextlib.ExitStack() as stack:
+        hung.bind(str(place))
+        hung.listen(64)  # takes pictures and never answers
+        url = f"ws://127.0.0.1:{port}/v1/streams/main/ingest"
+        for _ in range((os.cpu_count() or 1) + 8):  # more than the shared pool has threads
+            node = stack.enter_context(websocket_client.connect(url, subprotocols=[PUSH_SUBPROTOCOL]))  # type: ignore[list-item]
+            node.send(pack_push(message(0)))
+            accepted = stack.enter_context(hung.accept()[0])
+            assert accepted.recv(4)

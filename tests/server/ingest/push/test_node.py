@@ -1,0 +1,170 @@
+"""Capture nodes: what they find to film, and how they send it to a real server."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import uvicorn
+from fastapi import FastAPI
+from starlette.websockets import WebSocket
+
+from core.errors import InputError, SessionError
+from server.ingest.cameras.address import Address, webcam_options
+from server.ingest.push.capture import CaptureCamera, find_cameras
+from server.ingest.push.message import Codec, PushMessage
+from server.ingest.push.node import Pushed, push
+from server.ingest.push.router import AnyIntake, push_router
+from tests.server.ingest.rig import FPS, burnt, free_ports, number_of, write_clip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A video of a second, and three pictures."""
+    write_clip(tmp_path / "cam0.ts", 1)
+    (tmp_path / "cam1").mkdir()
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / "cam1" / f"{number:03d}.png"), burnt(number))
+    (tmp_path / "notes.txt").write_text("")
+    return tmp_path
+
+
+def test_finds_cameras_in_folders_and_by_name(folder: Path) -> None:
+    found = find_cameras([str(folder), "door=v4l2:///dev/video0"], 25, (640, 480))
+    assert [camera.name for camera in found] == ["cam0", "cam1", "door"]
+    assert found[1].source == folder / "cam1"
+    assert isinstance(found[2].source, Address)
+    assert (found[2].source.format, found[2].fps, found[2].size) == ("v4l2", 25, (640, 480))
+    assert webcam_options(25, (640, 480)) == {"framerate": "25", "video_size": "640x480"}
+    named = find_cameras([f"a={folder / 'cam1'}", f"b={folder / 'cam0.ts'}"], 30)
+    assert [camera.name for camera in named] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("argument", "fault"),
+    [
+        ("nothing", "is not a folder"),
+        ("a=nothing.mp4", "does not exist"),
+        ("a=push:", "a server does"),
+        ("a=rtsp+listen://0.0.0.0:5/x", "a server does"),
+        ("a=gopher://x", "scheme"),
+        ("{}/empty", "holds no video"),
+        ("a={}/empty", "holds no JPEG"),
+    ],
+)
+def test_refuses_what_cannot_be_filmed(folder: Path, argument: str, fault: str) -> None:
+    (folder / "empty").mkdir()
+    with pytest.raises(InputError, match=fault):
+        find_cameras([argument.format(folder)], 30)
+    with pytest.raises(InputError, match="twice"):
+        find_cameras([str(folder), f"cam0={folder / 'cam0.ts'}"], 30)
+
+
+def test_pictures_come_at_their_pace_with_their_times(folder: Path) -> None:
+    video, pictures = find_cameras([str(folder)], FPS, repeats=True)
+    start = time.time_ns()
+    taken = [next(stream) for stream in [pictures.pictures(start)] for _ in range(5)]
+    assert [round((one.capture_ns - start) * FPS / 1e9) for one in taken] == [0, 1, 2, 3, 4]
+    assert time.time_ns() >= taken[-1].capture_ns
+    assert [one.codec for one in taken] == [Codec.PNG] * 5
+    files = [(folder / "cam1" / f"{number:03d}.png").read_bytes() for number in range(3)]
+    assert [one.body for one in taken] == [files[number % 3] for number in range(5)]
+    filmed = list(CaptureCamera("cam0", video.source, FPS).pictures(time.time_ns() - 10**10))
+    assert len(filmed) == FPS
+    assert [round((one.capture_ns - filmed[0].capture_ns) * FPS / 1e9) for one in filmed] == list(range(FPS))
+    decoded = [cv2.imdecode(np.frombuffer(one.body, np.uint8), cv2.IMREAD_COLOR) for one in filmed]
+    assert [number_of(np.asarray(image, np.uint8)) for image in decoded] == list(range(FPS))
+
+
+def test_a_webcam_that_is_not_there_is_named() -> None:
+    (camera,) = find_cameras(["a=v4l2:///dev/video99"], 30)
+    with pytest.raises(InputError, match="/dev/video99"):
+        next(camera.pictures(0))
+
+
+class Server:
+    """The push route with intakes that keep what they take; behaves as told."""
+
+    def __init__(self) -> None:
+        self.taken: list[PushMessage] = []
+        self.refusal: SessionError | None = None
+        self.breaks_after = self.delay = 0.0
+        self.connections = 0
+
+    async def open(self, _: WebSocket, __: str) -> AnyIntake:
+        self.connections += 1
+        await asyncio.sleep(0)
+        if self.refusal is not None:
+            raise self.refusal
+        return self
+
+    def accept(self, message: PushMessage) -> None:
+        if message.camera == "odd":
+            raise InputError("camera odd", "is not one of the rig's that are pushed")
+        if self.breaks_after and len(self.taken) == self.breaks_after:
+            self.breaks_after = 0
+            raise SessionError(1013, "the stream takes no pictures at present; try again later")
+        time.sleep(self.delay)
+        self.taken.append(message)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def served() -> Iterator[tuple[Server, str]]:
+    server = Server()
+    app = FastAPI()
+    app.include_router(push_router(server.open))
+    (port,) = free_ports(1)
+    runner = uvicorn.Server(uvicorn.Config(app, port=port, log_level="error", ws="websockets-sansio", lifespan="off"))
+    thread = threading.Thread(target=runner.run, daemon=True)
+    thread.start()
+    while not runner.started:
+        time.sleep(0.01)
+    yield server, f"ws://127.0.0.1:{port}/v1/streams/main/ingest"
+    runner.should_exit = True
+    thread.join(10)
+
+
+def test_every_picture_is_sent_and_acknowledged(folder: Path, served: tuple[Server, str]) -> None:
+    server, url = served
+    cameras = find_cameras([str(folder), f"odd={folder / 'cam1'}"], FPS)
+    assert push(url, cameras) == {"cam0": Pushed(FPS), "cam1": Pushed(3), "odd": Pushed(0, 3)}
+    for name, count in (("cam0", FPS), ("cam1", 3)):
+        messages = [message for message in server.taken if message.camera == name]
+        assert [message.sequence for message in messages] == list(range(count))
+    firsts = [next(m.capture_ns for m in server.taken if m.camera == name) for name in ("cam0", "cam1")]
+    assert firsts[0] == firsts[1]  # all cameras of a node start together
+
+
+def test_a_slow_server_gets_newer_pictures_and_drops_are_counted(folder: Path, served: tuple[Server, str]) -> None:
+    server, url = served
+    server.delay = 0.1
+    (pushed,) = push(url, find_cameras([f"cam0={folder / 'cam0.ts'}"], FPS)).values()
+    assert pushed.dropped >= FPS / 3
+    assert pushed.acknowledged + pushed.dropped == FPS
+    assert len(server.taken) == pushed.acknowledged
+
+
+def test_a_broken_connection_is_made_anew(folder: Path, served: tuple[Server, str]) -> None:
+    server, url = served
+    server.breaks_after = 5
+    (pushed,) = push(url, find_cameras([f"cam0={folder / 'cam0.ts'}"], FPS)).values()
+    assert server.connections == 2
+    assert server.taken[-1].sequence == FPS - 1
+    assert pushed.dropped >= 5
+    assert pushed.acknowledged + pushed.dropped == FPS
+
+
+def test_a_refusal_for_good_ends_it_with_the_reason(folder: Path, served: tuple[Server, str]) -> None:
+    server, url = served
+    server.refusal = SessionError(4403, "the token does not give the right to publish here")
+    with pytest.raises(InputError, match="does not give the right to publish"):
+        push(url, find_cameras([f"cam0={folder / 'cam0.ts'}"], FPS))

@@ -1,0 +1,224 @@
+"""Pictures to packets: what the worker process and `streamlod train` run."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import threading
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from codec.container import SlodReader
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_residual
+from codec.packet.info import peek
+from codec.packet.packet import PacketKind
+from core.errors import InputError, ModelError
+from core.frames import FrameSet
+from core.scene.anchors import Scene
+from core.synthetic import SyntheticSpec
+from core.train import TrainedFrame, Trainer
+from server.pipeline.job import TrainJob
+from server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
+from server.pipeline.trace import Span
+from server.worker.process import Resume, Sender, Tag, show_again, train
+from tests.server.brief import brief_training
+
+SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
+JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_runs() -> Iterator[None]:
+    with brief_training():
+        yield
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
+    """A folder with the clip as a file, and its frames as they were handed on."""
+    folder, seen = tmp_path_factory.mktemp("trained"), list[EncodedFrame]()
+    train_clip(open_job(JOB), folder / "scene.slod", seen.append)
+    return folder, seen
+
+
+def test_frames_are_announced_where_they_are_read_ahead_of_training() -> None:
+    seen, two = list[tuple[int, str]](), threading.Event()
+
+    def announce(frame: FrameSet) -> None:
+        seen.append((frame.index, threading.current_thread().name))
+        if len(seen) == 2:
+            two.set()
+
+    frames = open_job(JOB).frames(0, announce)
+    assert next(frames)[0].index == 0
+    assert two.wait(30)  # though nobody has asked for the second one
+    assert [frame.index for frame, _ in frames] == [1, 2, 3]
+    assert seen == [(index, "prefetch") for index in range(4)]
+
+
+def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame]]) -> None:
+    folder, seen = trained
+    assert [frame.version for frame in seen] == [0, 1, 2, 3]
+    assert sorted(path.name for path in folder.iterdir()) == ["scene.slod", "scene.slod.json"]
+    decoder = SceneDecoder()
+    with SlodReader(folder / "scene.slod") as reader:
+        for packet in reader.packets():
+            decoder.push(packet)
+    assert decoder.scene is not None
+    assert decoder.scene.version == 3
+    assert [camera.name for camera in decoder.scene.header.cameras] == [f"cam{n:02d}" for n in range(5)]
+    figures = json.loads((folder / "scene.slod.json").read_text())
+    assert figures["first_frame_seconds"] > figures["train_seconds"] > 0
+    assert set(figures["per_frame"][1]["seconds"]) >= {"partition", "round", "encode"}
+
+
+def test_controllers_keep_every_frame_and_the_decoders_state(tmp_path: Path) -> None:
+    """A budget of a millisecond and next to no bytes: frames come all the same, and they decode."""
+    seen = list[EncodedFrame]()
+    tight = replace(JOB, frame_budget_ms=1.0, target_kbps=20.0)
+    train_clip(open_job(tight), tmp_path / "scene.slod", seen.append)
+    assert [frame.version for frame in seen] == [0, 1, 2, 3]
+    assert all("encode" in frame.report["seconds"] for frame in seen)
+    decoder = SceneDecoder()
+    for frame in seen:
+        for packet in frame.packets:
+            decoder.push(packet)
+    assert decoder.scene is not None
+    assert decoder.scene.version == 3
+    assert max(len(frame.packets[0]) for frame in seen[1:]) < 2500  # of a bucket that holds a second of 20 kbit
+
+
+@pytest.mark.parametrize("wrong", [{"frame_budget_ms": 0.0}, {"target_kbps": -1.0}, {"target_kbps": float("inf")}])
+def test_budgets_and_rates_that_are_none_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="positive"):
+        replace(JOB, **wrong)  # type: ignore[arg-type]
+
+
+def overlap(ones: list[Span], others: list[Span]) -> float:
+    """Seconds that spans of both kinds have in common."""
+    return sum(max(0.0, min(a.end, b.end) - max(a.begin, b.begin)) for a in ones for b in others)
+
+
+def test_the_stages_of_three_frames_run_side_by_side(trained: tuple[Path, list[EncodedFrame]]) -> None:
+    _, frames = trained
+
+    def lane(name: str, chosen: list[EncodedFrame]) -> list[Span]:
+        return [span for frame in chosen for span in frame.spans if span.lane == name]
+
+    assert [span.lane for span in frames[2].spans if span.lane != "train"] == ["read", "encode", "write"]
+    assert {span.name for span in lane("train", frames)} >= {"points", "seed", "train", "partition", "round"}
+    for name in ("read", "train", "encode", "write"):  # within a lane, one after the other
+        spans = lane(name, frames)
+        assert all(a.end <= b.begin for a, b in pairwise(spans))
+    assert overlap(lane("read", frames[1:]), lane("train", frames[:-1])) > 0
+    assert overlap(lane("encode", frames[:-1]), lane("train", frames[1:])) > 0
+    assert overlap(lane("encode", frames), lane("write", frames)) == 0
+
+
+def test_a_failing_encoder_ends_the_stream_and_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    def encode(before: Scene, *arguments: object, **options: object) -> bytes:
+        if before.version == 1:
+            raise ModelError("the encoder broke")
+        return encode_residual(before, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("server.pipeline.stages.encode_residual", encode)
+    frames = train_stream(open_job(JOB))
+    assert [next(frames).version, next(frames).version] == [0, 1]
+    with pytest.raises(ModelError, match="the encoder broke"):
+        next(frames)
+    assert "training" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_failing_trainer_ends_the_stream_after_what_it_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    predict = Trainer.predict
+
+    def broken(self: Trainer, frames: FrameSet) -> TrainedFrame:
+        if frames.index == 2:
+            raise ModelError("the trainer broke")
+        return predict(self, frames)
+
+    monkeypatch.setattr(Trainer, "predict", broken)
+    frames = train_stream(open_job(JOB))
+    assert [next(frames).version, next(frames).version] == [0, 1]
+    with pytest.raises(ModelError, match="the trainer broke"):
+        next(frames)
+
+
+def test_previews_come_first_and_the_chain_holds() -> None:
+    frames = list(train_stream(open_job(JOB), previews=True))
+    previews = [frame for frame in frames if frame.preview]
+    assert len(previews) == 2  # one for each progress report of so short a run
+    assert frames[: len(previews)] == previews
+    assert [frame.version for frame in frames] == list(range(6))
+    decoder = SceneDecoder()
+    for frame in frames:
+        for packet in frame.packets:
+            decoder.push(packet)
+    assert decoder.scene is not None
+    assert decoder.scene.version == 5
+
+
+def test_the_seed_reaches_the_training(trained: tuple[Path, list[EncodedFrame]]) -> None:
+    """The same one gives the same keyframe to the byte, another one another."""
+    keyframes = [next(iter(train_stream(open_job(replace(JOB, seed=seed))))).packets[0] for seed in (0, 1)]
+    assert keyframes[0] == trained[1][0].packets[0]
+    assert keyframes[1] != keyframes[0]
+
+
+def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
+    first: list[EncodedFrame] = []
+    for frame in train_stream(open_job(JOB)):
+        first.append(frame)
+        if frame.version == 1:
+            break
+    decoder = SceneDecoder()
+    for frame in first:
+        decoder.push(frame.packets[0])
+    assert decoder.scene is not None
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    with ours, theirs:
+        scene = show_again(Resume(tuple(frame.packets[0] for frame in first), 2), Sender(theirs))
+        train(JOB, scene, 2, Sender(theirs))
+        messages = []
+        while ours.poll():
+            data = ours.recv_bytes()
+            messages.append((Tag(data[0]), data[1:]))
+    packets = [body for tag, body in messages if tag is Tag.PACKET]
+    assert [peek(packet).kind for packet in packets] == [PacketKind.KEY, PacketKind.PREDICTED, PacketKind.PREDICTED]
+    assert [peek(packet).to_version for packet in packets] == [2, 3, 4]
+    for packet in packets:
+        decoder.push(packet)
+    reports = [json.loads(body) for tag, body in messages if tag is Tag.REPORT]
+    assert [report.get("done") for report in reports] == [2, None, None]
+    assert messages[:2] == [(Tag.PACKET, packets[0]), (Tag.REPORT, json.dumps(reports[0]).encode())]
+
+
+def test_keyframes_come_at_the_interval() -> None:
+    frames = list(train_stream(open_job(replace(JOB, keyframe_interval=2))))
+    kinds = [[peek(packet).kind for packet in frame.packets] for frame in frames]
+    key, predicted = PacketKind.KEY, PacketKind.PREDICTED
+    assert kinds == [[key], [predicted], [predicted, key], [predicted]]
+    decoder = SceneDecoder()
+    for frame in frames:
+        for packet in frame.packets:
+            decoder.push(packet)
+
+
+def test_a_camera_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(InputError, match="cam99"):
+        open_job(replace(JOB, test=("cam99",)))
+
+
+def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
+    def interrupt(frame: EncodedFrame) -> None:
+        if frame.version == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_clip(open_job(JOB), tmp_path / "scene.slod", interrupt)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,133 @@
+"""The short way to viewers that are up to date, and what closes it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from codec.encoder import encode_keyframe
+from server.protocol.packets import PIECE_BYTES, Position, StreamPacket, binary_frame, payload_bytes, stream_packet
+from server.settings import Limits
+from server.stream.broadcast import Lane, Lanes
+from server.stream.counters import Counters
+from server.stream.hub import Hub
+from server.viewer.delivery import Delivery
+from server.viewer.playhead import Course
+from tests.codec.scenes import make_scene
+
+
+@pytest.fixture(scope="module")
+def packet() -> StreamPacket:
+    return stream_packet(0, 1, encode_keyframe(make_scene((3, 10, 20)), time_ns=0, profile=0))
+
+
+class Viewer:
+    """Takes `room` frames, then blocks."""
+
+    def __init__(self, lanes: Lanes, levels: int, room: int = 10) -> None:
+        self.lanes, self.room = lanes, room
+        self.frames: list[bytes] = []
+        self.lane = Lane(self.write, self.leave)
+        lanes.enter(self.lane, levels)
+
+    def write(self, frame: bytes) -> None:
+        self.frames.append(frame)
+        if len(self.frames) >= self.room:
+            self.leave()
+
+    def leave(self) -> None:
+        if self.lane.levels:
+            self.lanes.leave(self.lane)
+
+
+def test_all_share_one_frame_a_level_count_and_one_that_blocks_does_not_keep_the_others(packet: StreamPacket) -> None:
+    counters = Counters()
+    lanes = Lanes(counters)
+    lanes.pass_on(packet)  # so that its number of levels is nothing new
+    blocking, *others = [Viewer(lanes, 3, room=1), Viewer(lanes, 3), Viewer(lanes, 1)]
+    for _ in range(2):
+        lanes.pass_on(packet)
+    assert blocking.frames == [binary_frame(packet.data)]
+    assert [len(viewer.frames) for viewer in others] == [2, 2]
+    assert others[0].frames[0] is blocking.frames[0]
+    assert payload_bytes(others[1].frames[0]) < len(packet.data)
+    sizes = [viewer.lane.sent for viewer in (blocking, *others)]
+    assert sizes == [len(packet.data), 2 * len(packet.data), 2 * len(packet.restricted(1))]
+    assert counters.sent_bytes == sum(sizes)
+
+
+def test_a_lane_is_left_above_its_ceiling_and_when_the_number_of_levels_changes(packet: StreamPacket) -> None:
+    lanes = Lanes(Counters())
+    viewer = Viewer(lanes, 2)
+    lanes.pass_on(packet, b"news")  # three levels where there were none
+    assert viewer.lane.levels == 0
+    assert viewer.frames[0].endswith(b"news")
+    lanes.enter(viewer.lane, 2)
+    viewer.lane.ceiling = viewer.lane.sent
+    for _ in range(3):
+        lanes.pass_on(packet)
+    assert len(viewer.frames) == 2
+
+
+def test_pieces_of_a_keyframe_are_made_once_and_make_up_one_message(packet: StreamPacket) -> None:
+    large = replace(packet, data=packet.data + bytes(2 * PIECE_BYTES), _framed={}, _pieces={})
+    pieces = large.pieces(3)
+    assert pieces is large.pieces(3)
+    assert [piece[0] for piece in pieces] == [0x02, *[0x00] * (len(pieces) - 2), 0x80]
+    assert b"".join(piece[len(piece) - payload_bytes(piece) :] for piece in pieces) == large.data
+    large.forget_frames()
+    assert large.pieces(3) is not pieces
+
+
+class Nowhere:
+    """A connection that takes everything."""
+
+    @property
+    def is_clear(self) -> bool:
+        return True
+
+    async def binary(self, frame: bytes) -> None: ...
+
+    async def text(self, message: str) -> None: ...
+
+    def post(self, frame: bytes) -> None: ...
+
+    def on_blocked(self, call: object) -> None: ...
+
+
+def test_a_viewer_whose_packets_take_long_gets_nothing_until_it_has_them_all() -> None:
+    counters = Counters()
+    delivery = Delivery(Nowhere(), Hub(10**6, counters), counters, Limits(flight_bytes=100_000), None, lambda: None)
+    delivery.lane.sent = 10**6
+    fine = [delivery.can_post]  # it has never acknowledged anything: nothing is known of it
+    for sent, received, now in (
+        (1_000_000, 950_000, 100.0),
+        (1_040_000, 1_000_000, 101.0),  # what was sent at 100 s took a second
+        (1_200_000, 1_050_000, 103.0),  # too many bytes
+        (1_200_000, 1_190_000, 104.5),
+        (1_200_000, 1_195_000, 105.5),
+        (1_200_000, 1_199_000, 108.0),  # few bytes, but they take long
+        (1_200_000, 1_200_000, 109.0),
+    ):
+        delivery.lane.sent = sent
+        delivery.acknowledge(received, now)
+        fine.append(delivery.can_post)
+    assert fine == [True, True, True, False, True, True, False, True]
+
+
+def test_a_course_is_clamped_to_the_window_and_stands_where_it_was_paused() -> None:
+    oldest, newest = Position(1, 5), Position(2, 9)
+    course = Course(Position(1, 2))
+    assert course.settle(None, oldest, newest) == (oldest, True)
+    assert course.mode == "replay"
+    course.pause()
+    here = Position(1, 8)
+    assert course.settle(here, oldest, newest) == (here, False)
+    course.play(here)
+    assert (course.mode, course.settle(here, oldest, newest)) == ("replay", (here, False))
+    course.seek(Position(7, 0))
+    assert course.settle(here, oldest, newest) == (newest, True)
+    assert course.mode == "live"
+    course.play(here)  # it plays already
+    assert not course.changed

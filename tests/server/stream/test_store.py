@@ -1,0 +1,189 @@
+"""Recordings: what was written survives, what was torn is repaired, what is too much goes."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from codec.container import SlodReader
+from core.errors import InputError
+from server.protocol.packets import Position, StreamPacket, stream_packet
+from server.settings import Retention
+from server.stream.bus import LocalBus
+from server.stream.store import Recording, Store
+from tests.server.conftest import make_clip
+
+
+def packets_of(tmp_path: Path, frames: int = 12, key_every: int = 4) -> list[StreamPacket]:
+    clip = make_clip(tmp_path / "source.slod", frames, (4, 8, 16), key_every)
+    return [stream_packet(number, 1, data) for number, data in enumerate(clip.packets)]
+
+
+def record(folder: Path, packets: list[StreamPacket], *, close: bool = True, **retention: Any) -> list[str]:
+    """Record packets; names of the segments afterwards."""
+
+    async def run() -> list[str]:
+        store = Store(folder, Retention.model_construct(**{**Retention().model_dump(), **retention}))
+        recording = store.recording("main")
+        for packet in packets:
+            recording.append(packet)
+        await recording.flush()
+        if not close:  # what a kill leaves behind
+            shutil.copytree(folder, folder.with_name("torn"))
+        await recording.close()
+        names = [segment.path.name for segment in recording.segments]
+        store.close()
+        return names
+
+    return asyncio.run(run())
+
+
+def reopened(folder: Path) -> Recording:
+    store = Store(folder, Retention())
+    recording = store.recording("main")
+    store.close()
+    return recording
+
+
+def stored(recording: Recording) -> list[bytes]:
+    found = []
+    for segment in recording.segments:
+        with SlodReader(segment.path) as reader:
+            found += list(reader.packets())
+    return found
+
+
+def test_a_recording_is_found_again(tmp_path: Path) -> None:
+    packets = packets_of(tmp_path)
+    names = record(tmp_path / "state", packets)
+    assert names == ["000001-0000000000.slod", "000001-0000000004.slod", "000001-0000000008.slod"]
+    recording = reopened(tmp_path / "state")
+    assert [s.closed for s in recording.segments] == [True] * 3
+    assert stored(recording) == [packet.data for packet in packets]
+    assert recording.last_epoch == 1
+
+
+@pytest.mark.parametrize("cut", [1, 10, 200, 700])
+def test_a_torn_tail_is_cut_and_everything_before_it_stays(tmp_path: Path, cut: int) -> None:
+    packets = packets_of(tmp_path)
+    record(tmp_path / "state", packets, close=False)
+    path = max((tmp_path / "torn").rglob("*.slod"))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) - cut])
+    found = stored(reopened(tmp_path / "torn"))
+    assert found == [packet.data for packet in packets][: len(found)]
+    assert len(found) >= 8
+    again = reopened(tmp_path / "torn")
+    assert stored(again) == found
+    assert all(segment.closed for segment in again.segments)
+
+
+def test_a_segment_without_a_whole_keyframe_is_deleted(tmp_path: Path) -> None:
+    record(tmp_path / "state", packets_of(tmp_path))
+    path = max((tmp_path / "state").rglob("*.slod"))
+    path.write_bytes(path.read_bytes()[:60])
+    assert len(reopened(tmp_path / "state").segments) == 2
+    assert not path.exists()
+
+
+def test_a_lost_catalogue_is_made_again(tmp_path: Path) -> None:
+    packets = packets_of(tmp_path)
+    record(tmp_path / "state", packets)
+    for path in (tmp_path / "state").glob("catalogue*"):
+        path.unlink()
+    assert stored(reopened(tmp_path / "state")) == [packet.data for packet in packets]
+
+
+def test_retention_by_bytes_and_age_keeps_the_newest(tmp_path: Path) -> None:
+    packets = packets_of(tmp_path)
+    assert len(record(tmp_path / "bytes", packets, bytes=1)) == 2  # the newest two at the last keyframe
+    assert len(record(tmp_path / "age", packets, seconds=1e-9)) == 2
+
+
+def test_a_full_disk_stops_the_recording_and_the_next_keyframe_tries_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packets = packets_of(tmp_path)
+
+    async def run() -> None:
+        store = Store(tmp_path / "state", Retention())
+        recording = store.recording("main")
+        usage: Callable[[Any], Any] = lambda _: shutil._ntuple_diskusage(100, 99, 1)  # type: ignore[attr-defined]  # noqa: E731
+        with monkeypatch.context() as patch:
+            patch.setattr(shutil, "disk_usage", usage)
+            for packet in packets[:4]:
+                recording.append(packet)
+            await recording.flush()
+        assert recording.fault is not None
+        assert "reserve" in recording.fault
+        assert recording.lost_packets == 4
+        for packet in packets[4:]:
+            recording.append(packet)
+        await recording.flush()
+        assert recording.fault is None
+        assert [s.first for s in recording.segments] == [Position(1, 4), Position(1, 8)]
+        store.close()
+
+    asyncio.run(run())
+
+
+def test_a_folder_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="state-dir"):
+        Store(tmp_path / "file", Retention())
+
+
+def test_the_bus_reads_from_memory_and_disk_alike(tmp_path: Path) -> None:
+    packets = packets_of(tmp_path)
+
+    async def run() -> None:
+        store = Store(tmp_path / "state", Retention())
+        bus = LocalBus(1, store.recording("main"))  # memory keeps the newest group only
+        remembered = LocalBus(10**8)
+        for packet in packets:
+            bus.publish(packet)
+            remembered.publish(packet)
+        assert bus.recording is not None
+        await bus.recording.flush()
+        for first, last in ((0, 11), (2, 5), (9, 10), (4, 4)):
+            span = Position(1, first), Position(1, last)
+            assert [p.data for p in await bus.read(*span)] == [p.data for p in packets[first : last + 1]]
+            assert [p.data for p in await remembered.read(*span)] == [p.data for p in packets[first : last + 1]]
+        assert bus.oldest == remembered.oldest == Position(1, 0)
+        assert bus.key_before(Position(1, 7)) == Position(1, 4)
+        assert bus.key_after(Position(1, 4)) == Position(1, 8)
+        await bus.trim(Position(1, 4))
+        await remembered.trim(Position(1, 4))
+        assert bus.oldest == remembered.oldest == Position(1, 4)
+        store.close()
+
+    asyncio.run(run())
+
+
+def test_a_subscription_gets_everything_from_its_number_on(tmp_path: Path) -> None:
+    packets = packets_of(tmp_path)
+
+    async def run() -> list[int]:
+        bus, seen = LocalBus(10**8), []
+
+        async def take() -> None:
+            async for packet in bus.subscribe(3):
+                seen.append(packet.number)
+                if packet.number == 11:
+                    return
+
+        for packet in packets[:6]:
+            bus.publish(packet)
+        task = asyncio.create_task(take())
+        for packet in packets[6:]:
+            await asyncio.sleep(0)
+            bus.publish(packet)
+        await task
+        return seen
+
+    assert asyncio.run(run()) == list(range(4, 12))

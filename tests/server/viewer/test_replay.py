@@ -1,0 +1,123 @@
+"""Going back into the past: in small portions, also where the past goes away meanwhile; and the hub beside that."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from server.pipeline.spec import StreamSpec
+from server.protocol.packets import Position, StreamPacket, binary_frame, stream_packet
+from server.settings import Limits, Settings
+from server.stream.bus import LocalBus
+from server.stream.counters import Counters
+from server.stream.hub import Hub
+from server.stream.stream import Stream
+from server.viewer.delivery import Delivery
+from server.viewer.follower import Follower
+from server.viewer.pacing import LevelControl
+from server.viewer.replay import Replay
+from tests.server.conftest import Clip, make_clip
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    return make_clip(tmp_path_factory.mktemp("small") / "scene.slod", 60, counts=(5, 10), key_every=50)
+
+
+class Bus(LocalBus):
+    """Notes how much is read at once; forgets the first group of pictures after so many readings."""
+
+    def __init__(self, clip: Clip, forget_after: int = -1) -> None:
+        super().__init__(10**7)
+        self.read_sizes: list[int] = []
+        self._forget_after = forget_after
+        for number, data in enumerate(clip.packets):
+            self.publish(stream_packet(number, 1, data))
+
+    async def read(self, first: Position, last: Position) -> list[StreamPacket]:
+        packets = await super().read(first, last)
+        self.read_sizes.append(len(packets))
+        if len(self.read_sizes) == self._forget_after:
+            await self.trim(Position(1, 50))
+        return packets
+
+
+class Screen:
+    """A transport that takes everything."""
+
+    def __init__(self) -> None:
+        self.frames: list[bytes] = []
+
+    async def binary(self, frame: bytes) -> None:
+        self.frames.append(frame)
+
+    async def text(self, message: str) -> None: ...
+
+    def post(self, frame: bytes) -> None: ...
+
+    @property
+    def is_clear(self) -> bool:
+        return True
+
+    def on_blocked(self, call: object) -> None: ...
+
+
+def replaying(bus: LocalBus) -> tuple[Replay, Delivery, Screen]:
+    counters, screen = Counters(), Screen()
+    delivery = Delivery(screen, Hub(10**6, counters), counters, Limits(), None, lambda: None)
+    return Replay(bus, delivery, LevelControl(64, 64, quiet_since=0.0)), delivery, screen
+
+
+def test_the_way_to_a_place_is_read_in_portions(small: Clip) -> None:
+    bus = Bus(small)
+    replay, delivery, screen = replaying(bus)
+    asyncio.run(replay.load(Position(1, 45)))
+    assert screen.frames == [binary_frame(data) for data in small.packets[:46]]
+    assert delivery.position == Position(1, 45)
+    assert max(bus.read_sizes) <= 16
+
+
+def test_what_leaves_the_window_on_the_way_ends_it_where_it_still_decodes(small: Clip) -> None:
+    replay, _, screen = replaying(Bus(small, forget_after=2))
+    asyncio.run(replay.load(Position(1, 45)))
+    assert screen.frames == [binary_frame(data) for data in small.packets[:32]]
+    asyncio.run(replay.step(0.0))
+    asyncio.run(replay.step(0.0))
+    assert screen.frames[32:] == [binary_frame(small.packets[50])]
+
+
+def test_a_new_viewer_whose_past_is_gone_joins_at_the_live_edge(small: Clip) -> None:
+    replay, delivery, screen = replaying(LocalBus(10**7))
+    asyncio.run(replay.load(Position(1, 5)))
+    asyncio.run(replay.step(0.0))
+    assert replay.is_over
+    assert screen.frames == []
+    stream = Stream(StreamSpec(play=Path("nothing.slod")), Settings())
+    follower = Follower(stream, delivery, LevelControl(64, 64, quiet_since=0.0), Limits())
+    follower.resume()
+    asyncio.run(stream.hub.accept(stream_packet(0, 1, small.packets[0])))
+    asyncio.run(follower.step(0.0))
+    assert delivery.position == Position(1, 0)
+
+
+def test_new_packets_are_taken_while_viewers_keep_the_shared_threads_busy(small: Clip) -> None:
+    async def run() -> StreamPacket | None:
+        loop, over, hub = asyncio.get_running_loop(), threading.Event(), Hub(10**6, Counters())
+        loop.set_default_executor(ThreadPoolExecutor(2))
+        reading = [asyncio.create_task(asyncio.to_thread(over.wait, 20)) for _ in range(4)]
+        await asyncio.sleep(0)
+        try:
+            async with asyncio.timeout(10):
+                await hub.accept(stream_packet(0, 1, small.packets[0]))
+        finally:
+            over.set()
+            await asyncio.gather(*reading)
+        return hub.newest
+
+    newest = asyncio.run(run())
+    assert newest is not None
+    assert newest.position == Position(1, 0)

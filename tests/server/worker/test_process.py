@@ -1,0 +1,117 @@
+"""Messages between worker and supervisor, and a worker that hangs or grows."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import multiprocessing
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.errors import InputError
+from server.pipeline.job import TrainJob
+from server.pipeline.spec import StreamSpec, spec_from_json
+from server.settings import Settings
+from server.stream.stream import Stream
+from server.worker.process import Resume, Sender, Tag, play, receive_resume, send_resume
+from tests.server.conftest import Clip, running
+
+
+def received(clip: Clip, resume: Resume) -> list[tuple[Tag, bytes]]:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    messages = []
+    with ours, theirs:
+        play(StreamSpec(play=clip.path, loop=False), resume, Sender(theirs))
+        while ours.poll():
+            data = ours.recv_bytes()
+            messages.append((Tag(data[0]), data[1:]))
+    return messages
+
+
+def test_a_file_is_played_packet_by_packet(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    monkeypatch.setattr("server.worker.process.Sender.send", collect := Collector())
+    received(clip, Resume())
+    assert [body for tag, body in collect.messages if tag is Tag.PACKET] == clip.packets
+    collect.messages.clear()
+    received(clip, Resume(frames=75))
+    assert [body for tag, body in collect.messages if tag is Tag.PACKET] == clip.packets[60:]
+
+
+def test_where_to_go_on_is_told_by_pipe_however_long_it_is() -> None:
+    resume = Resume((bytes(3_000_000), b"residual"), 7)
+    ours, theirs = multiprocessing.Pipe()
+    with ours, theirs, ThreadPoolExecutor(1) as pool:
+        sent = pool.submit(send_resume, resume, ours)
+        assert receive_resume(theirs) == resume
+        sent.result(5)
+
+
+class Collector:
+    """Stands in for a pipe that somebody empties."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[Tag, object]] = []
+
+    def __call__(self, tag: Tag, body: object = b"") -> None:
+        self.messages.append((tag, body))
+
+
+def test_figures_become_plain_json() -> None:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    with ours, theirs:
+        figures = {"loss": math.nan, "seconds": {"train": np.float32(0.5)}, "frames": np.int64(3), "text": "x"}
+        Sender(theirs).send(Tag.REPORT, figures)
+        data = ours.recv_bytes()
+    assert data[0] == Tag.REPORT
+    assert json.loads(data[1:]) == {"loss": None, "seconds": {"train": 0.5}, "frames": 3.0, "text": "x"}
+
+
+def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) -> None:
+    settings = Settings.model_validate({"worker": {"heartbeat_seconds": 2.5}})
+    with running(settings, StreamSpec(play=clip.path)) as server:
+        server.wait(lambda stream: stream["state"] == "live")
+        pid = server.registry.streams["main"].worker_pid
+        assert pid is not None
+        os.kill(pid, signal.SIGSTOP)
+        found = server.wait(lambda stream: stream["restarts"] >= 1)
+        assert "silent" in found["detail"]
+        server.wait(lambda stream: stream["state"] == "live")
+        pids = {pid, server.registry.streams["main"].worker_pid}
+        with server.client() as client:
+            client.post("/v1/streams/main/stop")
+        assert not [pid for pid in pids if Path(f"/proc/{pid}").exists()]  # not even for their parent to look at
+    settings = Settings.model_validate({"worker": {"memory_bytes": 1_000_000, "attempts": 1}})
+    with running(settings, StreamSpec(play=clip.path)) as server:
+        found = server.wait(lambda stream: stream["restarts"] >= 1)
+        assert "memory" in found["detail"] or found["state"] == "starting"
+
+
+def test_a_deleted_stream_is_not_started_again(clip: Clip) -> None:
+    async def run() -> bool:
+        stream = Stream(StreamSpec(play=clip.path), Settings())
+        await stream.delete()
+        stream.start()  # by a request that had found the stream before
+        try:
+            return stream.is_running
+        finally:
+            await stream.stop()
+
+    assert not asyncio.run(run())
+
+
+def test_specifications_travel_as_json() -> None:
+    jobs = TrainJob(data=Path("x"), train=("cam01",), views=3), TrainJob(live={"fps": 30}), TrainJob(live=Path("rig"))
+    for spec in (*(StreamSpec("a-1", job) for job in jobs), StreamSpec("b", play=Path("y"), loop=False)):
+        assert spec_from_json(json.loads(json.dumps(spec.to_json()))) == spec
+    assert spec_from_json({"id": "a", "data": "x"}).job == TrainJob(data=Path("x"), preset="live")
+    both = {"id": "a", "live": "x", "data": "y"}
+    for values in ({"id": "a"}, {"id": "A", "play": "x"}, {"id": "a", "play": "x", "data": "y"}, {"other": 1}, both):
+        with pytest.raises(InputError):
+            spec_from_json(values)
