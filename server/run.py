@@ -12,10 +12,12 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from types import FrameType
+from wsgiref.simple_server import WSGIRequestHandler, make_server
 
 import uvicorn
 from fastapi import FastAPI
-from prometheus_client import start_http_server
+from prometheus_client import make_wsgi_app
+from prometheus_client.exposition import ThreadingWSGIServer
 
 from core.errors import InputError, StreamlodError
 from server.app import create_app
@@ -144,13 +146,24 @@ def _bind(host: str, port: int) -> socket.socket:
 
 
 def _start_metrics(settings: Settings, registry: Registry) -> None:
+    """Serve the Prometheus metrics on a port of their own, from threads; a silent client is closed after a while."""
     assert settings.metrics_port is not None
+
+    class Handler(WSGIRequestHandler):
+        timeout = settings.limits.request_seconds
+
+        def log_message(self, *_: object) -> None:
+            """Say nothing: scrapes come every few seconds."""
+
+    class Listener(ThreadingWSGIServer):
+        address_family = socket.AF_INET6 if ":" in settings.metrics_host else socket.AF_INET
+
+    address, app = (settings.metrics_host, settings.metrics_port), make_wsgi_app(collector_registry(registry))
     try:
-        start_http_server(settings.metrics_port, settings.metrics_host, collector_registry(registry))
+        listener = make_server(*address, app, Listener, Handler)
     except OSError as error:
-        raise InputError(
-            f"metrics port {settings.metrics_port}", f"cannot be listened on ({error.strerror})"
-        ) from error
+        raise InputError(f"metrics port {address[1]}", f"cannot be listened on ({error.strerror})") from error
+    threading.Thread(target=listener.serve_forever, name="metrics", daemon=True).start()
 
 
 @contextlib.contextmanager

@@ -22,6 +22,7 @@ from server.settings import Limits
 
 _MOST_FRAGMENTS = 1024  # of a message; empty ones would cost memory without end
 _POLICY = 1008  # RFC 6455 section 7.4.1
+_TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 CONNECTION = "streamlod.connection"  # where an endpoint finds its connection in the ASGI scope
 
 
@@ -40,6 +41,7 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
     take: Callable[[bytes], bool] | None = None
     blocked: Callable[[], None] | None = None
     _stalls: StallWatch | None = None
+    _handshake: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: BaseTransport) -> None:
         super().connection_made(transport)
@@ -52,6 +54,26 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
             # the kernel doubles the value for its bookkeeping
             raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, self.limits.viewer_bytes // 2)
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._handshake = self.loop.call_later(self.limits.request_seconds, self._end_handshake)
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes of the peer; the first call brings the whole upgrade request, replayed by the HTTP protocol.
+
+        websockets has limits of its own on that request. Where one is exceeded, it keeps the error to itself and waits
+        for the peer to leave, so the refusal is made here.
+        """
+        super().data_received(data)
+        if not self.handshake_initiated and not self.transport.is_closing():
+            self.turned_away["large"] += 1
+            self.transport.write(_TOO_LARGE)
+            self.transport.close()
+
+    def _end_handshake(self) -> None:
+        """Cut a connection whose upgrade was not answered in time."""
+        self._handshake = None
+        if not self.handshake_complete:
+            self.turned_away["slow"] += 1
+            self.transport.abort()
 
     def handle_text(self, event: Frame) -> None:
         if self.take is None or not event.fin or not self.take(bytes(event.data)):
@@ -82,6 +104,8 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._stalls is not None:
             self._stalls.end()
+        if self._handshake is not None:
+            self._handshake.cancel()
         self._block()
         super().connection_lost(exc)
 

@@ -11,14 +11,16 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 from fastapi import APIRouter
+from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from core.errors import InputError, SessionError
 from server.ingest.push.message import PUSH_SUBPROTOCOL, PushMessage, parse_push
-from server.protocol.messages import BAD_MESSAGE, BAD_VERSION, FAULT
+from server.protocol.messages import BAD_MESSAGE, BAD_VERSION, BUSY, FAULT
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5
+MAX_SILENCE_SECONDS = 60.0  # between two pictures of a capture node; it may connect again
 
 
 class AnyIntake(Protocol):
@@ -31,12 +33,15 @@ class AnyIntake(Protocol):
         """The capture node has gone."""
 
 
-def push_router(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) -> APIRouter:
+def push_router(
+    open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]], silence_seconds: float = MAX_SILENCE_SECONDS
+) -> APIRouter:
     """The route ``/v1/streams/{stream_id}/ingest``.
 
     Args:
         open_intake: given the request and the stream's id, checks the right to publish and gives what takes the
             pictures; raises SessionError to refuse.
+        silence_seconds: a node that sends nothing for so long is closed with 1013.
     """
     router = APIRouter()
 
@@ -51,7 +56,7 @@ def push_router(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) -
                 intake = await open_intake(websocket, stream_id)
             finally:  # also to be refused: close codes and reasons need a connection
                 await websocket.accept(PUSH_SUBPROTOCOL if PUSH_SUBPROTOCOL in offers else None)
-            await _take(websocket, intake)
+            await _take(websocket, intake, silence_seconds)
         except SessionError as error:
             await _close(websocket, error.close_code, error.detail)
         except (WebSocketDisconnect, ConnectionError):
@@ -63,13 +68,13 @@ def push_router(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) -
     return router
 
 
-async def _take(websocket: WebSocket, intake: AnyIntake) -> None:
+async def _take(websocket: WebSocket, intake: AnyIntake, silence_seconds: float) -> None:
     """Pictures one after the other: a node that is too fast waits for its acknowledgements."""
     loop = asyncio.get_running_loop()
     thread = ThreadPoolExecutor(1, thread_name_prefix="pushed")  # a worker that hangs could take the shared pool's
     try:
         while True:
-            received = await websocket.receive()
+            received = await _receive(websocket, silence_seconds)
             if received["type"] == "websocket.disconnect":
                 return
             data = received.get("bytes")
@@ -85,6 +90,14 @@ async def _take(websocket: WebSocket, intake: AnyIntake) -> None:
     finally:
         thread.shutdown(wait=False)
         await asyncio.to_thread(intake.close)
+
+
+async def _receive(websocket: WebSocket, silence_seconds: float) -> Message:
+    try:
+        async with asyncio.timeout(silence_seconds):
+            return await websocket.receive()
+    except TimeoutError:
+        raise SessionError(BUSY, f"no picture for {silence_seconds:g} s; connect again to send some") from None
 
 
 async def _close(websocket: WebSocket, code: int, reason: str) -> None:

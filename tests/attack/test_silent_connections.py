@@ -1,0 +1,128 @@
+"""Connections that say nothing, or never the whole: none stays open, whatever state it has reached."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from server.pipeline.spec import StreamSpec
+from server.settings import Limits, Settings
+from tests.server.conftest import Running, running
+from tests.server.test_faults import HANDSHAKE, masked
+
+_STREAM = StreamSpec(play=Path("nothing.slod"))
+_LIMITS = Limits(request_seconds=0.6, hello_seconds=0.4, stuck_seconds=0.5, connections=4000)
+_LONGEST_LIFE = 16 + 4  # seconds: a kept-alive connection has 15, all other states less
+
+
+def connected(server: Running, data: bytes) -> socket.socket:
+    peer = socket.create_connection(("127.0.0.1", server.port), 10)
+    peer.sendall(data)
+    return peer
+
+
+def upgrade(*extra: str, path: str = "/v1/streams/main/live", protocol: str = "streamlod.v1") -> bytes:
+    head = HANDSHAKE.replace("/v1/streams/main/live", path).replace("streamlod.v1", protocol)
+    return head.replace("\r\n\r\n", "\r\n" + "".join(f"{line}\r\n" for line in extra) + "\r\n").encode()
+
+
+def ends_within(peer: socket.socket, seconds: float) -> bool:
+    """Whether the server closes; what it says before is read."""
+    end = time.monotonic() + seconds
+    with peer, contextlib.suppress(ConnectionError):
+        while (left := end - time.monotonic()) > 0:
+            peer.settimeout(left)
+            try:
+                if not peer.recv(1 << 16):
+                    return True
+            except TimeoutError:
+                return False
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    "request_bytes",
+    [
+        upgrade(f"X-Long: {'x' * 9000}"),
+        upgrade(*(f"X-{number}: 1" for number in range(140))),
+        upgrade(path="/v1/streams/main/" + "live" * 3000),
+        upgrade("X-Folded: \x01"),
+        upgrade("Content-Length: 5"),
+    ],
+    ids=["long line", "many lines", "long path", "bad byte", "body"],
+)
+def test_an_upgrade_that_websockets_refuses_is_answered_and_closed(request_bytes: bytes) -> None:
+    with running(Settings(limits=_LIMITS), _STREAM) as server:
+        peers = [connected(server, request_bytes) for _ in range(5)]
+        assert all(ends_within(peer, 3) for peer in peers)
+        with server.client() as client:
+            assert client.get("/healthz").status_code == 200
+
+
+def test_a_long_upgrade_header_gets_431() -> None:
+    with running(Settings(limits=_LIMITS), _STREAM) as server:
+        with connected(server, upgrade(f"X-Long: {'x' * 9000}")) as peer:
+            assert peer.recv(4096).startswith(b"HTTP/1.1 431 ")
+        assert server.registry.turned_away["large"] == 1
+
+
+def partial(chooser: random.Random) -> bytes:
+    """The beginning of something that a client may send, damaged now and then."""
+    whole = chooser.choice(
+        [
+            b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n",
+            b"GET /v1/streams HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n",
+            b"POST /v1/streams HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 500\r\n\r\n{",
+            b"POST /v1/streams HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nabc",
+            b"CONNECT x:1 HTTP/1.1\r\nHost: x\r\n\r\n",
+            b"GET / HTTP/1.1\r\nHost: x\r\nConnection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\n\r\n",
+            b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\nGET /hea",
+            b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+            upgrade(),
+            upgrade() + masked(1, b'{"type":"hello","versions":[2]}'),
+            upgrade() + masked(8, b""),
+            upgrade() + b"\x01\x85" + bytes(4) + b"hel",
+            upgrade(protocol="nothing"),
+            upgrade(path="/v1/streams/none/live"),
+            upgrade(path="/v1/streams/main/ingest", protocol="streamlod.push.v1"),
+            upgrade(path="/nowhere"),
+            upgrade(*(f"X-{number}: {'y' * chooser.randrange(200)}" for number in range(chooser.randrange(200)))),
+        ]
+    )
+    data = bytearray(whole)
+    if chooser.random() < 0.5:
+        del data[chooser.randrange(len(data)) :]
+    if data and chooser.random() < 0.2:
+        data[chooser.randrange(len(data))] = chooser.randrange(256)
+    return bytes(data)
+
+
+def none_left(seconds: float, per_second: int, seed: int) -> None:
+    """Open random partial connections for so long; none may outlive its deadline, and the server goes on serving."""
+    chooser, peers = random.Random(seed), []
+    with running(Settings(limits=_LIMITS), _STREAM) as server:
+        begin = time.monotonic()
+        while time.monotonic() < begin + seconds:
+            peers.append(connected(server, partial(chooser)))
+            time.sleep(1 / per_second)
+        end = time.monotonic() + _LONGEST_LIFE
+        left = [peer for peer in peers if not ends_within(peer, max(0.05, end - time.monotonic()))]
+        assert not left, f"{len(left)} of {len(peers)} are open"
+        with server.client() as client:
+            assert client.get("/healthz").status_code == 200
+
+
+def test_random_partial_requests_leave_nothing_open() -> None:
+    none_left(seconds=2, per_second=150, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_a_minute_of_random_partial_requests_leaves_nothing_open() -> None:
+    none_left(seconds=60, per_second=60, seed=2)
