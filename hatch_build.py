@@ -22,15 +22,17 @@ class BuildPage(BuildHookInterface):  # type: ignore[type-arg]
         """Before files are collected: make what is missing, and announce it."""
         import wasmtime
 
-        source = Path(self.root) / PAGE / "kernel.wat"
+        page = Path(self.root) / PAGE
+        source = page / "decode" / "kernel.wat"
         target = source.with_suffix(".wasm")
         target.write_bytes(wasmtime.wat2wasm(source.read_text()))
-        build_data["artifacts"].append(f"{PAGE}/{target.name}")
+        build_data["artifacts"].append(f"{PAGE}/decode/{target.name}")
         if self.target_name != "wheel" or version != "standard":
             return
         self.packed = TemporaryDirectory()
-        for name, content in pack(source.parent):
+        for name, content in pack(page):
             place = Path(self.packed.name) / name
+            place.parent.mkdir(parents=True, exist_ok=True)
             place.write_bytes(content)
             build_data["force_include"][str(place)] = f"{PAGE}/{name}"
 
@@ -41,13 +43,15 @@ class BuildPage(BuildHookInterface):  # type: ignore[type-arg]
 
 
 def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
-    """Names and contents of the page's files without comments, compressed twice: `main.js.br` and `main.js.gz`."""
+    """Paths inside `folder` and contents of the page's files without comments, compressed twice: `ui/main.js.br` and
+    `ui/main.js.gz`."""
     import brotli  # type: ignore[import-untyped]
     import rjsmin  # type: ignore[import-untyped]
 
-    for path in sorted(path for path in folder.iterdir() if path.suffix in SERVED):
+    for path in sorted(path for path in folder.rglob("*") if path.suffix in SERVED):
         content = path.read_bytes()
         if path.suffix == ".js":
             content = rjsmin.jsmin(content.decode()).encode()
-        yield f"{path.name}.br", brotli.compress(content)
-        yield f"{path.name}.gz", gzip.compress(content, mtime=0)
+        name = path.relative_to(folder).as_posix()
+        yield f"{name}.br", brotli.compress(content)
+        yield f"{name}.gz", gzip.compress(content, mtime=0)

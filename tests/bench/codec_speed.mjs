@@ -1,10 +1,10 @@
 // How fast the page's decoder is: `node codec_speed.mjs FILE.slod [ROUNDS]` decodes the first keyframe's packets again and again.
 import { readFileSync } from "node:fs";
-import { walkRecords } from "../../client/web/container.js";
-import { SceneDecoder } from "../../client/web/decoder.js";
-import { decodeGeometry } from "../../client/web/geometry.js";
-import { Chunk, KEY, parsePacket } from "../../client/web/packet.js";
-import { decodeBase } from "../../client/web/rows.js";
+import { walkRecords } from "../../client/web/decode/container.js";
+import { SceneDecoder } from "../../client/web/decode/decoder.js";
+import { decodeGeometry } from "../../client/web/decode/geometry.js";
+import { Chunk, KEY, parsePacket } from "../../client/web/decode/packet.js";
+import { decodeBase } from "../../client/web/decode/rows.js";
 
 const [file, rounds = "5"] = process.argv.slice(2);
 const bytes = new Uint8Array(readFileSync(file));

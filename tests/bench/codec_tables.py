@@ -152,7 +152,7 @@ def write(tables: Int64) -> None:
     for name, pattern, text in (
         ("core/scene/entropy_model.py", r"(?<=FREQUENCIES: Int64 = np.array\(\(\n).*?(?=\n\), np.int64\))", python),
         ("codec/FORMAT.md", r"(?<=sums to 4096.\n\n```\n).*?(?=\n```)", listed),
-        ("client/web/tables.js", r"(?<=const FREQUENCIES = `).*?(?=`)", "\n".join(plain)),
+        ("client/web/decode/tables.js", r"(?<=const FREQUENCIES = `).*?(?=`)", "\n".join(plain)),
     ):
         path = ROOT / name
         new, found = re.subn(pattern, text, path.read_text(), count=1, flags=re.DOTALL)

@@ -29,11 +29,11 @@ from tests.codec import scenes as codec_scenes
 
 FRAMES, ROUNDS, JOINS = 12, 4, 5
 MEASURE = """async ([address, rounds]) => {
-  const { walkRecords } = await import("/container.js");
-  const { Engine } = await import("/engine.js");
-  const { loadKernel } = await import("/expand.js");
-  const { fromCamera, homeCamera, orbit, rigUp } = await import("/camera.js");
-  const kernel = await loadKernel(await (await fetch("/kernel.wasm")).arrayBuffer());
+  const { walkRecords } = await import("/decode/container.js");
+  const { Engine } = await import("/view/engine.js");
+  const { loadKernel } = await import("/decode/expand.js");
+  const { fromCamera, homeCamera, orbit, rigUp } = await import("/view/camera.js");
+  const kernel = await loadKernel(await (await fetch("/decode/kernel.wasm")).arrayBuffer());
   const file = new Uint8Array(await (await fetch(address)).arrayBuffer());
   const packets = walkRecords(file).map(({ offset, size, kind }) => {
     return { key: kind === 0, bytes: file.slice(offset, offset + size) };

@@ -33,8 +33,8 @@ def chromium_path() -> str | None:
 def kernel() -> bytes:
     """kernel.wasm, assembled anew where the checkout's is missing or older than its text."""
     wasmtime = pytest.importorskip("wasmtime", reason="wasmtime assembles the page's kernel: pip install wasmtime")
-    assembled = bytes(wasmtime.wat2wasm((WEB / "kernel.wat").read_text()))
-    target = WEB / "kernel.wasm"
+    assembled = bytes(wasmtime.wat2wasm((WEB / "decode" / "kernel.wat").read_text()))
+    target = WEB / "decode" / "kernel.wasm"
     if not target.exists() or target.read_bytes() != assembled:
         target.write_bytes(assembled)
     return assembled

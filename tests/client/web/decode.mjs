@@ -1,15 +1,15 @@
 // Decodes a .slod file with the page's own modules and writes what it holds: `node decode.mjs FILE OUT X Y Z LEVELS`.
 // OUT.json: versions and digests after each packet; OUT.bin: the splats of the last state seen from (X, Y, Z).
 import { readFileSync, writeFileSync } from "node:fs";
-import { digest } from "../../../client/web/checksum.js";
-import { walkRecords } from "../../../client/web/container.js";
-import { Engine } from "../../../client/web/engine.js";
-import { loadKernel, RECORD } from "../../../client/web/expand.js";
-import { BitstreamError } from "../../../client/web/scene.js";
+import { digest } from "../../../client/web/decode/checksum.js";
+import { walkRecords } from "../../../client/web/decode/container.js";
+import { Engine } from "../../../client/web/view/engine.js";
+import { loadKernel, RECORD } from "../../../client/web/decode/expand.js";
+import { BitstreamError } from "../../../client/web/decode/scene.js";
 
 const [file, out, x, y, z, levels, reach] = process.argv.slice(2);
 const bytes = new Uint8Array(readFileSync(file));
-const kernel = await loadKernel(readFileSync(new URL("../../../client/web/kernel.wasm", import.meta.url)));
+const kernel = await loadKernel(readFileSync(new URL("../../../client/web/decode/kernel.wasm", import.meta.url)));
 const engine = new Engine(kernel);
 const view = { position: [Number(x), Number(y), Number(z)], rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: Number(levels), reach: Number(reach ?? Infinity) };
 const log = [];

@@ -2,15 +2,15 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { deflateRawSync } from "node:zlib";
-import * as camera from "../../../client/web/camera.js";
-import { crc32 } from "../../../client/web/checksum.js";
-import { moments, plan } from "../../../client/web/container.js";
-import { inflateColumns } from "../../../client/web/deflate.js";
-import { Quality } from "../../../client/web/quality.js";
-import { Session } from "../../../client/web/session.js";
-import { DepthSort, fillQuads } from "../../../client/web/sort.js";
-import { clock, words } from "../../../client/web/states.js";
-import { bin, FREQUENCY, SCALE } from "../../../client/web/tables.js";
+import * as camera from "../../../client/web/view/camera.js";
+import { crc32 } from "../../../client/web/decode/checksum.js";
+import { moments, plan } from "../../../client/web/decode/container.js";
+import { inflateColumns } from "../../../client/web/decode/deflate.js";
+import { Quality } from "../../../client/web/view/quality.js";
+import { Session } from "../../../client/web/stream/session.js";
+import { DepthSort, fillQuads } from "../../../client/web/view/sort.js";
+import { clock, words } from "../../../client/web/ui/states.js";
+import { bin, FREQUENCY, SCALE } from "../../../client/web/decode/tables.js";
 
 const near = (a, b, tolerance = 1e-9) => a.forEach((x, i) => assert.ok(Math.abs(x - b[i]) <= tolerance, `${a} is not ${b}`));
 const POSE = { rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], position: [0, 0, -3], distance: 3, focal: 1, stretch: 1, shift: [0, 0] };

@@ -37,10 +37,10 @@ def packed(tmp_path_factory: pytest.TempPathFactory, kernel: bytes) -> Path:
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(out, [name for name in archive.namelist() if name.startswith("client/web/")])
     folder = out / "client" / "web"
-    script = brotli.decompress((folder / "main.js.br").read_bytes())
+    script = brotli.decompress((folder / "ui" / "main.js.br").read_bytes())
     assert b"/**" not in script
-    assert gzip.decompress((folder / "main.js.gz").read_bytes()) == script
-    assert (folder / "kernel.wasm").read_bytes() == kernel
+    assert gzip.decompress((folder / "ui" / "main.js.gz").read_bytes()) == script
+    assert (folder / "decode" / "kernel.wasm").read_bytes() == kernel
     return folder
 
 
@@ -66,9 +66,9 @@ def test_works_compressed_and_is_small(page: Any, clip: Clip, packed: Path) -> N
 def test_codings_as_asked_for(packed: Path, clip: Clip) -> None:
     """br before gzip before plain; types stay; a copy that is still good is not sent again."""
     with serving(create_app(clip, Behaviour(), page=packed)) as url, httpx.Client(base_url=url) as client:
-        plain = client.get("/main.js", headers={"Accept-Encoding": "identity"})
+        plain = client.get("/ui/main.js", headers={"Accept-Encoding": "identity"})
         assert "content-encoding" not in plain.headers
-        assert plain.content == (packed / "main.js").read_bytes()
+        assert plain.content == (packed / "ui" / "main.js").read_bytes()
         for accept, coding in (("gzip, br", "br"), ("gzip", "gzip"), ("br;q=0, gzip", "gzip"), ("zstd", None)):
             answer = client.get("/", headers={"Accept-Encoding": accept})
             assert answer.headers.get("content-encoding") == coding
@@ -77,8 +77,9 @@ def test_codings_as_asked_for(packed: Path, clip: Clip) -> None:
         etag = answer.headers["etag"]
         again = client.get("/", headers={"Accept-Encoding": "zstd", "If-None-Match": etag})
         assert again.status_code == 304
-        wasm = client.get("/kernel.wasm", headers={"Accept-Encoding": "gzip"})
+        wasm = client.get("/decode/kernel.wasm", headers={"Accept-Encoding": "gzip"})
         assert wasm.headers["content-type"] == "application/wasm"
         assert wasm.content[:4] == b"\0asm"
-        assert client.get("/../app.py", headers={"Accept-Encoding": "gzip"}).status_code == 404
-        assert client.get("/nothing.js", headers={"Accept-Encoding": "gzip"}).status_code == 404
+        hidden = ("/../app.py", "/ui/..%2f..%2f__init__.py", "/ui/%2e%2e/%2e%2e/__init__.py", "/decode", "/ui/no.js")
+        for path in hidden:
+            assert client.get(path, headers={"Accept-Encoding": "gzip"}).status_code == 404, path

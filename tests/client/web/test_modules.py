@@ -57,7 +57,7 @@ def test_types() -> None:
 
 def test_page_is_small_and_complete(kernel: bytes) -> None:
     """Under 100 KB compressed, comments and all (test_built.py weighs what is served); nothing comes from elsewhere."""
-    files = {path.name: path.read_bytes() for path in WEB.iterdir() if path.suffix not in (".wat", ".py")}
+    files = {path.name: path.read_bytes() for path in WEB.rglob("*.*") if path.suffix not in (".wat", ".py", ".pyc")}
     assert sum(len(gzip.compress(content)) for content in files.values()) < 100_000
     for name, content in files.items():
         if not name.endswith(".wasm"):
@@ -65,6 +65,21 @@ def test_page_is_small_and_complete(kernel: bytes) -> None:
             assert "http://" not in text, name
             assert "https://" not in text, name
             assert "node_modules" not in text, name
+
+
+def _imports(name: str) -> list[str]:
+    """Modules that a module imports at once, as paths inside the page's folder."""
+    found = re.findall(r'^import .*?from "(.+?)"', (WEB / name).read_text(), re.MULTILINE | re.DOTALL)
+    return [(WEB / name).parent.joinpath(path).resolve().relative_to(WEB).as_posix() for path in found]
+
+
+def test_modules_import_downwards() -> None:
+    """decode knows no socket, stream no picture, view no button; types mentioned in comments count too."""
+    layers = ["decode", "stream", "view", "ui"]
+    for path in WEB.rglob("*.js"):
+        mine = layers.index(path.parent.name)
+        for other in re.findall(r'"\.\./([a-z]+)/[a-z]+\.js"', path.read_text()):
+            assert layers.index(other) < mine, f"{path.name} imports from {other}"
 
 
 def test_page_preloads_what_it_imports() -> None:
@@ -75,7 +90,7 @@ def test_page_preloads_what_it_imports() -> None:
     left = [main]
     while left:
         name = left.pop()
-        imported = set(re.findall(r'^import .*?from "./(.+?)"', (WEB / name).read_text(), re.MULTILINE | re.DOTALL))
+        imported = set(_imports(name))
         left += imported - found
         found |= imported
     assert sorted(announced) == sorted(found)

@@ -3,8 +3,8 @@ import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { SceneDecoder } from "../../../client/web/decoder.js";
-import { BitstreamError } from "../../../client/web/scene.js";
+import { SceneDecoder } from "../../../client/web/decode/decoder.js";
+import { BitstreamError } from "../../../client/web/decode/scene.js";
 
 const folder = new URL("../../vectors/", import.meta.url);
 const manifest = JSON.parse(readFileSync(new URL("manifest.json", folder), "utf8"));

@@ -3,8 +3,8 @@
 import { button, element, setIcon } from "./page.js";
 import { clock } from "./states.js";
 
-/** @typedef {import("./session.js").Status} Status */
-/** @typedef {import("./session.js").Position} Position */
+/** @typedef {import("../stream/session.js").Status} Status */
+/** @typedef {import("../stream/session.js").Position} Position */
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const SCRUB_MS = 90; // between two seeks while dragging

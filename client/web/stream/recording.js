@@ -1,11 +1,11 @@
 /** Plays a `.slod` file over HTTP Range requests; takes the same commands as a connection. */
 
-import { FOOTER, moments, plan, readFooter, readIndex, walkRecords } from "./container.js";
-import { must } from "./packet.js";
+import { FOOTER, moments, plan, readFooter, readIndex, walkRecords } from "../decode/container.js";
+import { must } from "../decode/packet.js";
 import { Session } from "./session.js";
 
 /** @typedef {import("./connection.js").Handlers} Handlers */
-/** @typedef {import("./container.js").Entry} Entry */
+/** @typedef {import("../decode/container.js").Entry} Entry */
 
 const READ_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
 

@@ -1,11 +1,11 @@
 /** From packets and a view to splats in drawing order; everything between socket and screen that needs no browser. */
 
-import { SceneDecoder } from "./decoder.js";
-import { Expander, LEAST_ALPHA, RECORD, ROW_SPLATS } from "./expand.js";
+import { SceneDecoder } from "../decode/decoder.js";
+import { Expander, LEAST_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { DepthSort, fillQuads } from "./sort.js";
-import { anchorCount, versionOf } from "./scene.js";
+import { anchorCount, versionOf } from "../decode/scene.js";
 
-/** @typedef {import("./scene.js").Scene} Scene */
+/** @typedef {import("../decode/scene.js").Scene} Scene */
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 
 /**
@@ -36,7 +36,7 @@ const ROW_NUMBERS = ROW_SPLATS * RECORD;
 const JOIN = 2; // texture rows between two spans that are sent along rather than sent apart
 
 export class Engine {
-  /** @param {import("./expand.js").Kernel} kernel */
+  /** @param {import("../decode/expand.js").Kernel} kernel */
   constructor(kernel) {
     this.kernel = kernel;
     this.decoder = new SceneDecoder();
@@ -67,7 +67,7 @@ export class Engine {
     this.expander = null;
   }
 
-  /** Decode one packet. @param {Uint8Array} bytes @returns {import("./decoder.js").Effect} */
+  /** Decode one packet. @param {Uint8Array} bytes @returns {import("../decode/decoder.js").Effect} */
   push(bytes) {
     const effect = this.decoder.push(bytes);
     const scene = /** @type {Scene} */ (this.scene);

@@ -1,6 +1,6 @@
 /** The session on a websocket: opens it, keeps order, connects again. */
 
-import { KEY } from "./packet.js";
+import { KEY } from "../decode/packet.js";
 import { PROTOCOL, Session } from "./session.js";
 
 const TICK_MS = 250;

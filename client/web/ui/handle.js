@@ -1,8 +1,8 @@
 /** `window.streamlod` and the same over postMessage, for pages that embed the viewer. */
 
-import { fromCamera, fromText, toText } from "./camera.js";
+import { fromCamera, fromText, toText } from "../view/camera.js";
 
-/** @typedef {import("./viewer.js").Viewer} Viewer */
+/** @typedef {import("../view/viewer.js").Viewer} Viewer */
 /** @typedef {import("./timeline.js").Timeline} Timeline */
 
 const EVENTS = ["status", "scene", "picture", "refused"];

@@ -2,7 +2,14 @@
 
 export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
 
-/** @typedef {import("./camera.js").RigCamera} RigCamera */
+/**
+ * @typedef {object} RigCamera
+ * @property {string} name
+ * @property {number[]} intrinsics - 9 numbers, row by row, pixels
+ * @property {number[]} worldToCamera - 16 numbers, row by row
+ * @property {number} width
+ * @property {number} height
+ */
 
 /**
  * @typedef {object} Header

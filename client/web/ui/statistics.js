@@ -1,6 +1,6 @@
 /** Numbers for those who want them. */
 
-/** @typedef {import("./viewer.js").Viewer} Viewer */
+/** @typedef {import("../view/viewer.js").Viewer} Viewer */
 
 const SPAN_MS = 3000;
 
@@ -11,7 +11,7 @@ export class Rates {
     this.seen = [];
   }
 
-  /** @param {import("./messages.js").PictureMessage} picture @param {number} bytes - received so far */
+  /** @param {import("../view/messages.js").PictureMessage} picture @param {number} bytes - received so far */
   frame({ version }, bytes) {
     const at = performance.now();
     if (this.seen[this.seen.length - 1]?.version === version) return;

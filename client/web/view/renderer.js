@@ -5,7 +5,7 @@
  * contributions below 1/255 cut, opacity capped at 0.999.
  */
 
-import { RECORD, ROW_SPLATS } from "./expand.js";
+import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 
 const TEXELS = RECORD / 4; // RGBA texels a splat
 const WIDTH = ROW_SPLATS * TEXELS;

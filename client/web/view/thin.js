@@ -4,7 +4,7 @@
  * `ThinLink` takes the place of the worker and `Screen` that of the renderer, so the rest of the page is the same.
  */
 
-import { PROTOCOL, Session } from "./session.js";
+import { PROTOCOL, Session } from "../stream/session.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
 /** @typedef {import("./messages.js").ToWorker} ToWorker */

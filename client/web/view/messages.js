@@ -1,8 +1,8 @@
 /**
  * What page and worker say to each other; types only.
  *
- * @typedef {import("./session.js").Status} Status
- * @typedef {import("./session.js").Position} Position
+ * @typedef {import("../stream/session.js").Status} Status
+ * @typedef {import("../stream/session.js").Position} Position
  * @typedef {import("./camera.js").RigCamera} RigCamera
  * @typedef {import("./camera.js").Vec3} Vec3
  * @typedef {{ levels?: number | null, kilobytes_per_second?: number | null }} Wishes

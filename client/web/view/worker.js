@@ -1,16 +1,16 @@
 /** The worker between socket and splats. Speaks with the page by the messages of protocol types in `messages.js`. */
 
-import { Connection } from "./connection.js";
+import { Connection } from "../stream/connection.js";
 import { Engine } from "./engine.js";
-import { loadKernel } from "./expand.js";
-import { BitstreamError, versionOf } from "./scene.js";
-import { digest } from "./checksum.js";
-import { RECORD } from "./expand.js";
+import { loadKernel } from "../decode/expand.js";
+import { BitstreamError, versionOf } from "../decode/scene.js";
+import { digest } from "../decode/checksum.js";
+import { RECORD } from "../decode/expand.js";
 
 /** @typedef {import("./messages.js").ToWorker} ToWorker */
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
 
-const kernel = fetch(new URL("kernel.wasm", import.meta.url))
+const kernel = fetch(new URL("../decode/kernel.wasm", import.meta.url))
   .then((answer) => (answer.ok ? answer.arrayBuffer() : Promise.reject(new Error("kernel.wasm is missing"))))
   .then(loadKernel);
 
@@ -18,7 +18,7 @@ const LONGEST_HOLD_MS = 1500;
 
 /** @type {Engine | null} */
 let engine = null;
-/** @type {Connection | import("./recording.js").Recording | null} */
+/** @type {Connection | import("../stream/recording.js").Recording | null} */
 let source = null;
 /** @type {import("./engine.js").EngineView | null} */
 let view = null;
@@ -102,7 +102,7 @@ const handlers = { packet: decode, hold, status };
 
 /** A file; who watches live does not load what plays files. @param {string} url */
 async function openRecording(url) {
-  const { Recording } = await import("./recording.js");
+  const { Recording } = await import("../stream/recording.js");
   return new Recording(url, handlers);
 }
 

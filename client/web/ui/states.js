@@ -1,6 +1,6 @@
 /** What is going on, in words: the chip at the top and the card in the middle. No page needed. */
 
-/** @typedef {import("./session.js").Status} Status */
+/** @typedef {import("../stream/session.js").Status} Status */
 
 /**
  * @typedef {object} Words

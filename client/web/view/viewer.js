@@ -29,7 +29,7 @@ export class Viewer extends EventTarget {
     this.thin = thin !== null;
     this.renderer = thin?.renderer ?? new Renderer(canvas);
     this.software = /swiftshader|llvmpipe|software|basic render/i.test(this.renderer.hardware);
-    this.worker = thin?.worker ?? new Worker(new URL("worker.js", import.meta.url), { type: "module" });
+    this.worker = thin?.worker ?? new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
     // What the worker said before it heard of the end may still arrive: nothing may be drawn with what was freed.
     this.worker.onmessage = (/** @type {{ data: FromWorker }} */ { data }) => this.running && this.#hear(data);
     /** @type {Pose} */

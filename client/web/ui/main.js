@@ -1,16 +1,16 @@
 /** The page: puts viewer, controls and panels together. */
 
-import { fromCamera, fromText, toText } from "./camera.js";
-import { Controls } from "./controls.js";
+import { fromCamera, fromText, toText } from "../view/camera.js";
+import { Controls } from "../view/controls.js";
 import { createHandle, listenToParent } from "./handle.js";
 import { attachMenu, button, element, menuItem, toast } from "./page.js";
-import { Quality, QUALITIES } from "./quality.js";
-import { frusta } from "./frusta.js";
+import { Quality, QUALITIES } from "../view/quality.js";
+import { frusta } from "../view/frusta.js";
 import { NO_WEBGL, words } from "./states.js";
 import { chooseStream, liveAddress, showStreams } from "./streams.js";
 import { fillStatistics, Rates } from "./statistics.js";
 import { Timeline } from "./timeline.js";
-import { Viewer } from "./viewer.js";
+import { Viewer } from "../view/viewer.js";
 
 /** @typedef {import("./states.js").Words} Words */
 
@@ -49,7 +49,7 @@ async function createViewer() {
     if (recording) return cannotDraw();
   }
   try {
-    const { createThin } = await import("./thin.js");
+    const { createThin } = await import("../view/thin.js");
     return new Viewer(canvas, createThin(canvas));
   } catch {
     return cannotDraw();
@@ -155,7 +155,7 @@ async function start(viewer) {
   };
   const enterVr = async () => {
     if (button("b-vr").hidden || viewer.presenting) return;
-    const { enterVr: enter } = await import("./webxr.js");
+    const { enterVr: enter } = await import("../view/webxr.js");
     await enter(viewer).catch((error) => toast(`The headset cannot be used: ${error.message}`));
   };
   const statistics = () => {

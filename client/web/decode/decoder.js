@@ -172,7 +172,7 @@ function readHeader(chunk) {
   };
 }
 
-/** @type {(reader: Reader) => import("./camera.js").RigCamera} */
+/** @type {(reader: Reader) => import("./scene.js").RigCamera} */
 function readCamera(reader) {
   const length = reader.u8();
   must(length <= 64, "bad_scene_header", "a camera's name is too long");

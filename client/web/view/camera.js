@@ -16,14 +16,7 @@
  * @property {[number, number]} shift - principal point minus picture centre, as fractions of the picture's height
  */
 
-/**
- * @typedef {object} RigCamera
- * @property {string} name
- * @property {number[]} intrinsics - 9 numbers, row by row, pixels
- * @property {number[]} worldToCamera - 16 numbers, row by row
- * @property {number} width
- * @property {number} height
- */
+/** @typedef {import("../decode/scene.js").RigCamera} RigCamera */
 
 /** @type {(a: ArrayLike<number>, b: ArrayLike<number>) => number} */
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
