@@ -115,5 +115,5 @@ def _changed(rows: tuple[Row, ...], ours: TrainConfig) -> tuple[Row, ...]:
 
 
 def _star(config: TrainConfig) -> TrainConfig:
-    """The paper's faster variant (section IV): a partition every fourth frame at a posterior of 0.9."""
+    """The paper's faster variant (paper section V-A): a partition every fourth frame at a posterior of 0.9."""
     return replace(config, predict=replace(config.predict, partition_interval=4, posterior=0.9))

@@ -145,7 +145,7 @@ def value(coder: Coder, b: int, number: int | None) -> int:
 
 
 def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None, raised: Rows | None = None) -> Rows:
-    """Rows of integers with energy context, section 6.3; `raised` is added to their bins."""
+    """Rows of integers with energy context, FORMAT.md section 6.3; `raised` is added to their bins."""
     weight = [65536 // (256 + m) if m else 0 for m in scale]
     expected = [max(1, (w * m + 128) >> 8) if m else 0 for w, m in zip(weight, scale, strict=True)]
     total = sum(expected)
@@ -168,7 +168,7 @@ def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None,
 
 
 def classes(coder: Coder, rows: int, count: int, wanted: Sequence[int] | None) -> list[int]:
-    """Which of `count` classes each row is of, section 6.4."""
+    """Which of `count` classes each row is of, FORMAT.md section 6.4."""
     models: dict[tuple[int, int], list[int]] = {}
     result: list[int] = []
     for i in range(rows):
@@ -185,7 +185,7 @@ def classes(coder: Coder, rows: int, count: int, wanted: Sequence[int] | None) -
 def classed_columns(
     coder: Coder, rows: int, scales: Sequence[Sequence[int]], wanted: tuple[list[int], Rows] | None
 ) -> Rows:
-    """Rows of integers, each class coded apart, section 6.4; `wanted` are classes and numbers."""
+    """Rows of integers, each class coded apart, FORMAT.md section 6.4; `wanted` are classes and numbers."""
     of_row = classes(coder, rows, len(scales), None if wanted is None else wanted[0])
     result: Rows = [[] for _ in range(rows)]
     for k, scale in enumerate(scales):
@@ -197,7 +197,7 @@ def classed_columns(
 
 
 def trend(numbers: Sequence[int], shifts: Sequence[int]) -> list[int]:
-    """A channel of mode 3 from what 6.4 gives, each number in 2^shift, section 8."""
+    """A channel of mode 3 from what 6.4 gives, each number in 2^shift, FORMAT.md section 8."""
     total, result = 0, []
     for number, shift in zip(numbers, shifts, strict=True):
         half = (1 << shift) >> 1
@@ -207,7 +207,7 @@ def trend(numbers: Sequence[int], shifts: Sequence[int]) -> list[int]:
 
 
 def dynamic_set(coder: Coder, touched: Sequence[int], changed: Sequence[int] | None) -> list[int]:
-    """Which rows change, as 0 and 1, where `touched` says which ones have before, section 9."""
+    """Which rows change, as 0 and 1, where `touched` says which ones have before, FORMAT.md section 9."""
     blocks, models = [[1, 1] for _ in range(8)], [[1, 1] for _ in range(16)]
     used, before, bits = 0, 0, [0, 0, 0]
     result: list[int] = []
@@ -226,7 +226,7 @@ def dynamic_set(coder: Coder, touched: Sequence[int], changed: Sequence[int] | N
 
 
 def latents(coder: Coder, before: Rows, scale: Sequence[int], numbers: Rows | None) -> Rows:
-    """Latent differences of the changed rows, which had latents `before`, section 9."""
+    """Latent differences of the changed rows, which had latents `before`, FORMAT.md section 9."""
     models = [[1, 1] for _ in range(4)]
     flags: list[int] = []
     for i, past in enumerate(before):
@@ -242,12 +242,12 @@ def latents(coder: Coder, before: Rows, scale: Sequence[int], numbers: Rows | No
 
 
 def steady_motion(positions: Rows, age: int, span: int) -> Rows:
-    """How far rows go in `span` frames if they go on as in `age` since the keyframe, in 1/128 step, section 9."""
+    """Motion in `span` frames at the mean speed of `age` frames, in 1/128 step, FORMAT.md section 9."""
     return [[128 * p * min(span, 255) // age if age else 0 for p in row] for row in positions]
 
 
 def positions(coder: Coder, motion: Rows, scale: int, steadily: bool, delta: Rows | None) -> Rows:
-    """Position differences of the changed rows whose steady motion is `motion`, section 9."""
+    """Position differences of the changed rows whose steady motion is `motion`, FORMAT.md section 9."""
     average, before, mean = [scale] * 3, 3 * scale, 3 * scale
     trend, result = [0] * 3, []
     for i, steady in enumerate(motion):
@@ -269,7 +269,7 @@ def positions(coder: Coder, motion: Rows, scale: int, steadily: bool, delta: Row
 
 
 def octree(coder: Coder, depth: int, count: int, leaves: Sequence[Voxel] | None) -> list[Voxel]:
-    """`count` leaves of an octree of `depth`, in Morton order, section 7."""
+    """`count` leaves of an octree of `depth`, in Morton order, FORMAT.md section 7."""
     models: dict[tuple[int, int, int], list[int]] = {}
     nodes: list[tuple[Voxel, int]] = [((0, 0, 0), 0)]
     for d in range(depth):

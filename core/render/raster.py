@@ -28,7 +28,7 @@ class Probe:
 
     @property
     def gradients(self) -> Tensor:
-        """[M,2] float32 dL/d(projected mean) of `visible`, times half the width and height (method notes 7).
+        """[M,2] float32 dL/d(projected mean) of `visible`, times half the width and height.
 
         The scaling makes thresholds independent of the picture's size: a unit is half a picture.
 

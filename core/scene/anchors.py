@@ -15,7 +15,7 @@ from core.arrays import Bool, Float32, Int16, Int32, check_array
 from core.camera import Camera
 from core.scene.octree import Octree
 
-FEATURE_LATENTS = 12  # paper, section IV: latent size 12 for features and for offsets
+FEATURE_LATENTS = 12  # paper section V-A: latent size 12 for features and for offsets
 OFFSET_LATENTS = 12
 LATENTS = FEATURE_LATENTS + OFFSET_LATENTS
 HIDDEN = 32
@@ -130,7 +130,7 @@ class SceneHeader:
         octree: grid geometry.
         gaussians_per_anchor: K.
         view_dependent: whether the network sees direction and distance.
-        reference_distance: d_max, world units (method notes 8.A row 5).
+        reference_distance: d_max, world units (docs/method.md, reading 5).
         position_steps: [L] float32 world units of one position step, a level each.
         feature_steps: [F] float32; offset_steps: [3K] float32; scaling_steps: [6] float32.
         background: [3] float32 RGB in [0, 1] behind everything.

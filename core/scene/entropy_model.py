@@ -78,7 +78,7 @@ def magnitude_bits(highest: int = 64) -> Float32:
     """[BINS, highest + 1] bits that |v| = 0 .. `highest` costs in each bin, sign included.
 
     Between integers the cost is meant to be interpolated linearly: with k = floor(|v|) and f = |v| - k,
-    ``(1 - f) * table[bin, k] + f * table[bin, k + 1]`` is the rate term of training (codec notes, section 5).
+    ``(1 - f) * table[bin, k] + f * table[bin, k + 1]`` is the rate term of training.
     """
     bits = PROBABILITY_BITS - np.log2(FREQUENCIES)
     table = np.empty((BINS, highest + 1))

@@ -1,6 +1,6 @@
 """Anchors to Gaussians for one view: the reference arithmetic of the decoder, in numpy.
 
-Every other implementation (training in torch, the browser) is tested against this one. Paper section III-A, equations
+Every other implementation (training in torch, the browser) is tested against this one. Paper section IV-A, equations
 of Scaffold-GS type decoding; conventions in `core.scene.anchors`.
 """
 
@@ -25,7 +25,7 @@ def expand(
     Args:
         viewpoint: [3] camera centre in world units.
         highest_level: finest level to draw; all levels by default.
-        by_distance: also drop levels that are finer than the anchor's distance calls for (paper section III-A).
+        by_distance: also drop levels that are finer than the anchor's distance calls for (paper section IV-A).
     """
     top = len(scene.levels) - 1 if highest_level is None else min(highest_level, len(scene.levels) - 1)
     clouds = []

@@ -1,7 +1,7 @@
 """The octree's geometry: levels, cells, and Morton order.
 
 Level 0 is the coarsest; a cell of level l is half as wide as one of level l - 1. Anchors sit on grid nodes, which are
-integers (method notes 1.2; the paper's section III-A speaks of voxel centres, which differ by half a cell only).
+integers (docs/method.md, reading 7).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Octree:
             raise ValueError(f"an octree has 1 to {MAX_LEVELS} levels, not {self.levels}")
 
     def cell(self, level: int) -> float:
-        """Width of a cell of `level` in world units: root_cell / 2^level (paper section III-A)."""
+        """Width of a cell of `level` in world units: root_cell / 2^level (paper section IV-A)."""
         return self.root_cell / 2.0**level
 
     def voxel_of(self, positions: Float32 | Float64, level: int) -> Int32:
@@ -54,7 +54,7 @@ class Octree:
 def level_for_distance(distance: Float64, reference_distance: float, extra: Float64, highest: int) -> Int64:
     """Finest level drawn for anchors at `distance` [N] from a camera: round(log2(d_max / d) + extra) in [0, highest].
 
-    Paper section III-A, read as in the method notes 8.A rows 1-3: near anchors get high, that is fine, levels.
+    Paper section IV-A, read as in docs/method.md, readings 1 to 3: near anchors get high, that is fine, levels.
     """
     with np.errstate(divide="ignore"):
         wanted = np.log2(reference_distance / np.maximum(distance, 1e-12)) + extra

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from core.arrays import Int16, Int32, Int64
 
-DEFAULT_OFFSET = 0.34  # of the measured useful range 0.30 to 0.38 (codec notes, section 5); 0.5 would be plain rounding
+DEFAULT_OFFSET = 0.34  # measured: docs/bitstream.md; 0.5 would be plain rounding
 
 
 def dead_zone(values: NDArray[Any], offset: float = DEFAULT_OFFSET) -> Int32:

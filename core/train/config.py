@@ -21,7 +21,7 @@ class ModelConfig:
         features: size F of an anchor's feature (paper: 32).
         view_dependent: feed direction and distance to the network (paper: yes).
         cell_pixels: width of a level-0 cell as seen from the reference distance, in pixels.
-        levels: number of octree levels, or None to derive it from the distances (paper section III-A).
+        levels: number of octree levels, or None to derive it from the distances (paper section IV-A).
         finer_levels: levels beyond those; pictures hold more detail than first points do.
         max_anchors: most anchors of a keyframe.
         selection: draw all levels, or per camera only those that its distance calls for (paper).
@@ -60,7 +60,7 @@ class KeyframeConfig:
     final_rate: float = 0.1
     dssim_weight: float = 0.2
     scale_weight: float = 0.01
-    dropout_base: float = 0.05  # gamma = base + slope * level, ramped over the run (paper section III-A)
+    dropout_base: float = 0.05  # gamma = base + slope * level, ramped over the run (paper section IV-A)
     dropout_slope: float = 0.025
     dropout_cap: float = 0.5
     progressive_until: float = 0.0  # levels unlock until this fraction of the run; 0: all from the start

@@ -131,7 +131,7 @@ function checked(chunk, { profile }, coded = true) {
 /** @type {(mask: number) => number[]} */
 const bitsOf = (mask) => Array.from({ length: 16 }, (_, i) => i).filter((i) => (mask >> i) & 1);
 
-/** Sections 4 and 5. @type {(header: Uint8Array, weights: Uint8Array, keyframe: number) => Scene} */
+/** FORMAT.md sections 4 and 5. @type {(header: Uint8Array, weights: Uint8Array, keyframe: number) => Scene} */
 function readScene(headerChunk, weightsChunk, keyframe) {
   const header = readHeader(headerChunk);
   const { slots, levels } = header, features = header.featureSteps.length;

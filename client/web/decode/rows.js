@@ -112,7 +112,7 @@ function addTrend(values, c, channels, shifts) {
   }
 }
 
-/** Rows in classes of precision, section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */
+/** Rows in classes of precision, FORMAT.md section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */
 function decodeClasses(reader, coding, rows, channels) {
   const mask = reader.u8(), used = [0, 1, 2, 3, 4, 5, 6, 7].filter((s) => (mask >> s) & 1);
   must(mask > 0, "corrupt_chunk", "a chunk has no class of rows");

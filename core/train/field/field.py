@@ -24,7 +24,7 @@ class Field:
         position: [N,3] float32 world positions.
         feature: [N,F]; offset: [N,K,3]; scaling: [N,6] log-scales.
         network: shared by all anchors.
-        by_distance: draw only the anchors that a camera's distance calls for (paper section III-A).
+        by_distance: draw only the anchors that a camera's distance calls for (paper section IV-A).
     """
 
     octree: Octree
@@ -100,7 +100,7 @@ class Field:
 
 
 def visible_levels(field: Field, centre: Tensor, highest: int) -> Tensor:
-    """[N] bool: anchors that the distance to a camera at `centre` [3] calls for (paper section III-A).
+    """[N] bool: anchors that the distance to a camera at `centre` [3] calls for (paper section IV-A).
 
     The torch twin of `core.scene.octree.level_for_distance`.
     """

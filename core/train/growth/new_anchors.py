@@ -1,4 +1,4 @@
-"""Anchors that come in during a later frame: chosen, started, and put into integers (paper section III-C, growing)."""
+"""Anchors that come in during a later frame: chosen, started, and put into integers (paper section V-A, refinement)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Between the steps of the first frame: anchors grow where Gaussians pull hard, and faint ones go (section III-A)."""
+"""Growing and pruning between the training steps of the first frame (paper section IV-A)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Growing and pruning anchors (Octree-GS rules, method notes 1.8, with the paper's readings 8.A rows 3, 12 and 14)."""
+"""Growing and pruning anchors by the rules of Octree-GS (docs/method.md, readings 3, 11 and 13)."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def grow(
 
 
 def earned_extra_level(field: Field, gradient: Tensor, config: KeyframeConfig) -> Tensor:
-    """[N] anchors whose mean gradient earns them extra level (paper section III-A)."""
+    """[N] anchors whose mean gradient earns them extra level (paper section IV-A)."""
     per_slot = gradient.reshape(len(field), field.slots)
     mean = per_slot.sum(dim=1) / (per_slot > 0).sum(dim=1).clamp_min(1)
     threshold = config.growth_threshold * _LEVEL_FACTOR ** field.level.float()

@@ -32,7 +32,7 @@ class Easel:
         return rasterise(*splats.astuple(), camera, torch.zeros(3, device=splats.means.device), backend=self.backend)
 
     def loss(self, raster: Raster, splats: Splats, number: int) -> Tensor:
-        """Equation 5 of the paper, with Scaffold-GS's regulariser of the volume (method notes 8.A row 39)."""
+        """Equation 10 of the paper, with Scaffold-GS's regulariser of the volume (docs/method.md, reading 20)."""
         image = self.exposure.apply(raster.image, number)
         loss = photometric_loss(image, self.views.targets[number], self.config.dssim_weight)
         if self.config.scale_weight:

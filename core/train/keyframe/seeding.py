@@ -1,4 +1,4 @@
-"""First anchors from first points: levels, cells, weed-out, initial values (paper section III-A)."""
+"""First anchors from first points: levels, cells, weed-out, initial values (paper section IV-A)."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def seed_field(
 
 
 def distance_bounds(positions: Float32, cameras: tuple[Camera, ...]) -> tuple[float, float]:
-    """(d_min, d_max): quantiles of the distances from the cameras to the points, pooled as in the notes 8.A row 5."""
+    """(d_min, d_max): quantiles of the distances from the cameras to the points (docs/method.md, reading 5)."""
     sample = positions[:: max(1, len(positions) // _SAMPLE)].astype(np.float64)
     distances = [np.linalg.norm(sample - camera.centre, axis=1) for camera in cameras]
     farthest = max(float(np.quantile(d, _FAR_QUANTILE)) for d in distances)

@@ -1,4 +1,4 @@
-"""Training the first frame: an anchor model from nothing but points and pictures (paper section III-A)."""
+"""Training the first frame: an anchor model from nothing but points and pictures (paper section IV-A)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves: pixels first, then anchors (paper section III-B; method notes 8.A rows 18-23).
+"""What moves: pixels first, then anchors (paper section IV-B; docs/method.md, readings 16 to 18).
 
 Pixels: each camera's picture is compared with its *reference*, the picture that the model was last trained to show
 there. Only changes above the camera's own noise count, so a still scene yields nothing at all, whatever the model's

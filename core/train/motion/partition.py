@@ -1,4 +1,4 @@
-"""Scores of motion for the anchors of a scene, and what follows from them (paper section III-B)."""
+"""Scores of motion for the anchors of a scene, and what follows from them (paper section IV-B)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A value is coded under a bin of its expected magnitude. Here, as in the codec, that expectation comes from the other
 values of the anchor and from the average anchor; it is a constant to the gradient. Between integers the cost is
-interpolated linearly (codec notes, section 5).
+interpolated linearly.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from core.train.config import KeyframeConfig
 
-_UNLOCK_RATIO = 1 / 1.5  # each level unlocks after 1/1.5 of the interval before it (Octree-GS; method notes 1.5)
+_UNLOCK_RATIO = 1 / 1.5  # each level unlocks after 1/1.5 of the interval before it (docs/method.md, reading 9)
 
 
 def keyframe_rates(config: KeyframeConfig, progress: float) -> dict[str, float]:
@@ -26,7 +26,7 @@ def keyframe_rates(config: KeyframeConfig, progress: float) -> dict[str, float]:
 def dropout_keep(level: Tensor, config: KeyframeConfig, progress: float, generator: torch.Generator) -> Tensor:
     """[G] factors of the opacities: 0 for dropped Gaussians, 1 / (1 - r) for the others.
 
-    r = (base + slope * level) * progress, capped (paper section III-A; compensation as in DropGaussian).
+    r = (base + slope * level) * progress, capped (paper section IV-A; compensation as in DropGaussian).
 
     Args:
         level: [G] level of each Gaussian's anchor.
@@ -36,7 +36,7 @@ def dropout_keep(level: Tensor, config: KeyframeConfig, progress: float, generat
 
 
 def unlocked_level(levels: int, config: KeyframeConfig, progress: float) -> int:
-    """Finest level in use at `progress`: from the middle one upwards, in shrinking intervals (method notes 1.5)."""
+    """Finest level in use at `progress`, from the middle one upwards (docs/method.md, reading 9)."""
     first = levels // 2
     steps = levels - 1 - first
     if steps <= 0 or config.progressive_until <= 0:

@@ -1,4 +1,4 @@
-"""Training one later frame: quantised residuals of the dynamic anchors only (paper section III-C).
+"""Training one later frame: quantised residuals of the dynamic anchors only (paper section IV-C).
 
 The state is the decoder's: every frame starts from dequantised integers and ends by rounding, so encoder and decoder
 cannot drift apart. Between the rounds the latents are real numbers whose forward pass is rounded (straight-through).
