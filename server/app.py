@@ -7,7 +7,6 @@ import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -16,9 +15,11 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
 from server.api import downloads, live, push, streams
-from server.api.access import PROBLEMS, Problem, need, problem_response, registry_of
+from server.api.access import need, registry_of
 from server.api.schemas import Health
 from server.auth.gate import Right
+from server.http.problems import PROBLEMS, Problem, problem_response
+from server.http.site_policy import SitePolicy
 from server.http.static_page import PageFiles
 from server.metrics import collector_registry
 from server.pipeline.spec import StreamSpec
@@ -43,11 +44,6 @@ async function show() {
 }
 show(); setInterval(show, 2000);
 </script></html>"""
-_PAGE_POLICY = {
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "X-Frame-Options": "SAMEORIGIN",
-}
 
 
 def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAPI:
@@ -74,13 +70,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     _add_health(app)
     _add_page(app)
 
-    @app.middleware("http")
-    async def secure(request: Request, call_next: Any) -> Response:
-        response: Response = await call_next(request)
-        for name, value in _PAGE_POLICY.items():
-            response.headers.setdefault(name, value)
-        return response
-
+    app.add_middleware(SitePolicy, settings=settings)
     return app
 
 

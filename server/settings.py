@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import tomllib
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from core.errors import InputError
 from server.pipeline.options import NewStream
 
 MEGABYTE = 1_000_000
+_ORIGIN = re.compile(r"https?://[A-Za-z0-9.*-]+(:\d{1,5})?")
 
 
 class Limits(BaseModel):
@@ -102,6 +104,12 @@ class Settings(BaseModel):
     origins: tuple[str, ...] = Field(
         default=(), description="origins of web pages that may connect besides the server's own"
     )
+    hosts: tuple[str, ...] = Field(
+        default=(), description="host names that the server answers to besides local ones, addresses and `origins`"
+    )
+    frame_ancestors: tuple[str, ...] = Field(
+        default=(), description="origins of sites that may show the page in a frame"
+    )
     certificate: Path | None = Field(default=None, description="TLS certificate chain (PEM)")
     certificate_key: Path | None = Field(default=None, description="TLS private key (PEM)")
     drain_seconds: float = Field(default=8.0, gt=0, le=10, description="time that viewers get to leave after SIGTERM")
@@ -131,7 +139,7 @@ class Settings(BaseModel):
         """Refuse combinations that are not safe.
 
         Raises:
-            InputError: a public address without tokens, or half a certificate.
+            InputError: a public address without tokens, or half a certificate, or origins that are none.
         """
         if self.is_public and not (self.has_tokens or self.insecure):
             raise InputError(
@@ -140,6 +148,10 @@ class Settings(BaseModel):
             )
         if (self.certificate is None) != (self.certificate_key is None):
             raise InputError("certificate", "TLS needs both the certificate and its key")
+        for name in ("origins", "frame_ancestors"):
+            for origin in getattr(self, name):
+                if not _ORIGIN.fullmatch(origin):
+                    raise InputError(name, f"{origin!r:.80} is not an origin; write https://stage.example")
 
 
 def load_settings(path: Path) -> Settings:

@@ -3,64 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import ipaddress
 import time
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Any
 from urllib.parse import urlsplit
 
 from fastapi import Depends, Request
-from fastapi.responses import JSONResponse
 from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocket
 
 from core.errors import SessionError
-from server.api.schemas import ProblemBody
 from server.auth.gate import Gate, Right
+from server.http.problems import Problem
+from server.http.site_policy import is_own_host
 from server.protocol.messages import FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
 from server.registry import Registry
 from server.stream.stream import Stream
 
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, and cannot read the answer
 _REFUSAL_SECONDS = 0.5  # every refusal takes so long, whatever was wrong
-
-
-class Problem(Exception):
-    """An error answer (RFC 9457).
-
-    Args:
-        status: HTTP status.
-        detail: one sentence.
-        headers: further headers.
-    """
-
-    def __init__(self, status: int, detail: str, headers: dict[str, str] | None = None) -> None:
-        super().__init__(status, detail)
-        self.status, self.detail, self.headers = status, detail, headers
-
-
-TITLES = {
-    400: "Bad request", 401: "Token missing or wrong", 403: "Not allowed", 404: "Not found", 405: "Method not allowed",
-    409: "Conflict", 410: "Gone", 416: "Range not satisfiable", 422: "Unusable content", 429: "Too many refusals",
-    500: "Fault in the server", 503: "Not ready",
-}  # fmt: skip
-
-
-PROBLEMS: dict[int | str, dict[str, Any]] = {
-    status: {"model": ProblemBody, "content": {"application/problem+json": {}}, "description": text}
-    for status, text in {
-        400: "the body is no JSON", 401: "token missing or wrong", 403: "the token lacks the right",
-        404: "there is no such thing", 409: "conflict", 410: "it has left the window", 413: "the request is too large",
-        416: "the range lies outside", 422: "the request is malformed", 429: "too many wrong tokens",
-    }.items()
-}  # fmt: skip
-
-
-def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> JSONResponse:
-    """A problem as `application/problem+json`."""
-    body = {"type": "about:blank", "title": TITLES.get(status, "Error"), "status": status, "detail": detail}
-    return JSONResponse(body, status, headers, media_type="application/problem+json")
 
 
 def registry_of(connection: HTTPConnection) -> Registry:
@@ -106,28 +67,15 @@ async def _refuse(gate: Gate, address: str, begin: float) -> Problem:
 
 
 def is_foreign(connection: HTTPConnection) -> bool:
-    """Whether a page of another origin than the server's own and those of the settings is behind the request.
-
-    Where everybody on this machine may do everything, the server's own origin is localhost or a number: somebody else's
-    name may have been made to lead here after a page was loaded from it.
-    """
+    """Whether a page of another origin than the server's own and those of the settings is behind the request."""
     settings, origin = registry_of(connection).settings, connection.headers.get("origin")
     if not origin or origin in settings.origins:
         return False
     try:
-        place = urlsplit(origin)
+        place = urlsplit(origin).netloc
     except ValueError:
         return True
-    if place.netloc != connection.headers.get("host"):
-        return True
-    return not (settings.has_tokens or settings.is_public or _is_own_name(place.hostname or ""))
-
-
-def _is_own_name(name: str) -> bool:
-    """Whether a host name can only mean this machine, or is an address."""
-    with contextlib.suppress(ValueError):
-        return bool(ipaddress.ip_address(name))
-    return name == "localhost" or name.endswith(".localhost")
+    return place != connection.headers.get("host") or not is_own_host(place, settings)
 
 
 async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:

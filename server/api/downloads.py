@@ -10,8 +10,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from codec.splice import size_of, splice
-from server.api.access import PROBLEMS, Problem, StreamOf, need_download
+from server.api.access import StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
+from server.http.problems import PROBLEMS, Problem
 from server.protocol.packets import Position, StreamPacket
 from server.stream.stream import Stream
 

@@ -11,7 +11,8 @@ from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
 from codec.splice import FilePart, Piece, size_of
-from server.api.access import Problem, registry_of
+from server.api.access import registry_of
+from server.http.problems import Problem
 
 _CHUNK_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")

@@ -120,15 +120,6 @@ class Link(BaseModel):
     expires_at: datetime
 
 
-class ProblemBody(BaseModel):
-    """An error (RFC 9457)."""
-
-    type: str
-    title: str
-    status: int
-    detail: str
-
-
 class Health(BaseModel):
     """Whether the server works."""
 

@@ -11,9 +11,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from core.errors import InputError
-from server.api.access import PROBLEMS, Problem, StreamOf, need, refusal, registry_of
+from server.api.access import StreamOf, need, refusal, registry_of
 from server.api.schemas import Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
+from server.http.problems import PROBLEMS, Problem
 from server.pipeline.options import NewStream
 from server.protocol.packets import Position
 from server.registry import Registry

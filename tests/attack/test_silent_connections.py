@@ -76,13 +76,13 @@ def partial(chooser: random.Random) -> bytes:
     """The beginning of something that a client may send, damaged now and then."""
     whole = chooser.choice(
         [
-            b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n",
-            b"GET /v1/streams HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n",
-            b"POST /v1/streams HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 500\r\n\r\n{",
-            b"POST /v1/streams HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nabc",
-            b"CONNECT x:1 HTTP/1.1\r\nHost: x\r\n\r\n",
-            b"GET / HTTP/1.1\r\nHost: x\r\nConnection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\n\r\n",
-            b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\nGET /hea",
+            b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n",
+            b"GET /v1/streams HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n",
+            b"POST /v1/streams HTTP/1.1\r\nHost: localhost\r\nContent-Length: 500\r\n\r\n{",
+            b"POST /v1/streams HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nabc",
+            b"CONNECT x:1 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+            b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\n\r\n",
+            b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /hea",
             b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
             upgrade(),
             upgrade() + masked(1, b'{"type":"hello","versions":[2]}'),

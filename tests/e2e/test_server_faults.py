@@ -225,7 +225,7 @@ def test_hostile_requests_are_refused_and_counted(clip: Clip, tmp_path: Path) ->
 
         slow, body, silent = connect(), connect(), connect()
         slow.sendall(b"GET /v1/streams HTTP/1.1\r\n")
-        body.sendall(b"POST /v1/streams HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\n{")
+        body.sendall(b"POST /v1/streams HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{")
         for _ in range(3):
             time.sleep(0.25)
             slow.sendall(b"X-A: b\r\n")
@@ -237,7 +237,7 @@ def test_hostile_requests_are_refused_and_counted(clip: Clip, tmp_path: Path) ->
         with contextlib.suppress(ConnectionError):
             for _ in range(100):
                 huge.sendall(b"X: " + b"a" * 8000 + b"\r\n")
-        chunked.sendall(b"POST /v1/streams HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n")
+        chunked.sendall(b"POST /v1/streams HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n")
         with contextlib.suppress(ConnectionError):
             for _ in range(100):
                 chunked.sendall(b"1000\r\n" + b"a" * 4096 + b"\r\n")

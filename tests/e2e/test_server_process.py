@@ -100,7 +100,7 @@ def test_sigterm_tells_viewers_and_ends_within_ten_seconds_with_a_clean_log(clip
         viewer.until("caught_up")
         stack.enter_context(live(port))  # has not said hello
         stuck = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
-        stuck.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * 120)  # takes no answer
+        stuck.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n" * 120)  # takes no answer
         pool = stack.enter_context(ThreadPoolExecutor(1))
         poll = pool.submit(get, port, "/v1/streams/main/manifest?after_epoch=9&wait_ms=9000")
         time.sleep(0.2)

@@ -31,7 +31,7 @@ from tests.codec.scenes import assert_same_level, assert_same_state, make_scene,
 from tests.server.conftest import Clip, make_clip, running, viewing
 
 HANDSHAKE = (
-    "GET /v1/streams/main/live HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "GET /v1/streams/main/live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
     "Sec-WebSocket-Protocol: streamlod.v1\r\n\r\n"
 )

@@ -63,7 +63,7 @@ def test_a_message_in_endless_parts_is_refused() -> None:
 def test_a_peer_that_takes_no_answer_is_cut(upgraded: bool) -> None:
     settings = Settings(limits=Limits(stuck_seconds=0.3, hello_seconds=0.2))
     with running(settings, _STREAM) as server, peer_of(server, upgraded=upgraded) as peer:
-        request = _PINGS * 10 if upgraded else b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * 120
+        request = _PINGS * 10 if upgraded else b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n" * 120
         with contextlib.suppress(ConnectionError):
             peer.sendall(request)
         until_away(server, "stalled")
@@ -74,7 +74,7 @@ def test_a_peer_that_takes_no_answer_is_cut(upgraded: bool) -> None:
 
 def test_requests_that_wait_for_each_other_are_not_piled_up() -> None:
     with running(Settings(), _STREAM) as server, peer_of(server, upgraded=False) as peer:
-        peer.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n" * 1000)
+        peer.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n" * 1000)
         answers = b""
         with contextlib.suppress(ConnectionError):
             while more := peer.recv(1 << 20):
