@@ -172,8 +172,9 @@ class LiveDataset:
             try:
                 into[:] = plan(picture.load())
             except InputError as error:
-                rig.refuse(picture.camera, error.fault)
+                rig.note_decoded(picture.camera, error.fault)
                 return False
+            rig.note_decoded(picture.camera)
             return True
 
         present = list(pool.map(one, self.developments, slot.pictures, images))

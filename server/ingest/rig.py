@@ -38,6 +38,7 @@ class _Last:
     drift_ppm: float = 0.0
     connections: int = 0
     fault: str = ""
+    refused: str = ""  # why its newest picture could not be used
     ended: bool = False
     put: int = 0
     holder: object = None  # the capture node that pushes it
@@ -164,7 +165,7 @@ class Rig:
         """A slot goes to training now."""
         with self._change:
             self._delivered += 1
-            self._latency_ns = self._timeline.now_ns() - slot.capture_ns
+            self._latency_ns = max(0, self._timeline.now_ns() - slot.capture_ns)  # a sender's clock may be ahead
 
     def note_stale(self) -> None:
         """A slot that was given out is not used: there is a newer one."""
@@ -197,10 +198,12 @@ class Rig:
         """See `intake.PushTarget`."""
         return self._last[camera].holder is holder
 
-    def refuse(self, camera: str, fault: str) -> None:
-        """Note that a picture of a camera could not be used."""
+    def note_decoded(self, camera: str, fault: str = "") -> None:
+        """A picture of a camera was decoded for training, or could not be, for the reason `fault`."""
         with self._change:
-            self._last[camera].fault = fault
+            if fault and not self._last[camera].refused:
+                _LOG.warning("camera %s: %s", camera, fault)
+            self._last[camera].refused = fault
 
     def statistics(self) -> Statistics:
         """A snapshot."""
@@ -213,7 +216,7 @@ class Rig:
                 clock, connections = clocks.get(name, (None, 0))
                 drift = 0.0 if clock is None else clock.drift_ppm
                 cameras[name] = CameraStatistics(
-                    states[name], last.source, last.error_ns, drift, counts[name], connections, last.fault
+                    states[name], last.source, last.error_ns, drift, counts[name], connections, last.fault, last.refused
                 )
             return Statistics(
                 self._synchroniser.is_degraded(now),

@@ -11,7 +11,10 @@ from server.ingest.sync.synchroniser import CameraState, Counts
 
 @dataclass(frozen=True, slots=True)
 class CameraStatistics:
-    """How one camera does: state, what its time rests on, drift of its clock, counters, connections, last fault."""
+    """How one camera does: state, what its time rests on, drift of its clock, counters, connections, last fault.
+
+    `refused` says why its newest picture could not be used for training, and is empty when it could.
+    """
 
     state: CameraState
     clock_source: ClockSource | None
@@ -20,6 +23,7 @@ class CameraStatistics:
     counts: Counts
     connections: int
     fault: str
+    refused: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +52,15 @@ class Statistics:
 
 
 def complaint(figures: dict[str, Any]) -> str:
-    """Which cameras are lost and why, in a sentence; empty where none is.
+    """Which cameras deliver nothing that can be used, and why, in a sentence; empty where none is.
 
     Args:
         figures: a `Statistics` in JSON.
     """
-    lost = {name: one["fault"] for name, one in figures["cameras"].items() if one["state"] == CameraState.LOST}
-    return "; ".join(f"camera {name} is lost" + (f" ({fault})" if fault else "") for name, fault in lost.items())
+    parts = []
+    for name, one in figures["cameras"].items():
+        if one["state"] == CameraState.LOST:
+            parts.append(f"camera {name} is lost" + (f" ({one['fault']})" if one["fault"] else ""))
+        elif one.get("refused"):
+            parts.append(f"camera {name} {one['refused']}")
+    return "; ".join(parts)

@@ -18,7 +18,6 @@ import av.stream
 import numpy as np
 
 from core.arrays import UInt8
-from core.data.pictures import MAX_SIDE
 from core.errors import InputError
 from server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
 from server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
@@ -126,17 +125,15 @@ class Reader:
                 raise InputError(f"camera {self.camera}", "its source holds no pictures, only other streams")
             stream = container.streams.video[0]
             stream.codec_context.thread_count = 1  # frame threads would each hold pictures back
-            stream.codec_context.options = {"max_pixels": str(MAX_SIDE * MAX_SIDE)}
+            stream.codec_context.options = {"max_pixels": str(max_pixels(self._size))}
+            self._check_size(stream.codec_context.width, stream.codec_context.height)
             self.clock = CaptureClock(self._fps, expects_ntp=self._address.scheme in ("rtsp", "rtsps"))
             self.connections += 1
             first: int | None = None
             for media, seen, frame in self._frames(container, stream, self.clock):
                 if self._stopping.is_set():
                     return
-                if (frame.width, frame.height) != self._size:
-                    width, height = self._size
-                    fault = f"delivers {frame.width}x{frame.height}, but is calibrated for {width}x{height}"
-                    raise InputError(f"camera {self.camera}", fault)
+                self._check_size(frame.width, frame.height)
                 if self._address.is_live:
                     found = self.clock.capture(seen)
                 else:
@@ -144,6 +141,12 @@ class Reader:
                     found = self._wait(media - first) if media is not None and first is not None else None
                 if found is not None:
                     self._deliver(frame, found)
+
+    def _check_size(self, width: int, height: int) -> None:
+        """Refuse another size than the calibrated one; 0 stands for one that is not known yet."""
+        if width and height and (width, height) != self._size:
+            fault = f"delivers {width}x{height}, but is calibrated for {self._size[0]}x{self._size[1]}"
+            raise InputError(f"camera {self.camera}", fault)
 
     def _open(self, stack: contextlib.ExitStack) -> av.container.InputContainer:
         address = self._address
@@ -188,6 +191,11 @@ class Reader:
         self._sequence += 1
         picture = Picture(self.camera, found.capture_ns, found.source, found.error_ns, self._sequence, self._size, load)
         self._sink.put(picture)
+
+
+def max_pixels(size: tuple[int, int]) -> int:
+    """Largest picture that a decoder may allocate for a camera of (width, height): padded to whole blocks."""
+    return (size[0] + 64) * (size[1] + 64)
 
 
 def _report(packet: av.Packet[Any]) -> tuple[int, int] | None:

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import av
-import cv2
 import numpy as np
 
 from core.arrays import UInt8
-from core.data.pictures import encoded_size
+from core.data.announced import AnnouncedPicture, announced_picture
+from core.data.pictures import decode
 from core.errors import InputError
+from server.ingest.cameras.reader import max_pixels
 from server.ingest.push.message import Codec, PushMessage
 from server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
 from server.ingest.sync.picture import Picture
@@ -44,6 +45,9 @@ class PushTarget(Protocol):
     def put(self, picture: Picture) -> None:
         """A picture has come."""
 
+    def note_decoded(self, camera: str, fault: str = "") -> None:
+        """A picture of a camera was decoded, or could not be, for the reason `fault`."""
+
     def gone(self, camera: str, reason: str, *, ended: bool) -> None:
         """A camera delivers nothing for now."""
 
@@ -71,8 +75,15 @@ class Intake:
         size = self._target.pushed.get(message.camera)
         if size is None:
             raise InputError(f"camera {message.camera!r:.80}", "is not one of the rig's that are pushed")
-        if message.codec is not Codec.H264:
-            _check_size(message, size)
+        try:
+            self._accept(message, size)
+        except InputError as error:
+            if message.camera not in self._newest or self._target.holds(message.camera, self):
+                self._target.note_decoded(message.camera, error.fault)
+            raise
+
+    def _accept(self, message: PushMessage, size: tuple[int, int]) -> None:
+        still = None if message.codec is Codec.H264 else _announced(message, size)
         if message.camera not in self._newest:
             self._target.claim(message.camera, self)
             self._newest[message.camera] = -1
@@ -81,11 +92,11 @@ class Intake:
         if message.sequence <= self._newest[message.camera]:
             return
         found = self._time(message)
-        if message.codec is Codec.H264:
+        if still is None:
             self._decode(message, size, found)
         elif found is not None:
-            body, camera = message.body, message.camera
-            self._put(message, size, found.capture_ns, found, lambda: _pixels(body, camera, size))
+            camera = message.camera
+            self._put(message, size, found.capture_ns, found, lambda: _pixels(still, camera))
         self._newest[message.camera] = message.sequence
 
     def close(self) -> None:
@@ -129,12 +140,13 @@ class Intake:
         self._target.put(Picture(message.camera, capture, source, found.error_ns, message.sequence, size, load))
 
 
-def _check_size(message: PushMessage, size: tuple[int, int]) -> None:
-    found = encoded_size(message.body)
-    if found is None:
-        raise InputError(f"camera {message.camera}", f"sent something that is no {message.codec.upper()} picture")
-    if found != size:
-        raise _wrong_size(message.camera, found, size)
+def _announced(message: PushMessage, size: tuple[int, int]) -> AnnouncedPicture:
+    picture = announced_picture(message.body)
+    if picture is None:
+        raise InputError(f"camera {message.camera}", f"sent no {message.codec.upper()} picture, or part of one")
+    if picture.size != size:
+        raise _wrong_size(message.camera, picture.size, size)
+    return picture
 
 
 def _wrong_size(camera: str, found: tuple[int, int], size: tuple[int, int]) -> InputError:
@@ -142,16 +154,16 @@ def _wrong_size(camera: str, found: tuple[int, int], size: tuple[int, int]) -> I
     return InputError(f"camera {camera}", fault)
 
 
-def _pixels(body: bytes, camera: str, size: tuple[int, int]) -> UInt8:
-    picture = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if picture is None or picture.shape != (size[1], size[0], 3):
+def _pixels(picture: AnnouncedPicture, camera: str) -> UInt8:
+    pixels = decode(picture)
+    if pixels is None:
         raise InputError(f"camera {camera}", "sent a picture that does not decode")
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+    return pixels
 
 
 def _h264_decoder(size: tuple[int, int]) -> av.VideoCodecContext:
     context = av.CodecContext.create("h264", "r")
     assert isinstance(context, av.VideoCodecContext)
     context.thread_count = 1
-    context.options = {"max_pixels": str((size[0] + 64) * (size[1] + 64))}
+    context.options = {"max_pixels": str(max_pixels(size))}
     return context

@@ -183,7 +183,7 @@ def test_refuses_pictures_that_do_not_fit(live: Frames) -> None:
         ("cam9", Codec.PNG, encoded(1), "not one of"),
         ("cam0", Codec.JPEG, small, "8x8"),
         ("cam0", Codec.PNG, bytes(bomb), "60000x60000"),
-        ("cam0", Codec.JPEG, b"GIF89a", "no JPEG"),
+        ("cam0", Codec.JPEG, b"GIF89a", "no JPEG picture"),
         ("cam0", Codec.H264, b"\0\0\1\x65" + bytes(range(200)), "does not decode"),
     ]:
         with pytest.raises(InputError, match=reason):
@@ -197,10 +197,10 @@ def test_a_damaged_picture_counts_as_missing(tmp_path: Path) -> None:
     assert rig is not None
     intake, now = Intake(rig), rig.now_ns
     whole = encoded(3)
-    intake.accept(PushMessage("cam0", 3, now, Codec.PNG, whole[:40] + bytes(50)))
+    intake.accept(PushMessage("cam0", 3, now, Codec.PNG, whole[:60] + bytes(20) + whole[80:]))
     intake.accept(PushMessage("cam1", 3, now, Codec.PNG, whole))
     live.wait(lambda: rig.statistics().delivered >= 1)
-    live.wait(lambda: "decode" in rig.statistics().cameras["cam0"].fault)
+    live.wait(lambda: "decode" in rig.statistics().cameras["cam0"].refused)
     live.close()
     assert [list(frame.present) for frame in live.got] == [[False, True]]
 

@@ -1,0 +1,84 @@
+"""What an encoded picture announces, and the picture without anything else: checked before a decoder sees it.
+
+A decoder that reads a header differently from us could be made to allocate more than was announced. So these readers
+accept only what every decoder reads alike, one frame header among segments of known length (ITU-T T.81 section B.2,
+PNG third edition section 5), and refuse the rest. Compressed text and animations of PNG, which could unpack to any
+size, are left out of what is decoded.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+MAX_SEGMENTS = 1024  # before the pixels of a JPEG
+MAX_CHUNKS = 65536  # of a PNG
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_PIXELS = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
+_JPEG = b"\xff\xd8"
+_END_OF_IMAGE = b"\xff\xd9"
+_START_OF_SCAN = 0xDA
+_FRAME_HEADERS = {0xC0, 0xC1, 0xC2}  # baseline, extended sequential, progressive; Huffman-coded
+_TABLES = {0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)}  # Huffman, quantisation, restart interval, comment, application
+
+
+@dataclass(frozen=True, slots=True)
+class AnnouncedPicture:
+    """A picture that has not been decoded.
+
+    Attributes:
+        size: (width, height) in pixels, each at least 1.
+        data: what to decode.
+    """
+
+    size: tuple[int, int]
+    data: bytes
+
+
+def announced_picture(data: bytes) -> AnnouncedPicture | None:
+    """The picture in PNG or JPEG bytes, or None for anything else, for a part of one, and for an ambiguous header."""
+    found = _png(data) if data.startswith(_PNG) else _jpeg(data) if data.startswith(_JPEG) else None
+    return found if found is not None and min(found.size) > 0 else None
+
+
+def _jpeg(data: bytes) -> AnnouncedPicture | None:
+    """Walk the marker segments up to the first scan."""
+    at, size = 2, None
+    for _ in range(MAX_SEGMENTS):
+        while data[at : at + 2] == b"\xff\xff":  # fill bytes
+            at += 1
+        if at + 4 > len(data) or data[at] != 0xFF:
+            return None
+        marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
+        if marker == _START_OF_SCAN:
+            return AnnouncedPicture(size, data) if size is not None and data.find(_END_OF_IMAGE, at) >= 0 else None
+        if length < 2 or at + 2 + length > len(data):
+            return None
+        if marker in _FRAME_HEADERS and size is None and length >= 8:
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            size = width, height
+        elif marker not in _TABLES:
+            return None
+        at += 2 + length
+    return None
+
+
+def _png(data: bytes) -> AnnouncedPicture | None:
+    """Walk the chunks, and keep those that hold pixels."""
+    at, kept, size = len(_PNG), [_PNG], None
+    for _ in range(MAX_CHUNKS):
+        if at + 12 > len(data):
+            return None
+        length, kind = struct.unpack_from(">I4s", data, at)
+        end = at + 12 + length
+        if end > len(data) or (kind == b"IHDR") != (size is None) or (kind == b"IHDR" and length != 13):
+            return None
+        if kind == b"IHDR":
+            size = struct.unpack_from(">II", data, at + 8)
+        if kind in _PNG_PIXELS:
+            kept.append(data[at:end])
+        if kind == b"IEND":
+            return AnnouncedPicture((size[0], size[1]), b"".join(kept)) if size is not None else None
+        at = end
+    return None
