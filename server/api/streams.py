@@ -15,7 +15,7 @@ from server.api.access import StreamOf, need, refusal, registry_of
 from server.api.schemas import Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem
-from server.pipeline.options import NewStream
+from server.pipeline.new_stream import NewStream
 from server.protocol.packets import Position
 from server.registry import Registry
 from server.stream.stream import Stream

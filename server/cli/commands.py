@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 _BENCHES = "tests.bench"
 _SUFFIX = "_bench"
-_LARGEST_DOWNSCALE = 64
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -54,36 +53,29 @@ def synth(
     return f"{folder}: {kind}, {cameras} cameras, {frames} frames of {size}"
 
 
-def check_recording(
-    data: Path, layout: str | None, train: tuple[str, ...], test: tuple[str, ...], views: int | None, downscale: float
-) -> None:
-    """Refuse an unusable recording or choice of cameras within a second, before the training libraries are loaded."""
+def check_cameras(job: TrainJob) -> None:
+    """Refuse an unusable recording, rig or choice of cameras within a second, before a training library is loaded."""
     from core.data import linspace_split, open_dataset
-
-    if downscale > _LARGEST_DOWNSCALE:
-        raise InputError("--downscale", f"must lie between 1 and {_LARGEST_DOWNSCALE}, not {downscale:g}")
-    names = open_dataset(data, layout=layout, downscale=downscale).names
-    if not train:
-        linspace_split(names, views, test)
-    both = sorted(set(train) & set(test))
-    if both:
-        raise InputError("--train", f"{', '.join(both)} cannot both train and be held out")
-    unknown = sorted({*train, *test} - set(names))
-    if unknown:
-        raise InputError("--train", f"there is no camera {', '.join(unknown)} in {data}; there are {', '.join(names)}")
-
-
-def check_rig(path: Path, train: tuple[str, ...], test: tuple[str, ...], views: int | None) -> None:
-    """Refuse an unusable live rig or choice of cameras before a worker is started for it."""
-    from core.data import linspace_split
     from server.ingest.cameras.definition import read_definition
 
-    names = tuple(camera.name for camera in read_definition(path).cameras)
-    if not train:
-        linspace_split(names, views, test)
-    unknown = sorted({*train, *test} - set(names))
+    if job.data is not None:
+        source: Path | None = job.data
+        names = open_dataset(job.data, layout=job.layout, downscale=job.downscale).names
+    elif isinstance(job.live, Path):
+        source = job.live
+        names = tuple(camera.name for camera in read_definition(job.live).cameras)
+    else:
+        return
+    if not job.train:
+        linspace_split(names, job.views, job.test)
+    both = sorted(set(job.train) & set(job.test))
+    if both:
+        raise InputError("--train", f"{', '.join(both)} cannot both train and be held out")
+    unknown = sorted({*job.train, *job.test} - set(names))
     if unknown:
-        raise InputError("--train", f"there is no camera {', '.join(unknown)} in {path}; there are {', '.join(names)}")
+        raise InputError(
+            "--train", f"there is no camera {', '.join(unknown)} in {source}; there are {', '.join(names)}"
+        )
 
 
 def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:

@@ -166,8 +166,6 @@ def _server(settings: DemoSettings, clip: Path) -> Iterator[str]:
         "serve",
         "--data",
         str(clip),
-        "--preset",
-        "live",
         "--views",
         str(settings.views),
         "--test",

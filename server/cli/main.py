@@ -16,25 +16,25 @@ import typer
 from core.errors import InputError
 from server.cli.explain import INTERRUPTED, explain
 from server.cli.options import (
+    DEFAULTS,
+    TRAINING,
     Data,
     Device,
-    DeviceOption,
     Downscale,
-    FrameBudget,
     Frames,
-    Interval,
-    LayoutOption,
+    Layout,
     Preset,
     Seed,
     SlodFile,
     SnapshotFormat,
     SplitFile,
-    TargetRate,
     Test,
-    Views,
     names_in,
     numbers_in,
+    takes,
 )
+from server.pipeline.job import SOURCES, TrainJob
+from server.pipeline.spec import STREAM_OPTIONS, spec_from_json
 
 app = typer.Typer(
     name="streamlod",
@@ -54,7 +54,7 @@ def synth(
     cameras: Annotated[int, typer.Option(min=1, help="Number of cameras.")] = 13,
     frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
     size: Annotated[str, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = "480x270",
-    seed: Seed = 0,
+    seed: Seed = DEFAULTS["seed"],
     kind: Annotated[str, typer.Option(help="The place: room, bright, theatre or outdoor.")] = "room",
     speed: Annotated[float, typer.Option(min=0, help="Pixels a frame of the fastest; 0: the place's own pace.")] = 0.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
@@ -64,43 +64,19 @@ def synth(
 
 
 @app.command()
+@takes(TRAINING)
 def train(
     data: Data,
     out: Annotated[Path, typer.Option(metavar="FILE.slod", help="Bitstream to write.")],
-    views: Views = None,
-    train: Annotated[str, typer.Option(metavar="cam01,cam02", help="Training cameras by name.")] = "",
-    test: Test = "",
-    frames: Frames = None,
-    downscale: Downscale = 1.0,
-    preset: Preset = "balanced",
-    device: DeviceOption = Device.auto,
-    seed: Seed = 0,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the figures here.")] = None,
     trace: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the stages as a Chrome trace.")] = None,
-    layout: LayoutOption = None,
-    frame_budget_ms: FrameBudget = None,
-    target_kbps: TargetRate = None,
-    keyframe_interval: Interval = 100,
+    **options: Any,
 ) -> None:
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
+    job = TrainJob(data=data, **options)
     _call("server.cli.commands:check_outputs", out, json, trace)
-    _call("server.cli.commands:check_recording", data, layout, names_in(train), names_in(test), views, downscale)
-    job = _load("server.pipeline.job:TrainJob")(
-        data=data,
-        layout=layout,
-        train=names_in(train),
-        test=names_in(test),
-        views=views,
-        frames=frames,
-        downscale=downscale,
-        preset=preset,
-        device=device.value,
-        seed=seed,
-        frame_budget_ms=frame_budget_ms,
-        target_kbps=target_kbps,
-        keyframe_interval=keyframe_interval,
-    )
+    _call("server.cli.commands:check_cameras", job)
     _call("server.cli.commands:train", job, out, json, trace)
 
 
@@ -113,7 +89,7 @@ def evaluate(
     save_images: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write truth, rendering and difference side by side.")
     ] = None,
-    layout: LayoutOption = None,
+    layout: Layout = None,
 ) -> None:
     """Decode a file, render the held-out cameras, and measure quality, size and speed."""
     _require_folder(data)
@@ -121,30 +97,16 @@ def evaluate(
 
 
 @app.command()
+@takes(STREAM_OPTIONS)
 def serve(
-    data: Annotated[Path | None, typer.Option(metavar="DATA", help="Train this recording live.")] = None,
-    live: Annotated[Path | None, typer.Option(metavar="RIG.json", help="Train what these cameras film.")] = None,
-    play: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Stream a recorded file instead.")] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free one.  [default: 8000]")] = None,
-    device: DeviceOption = Device.auto,
-    preset: Preset = "live",
-    views: Views = None,
-    train: Annotated[str, typer.Option(metavar="cam01,cam02", help="Training cameras by name.")] = "",
-    test: Test = "",
-    frames: Frames = None,
-    downscale: Downscale = 1.0,
-    seed: Seed = 0,
-    layout: LayoutOption = None,
-    frame_budget_ms: FrameBudget = None,
-    target_kbps: TargetRate = None,
-    keyframe_interval: Interval = 100,
-    loop: Annotated[bool, typer.Option(help="Begin a played file again at its end.")] = True,
     state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
     config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,
     tokens: Annotated[Path | None, typer.Option(metavar="FILE", help="Token file: who may do what.")] = None,
     metrics_port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port of Prometheus metrics.")] = None,
     insecure: Annotated[bool, typer.Option("--insecure", help="Allow a public address without tokens.")] = False,
+    **options: Any,
 ) -> None:
     """Run the service: REST, live websocket and the viewer page. Without a source, streams come by REST."""
     given = {
@@ -158,31 +120,15 @@ def serve(
     chosen = {name: value for name, value in given.items() if value is not None}
     loaded = _load("server.settings:load_settings")(config) if config is not None else None
     settings = _load("server.settings:Settings")(**({} if loaded is None else loaded.model_dump()) | chosen)
-    if data is not None:
-        _require_folder(data)
-        _call("server.cli.commands:check_recording", data, layout, names_in(train), names_in(test), views, downscale)
-    if live is not None:
-        _require_folder(live)
-        _call("server.cli.commands:check_rig", live, names_in(train), names_in(test), views)
-    source = {"data": data, "live": live, "play": play}
     streams = tuple(stream.spec for stream in settings.streams)
-    if any(source.values()):
-        options = {
-            "loop": loop,
-            "layout": layout,
-            "train": names_in(train),
-            "test": names_in(test),
-            "views": views,
-            "frames": frames,
-            "downscale": downscale,
-            "preset": preset,
-            "device": device.value,
-            "seed": seed,
-            "frame_budget_ms": frame_budget_ms,
-            "target_kbps": target_kbps,
-            "keyframe_interval": keyframe_interval,
-        }
-        streams += (_load("server.pipeline.spec:spec_from_json")(source | options),)
+    if any(options[name] is not None for name in (*SOURCES, "play")):
+        for name in ("data", "live"):
+            if options[name] is not None:
+                _require_folder(options[name])
+        stream = spec_from_json(options)
+        if stream.job is not None:
+            _call("server.cli.commands:check_cameras", stream.job)
+        streams += (stream,)
     _call("server.cli.commands:serve", settings, streams)
 
 
@@ -271,11 +217,11 @@ def study(
             help="Parts to leave out in turn: all, or some of lod,partition,quantisation,dropout,heads,star,cue."
         ),
     ] = "all",
-    downscale: Downscale = 1.0,
+    downscale: Downscale = DEFAULTS["downscale"],
     test: Test = "",
     split: SplitFile = None,
-    preset: Preset = "balanced",
-    device: DeviceOption = Device.auto,
+    preset: Preset = DEFAULTS["preset"],
+    device: Device = DEFAULTS["device"],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds is not redone.")] = Path(
         "study-output"
     ),
@@ -292,7 +238,7 @@ def study(
         test=names_in(test),
         split=split,
         preset=preset,
-        device=device.value,
+        device=device,
     )
     _call("client.evaluation.packet_sizes:study", data, out, options)
 
@@ -302,10 +248,10 @@ def tradeoff(
     data: Data,
     frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 8,
     views: Annotated[int, typer.Option(min=1, help="So many training cameras.")] = 5,
-    downscale: Downscale = 1.0,
+    downscale: Downscale = DEFAULTS["downscale"],
     test: Test = "",
     split: SplitFile = None,
-    device: DeviceOption = Device.auto,
+    device: Device = DEFAULTS["device"],
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each point.")] = 1,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds stays.")] = Path("tradeoff-output"),
 ) -> None:
@@ -317,7 +263,7 @@ def tradeoff(
         downscale=downscale,
         test=names_in(test),
         split=split,
-        device=device.value,
+        device=device,
         seeds=seeds,
     )
     _call("client.evaluation.packet_sizes:tradeoff", data, out, options)

@@ -1,32 +1,19 @@
-"""Types and words of the command line's options."""
+"""Options and arguments of the command line; those of a stream and its training are made from their one declaration."""
 
 from __future__ import annotations
 
+import inspect
+import json
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args, get_origin
 
 import typer
 
 from core.errors import InputError
-
-
-class Device(StrEnum):
-    """Where to compute."""
-
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
-
-
-class Layout(StrEnum):
-    """Of recordings: `core.data.LAYOUTS`, which is not loaded for a help text."""
-
-    n3dv = "n3dv"
-    meetroom = "meetroom"
-    colmap = "colmap"
-    transforms = "transforms"
-    caliscope = "caliscope"
+from server.pipeline.job import JOB_OPTIONS, SOURCES
+from server.pipeline.options import Option
 
 
 class SnapshotFormat(StrEnum):
@@ -36,31 +23,28 @@ class SnapshotFormat(StrEnum):
     spz = "spz"
 
 
-SlodFile = Annotated[Path, typer.Argument(metavar="FILE.slod", help="A recorded bitstream.")]
-Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recording; its layout is detected.")]
-LayoutOption = Annotated[Layout | None, typer.Option(help="Layout of DATA, where detection is wrong.")]
-Test = Annotated[str, typer.Option(metavar="cam00[,...]", help="Held-out cameras, never trained on.")]
-DeviceOption = Annotated[Device, typer.Option(help="auto takes a CUDA device where there is one.")]
-Views = Annotated[int | None, typer.Option(min=1, help="So many training cameras, evenly spread over the rest.")]
-Preset = Annotated[str, typer.Option(help="live, balanced, quality or paper.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
-Frames = Annotated[int | None, typer.Option(min=1, help="At most so many frames.")]
-SplitFile = Annotated[
-    Path | None, typer.Option(help='JSON file {"train": [...], "test": [...]} that names cameras instead of views.')
-]
-FrameBudget = Annotated[
-    float | None, typer.Option(min=1, metavar="MS", help="Train each later frame for so long; quality gives way.")
-]
-TargetRate = Annotated[float | None, typer.Option(min=1, metavar="KBPS", help="Keep predicted packets to this rate.")]
-Interval = Annotated[
-    int, typer.Option("--keyframe-interval", min=1, metavar="FRAMES", help="Most frames between keyframes.")
-]
-Downscale = Annotated[float, typer.Option(min=1, help="Make pictures so many times smaller.")]
-
-
 def names_in(text: str) -> tuple[str, ...]:
     """Words between commas."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def fields_in(text: str) -> dict[str, int | float | str | bool]:
+    """Names and values of ``cameras=5,still=true,kind=room``.
+
+    Raises:
+        BadParameter: a part without ``=``.
+    """
+    found: dict[str, int | float | str | bool] = {}
+    for part in names_in(text):
+        name, equals, value = part.partition("=")
+        if not equals:
+            raise typer.BadParameter(f"{part!r} is not NAME=VALUE")
+        try:
+            read = json.loads(value)
+        except ValueError:
+            read = value
+        found[name.strip()] = read if isinstance(read, int | float | bool) else value
+    return found
 
 
 def numbers_in(option: str, text: str) -> tuple[int, ...]:
@@ -69,3 +53,86 @@ def numbers_in(option: str, text: str) -> tuple[int, ...]:
     if not words or not all(word.isascii() and word.isdecimal() and 0 < len(word) < 6 and int(word) for word in words):
         raise InputError(option, f"{text!r} is not a list of positive numbers, for example 3,4,5")
     return tuple(dict.fromkeys(int(word) for word in words))
+
+
+def described(option: Option) -> Any:
+    """What typer shows and checks of an option."""
+    parser: Callable[[str], Any] | None = None
+    metavar = option.metavar
+    if option.choices:
+        parser, metavar = _one_of(option.choices), "|".join(option.choices)
+    elif _is_list(option):
+        parser = names_in
+    elif _is_mapping(option):
+        parser = fields_in
+    return typer.Option(help=option.help, min=option.minimum, max=option.maximum, metavar=metavar, parser=parser)
+
+
+def takes(options: Iterable[Option]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Let a command take these options in place of its parameter ``**options``, in this order, after its own."""
+
+    def widen(command: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(command, eval_str=True)
+        own = [each for each in signature.parameters.values() if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        added = [
+            inspect.Parameter(each.name, keyword, default=_default(each), annotation=_annotation(each))
+            for each in options
+        ]
+        command.__signature__ = signature.replace(parameters=own + added)  # type: ignore[attr-defined]
+        return command
+
+    return widen
+
+
+def _one_of(choices: tuple[str, ...]) -> Callable[[str], str]:
+    def choice(text: str) -> str:
+        if text not in choices:
+            raise typer.BadParameter(f"{text!r} is not one of {', '.join(choices)}")
+        return text
+
+    return choice
+
+
+def _is_list(option: Option) -> bool:
+    return get_origin(option.type) is tuple
+
+
+def _is_mapping(option: Option) -> bool:
+    return any(get_origin(kind) is dict for kind in get_args(option.type)) and Path not in get_args(option.type)
+
+
+def _annotation(option: Option) -> Any:
+    return Annotated[_type(option), described(option)]
+
+
+def _type(option: Option) -> Any:
+    """The type that typer is told: what it can convert itself, or the text that a parser takes."""
+    if _is_list(option):
+        return str
+    if _is_mapping(option):
+        return str | None
+    if Path in get_args(option.type):
+        return Path | None
+    return option.type
+
+
+def _default(option: Option) -> Any:
+    return "" if _is_list(option) else option.default
+
+
+_JOB = {option.name: option for option in JOB_OPTIONS}
+DEFAULTS: dict[str, Any] = {option.name: option.default for option in JOB_OPTIONS}
+TRAINING = tuple(option for option in JOB_OPTIONS if option.name not in SOURCES)
+SlodFile = Annotated[Path, typer.Argument(metavar="FILE.slod", help="A recorded bitstream.")]
+Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recording; its layout is detected.")]
+Layout = Annotated[str | None, described(_JOB["layout"])]
+Test = Annotated[str, typer.Option(metavar=_JOB["test"].metavar, help=_JOB["test"].help)]
+Device = Annotated[str, described(_JOB["device"])]
+Preset = Annotated[str, described(_JOB["preset"])]
+Seed = Annotated[int, described(_JOB["seed"])]
+Frames = Annotated[int | None, described(_JOB["frames"])]
+Downscale = Annotated[float, described(_JOB["downscale"])]
+SplitFile = Annotated[
+    Path | None, typer.Option(help='JSON file {"train": [...], "test": [...]} that names cameras instead of views.')
+]

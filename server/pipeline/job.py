@@ -1,63 +1,84 @@
-"""What is trained, and how: small and plain, so that it travels to a worker process and lies in a catalogue as JSON."""
+"""What is trained, and how: small and plain, so that it travels to a worker process and lies in a catalogue as JSON.
+
+The fields of `TrainJob` are the one declaration of their names, bounds, defaults and help (`server.pipeline.options`).
+"""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from core.errors import InputError
+from server.pipeline.options import option, options_of
 
 SOURCES = ("data", "live", "synthetic")
+MAX_PATH = 4096
+MAX_CAMERAS = 256
 
 
 @dataclass(frozen=True, slots=True)
 class TrainJob:
-    """Exactly one of `data`, `live` and `synthetic` says where frames come from.
+    """Exactly one of `data`, `live` and `synthetic` says where frames come from; the help of each field says the rest.
 
-    Attributes:
-        data: folder of a data set.
-        live: description of a live rig (docs/ingest.md): its file, or the same as a mapping.
-        synthetic: fields of `core.synthetic.SyntheticSpec` for a clip made on the fly.
-        layout: of the folder, or None to detect it.
-        train, test: names of cameras; where `train` is empty, `views` of the rest are chosen by the linspace rule.
-        frames: at most so many, or None for all.
-        downscale: factor by which pictures are made smaller.
-        preset, device, seed: of the trainer.
-        points: where first points come from, see `core.initialise.first_points`.
-        keyframe_interval: most frames between keyframes; sooner ones come when they save bytes (`codec.renewal`).
-        frame_budget_ms: wall time for training each later frame, or None for as long as it takes.
-        target_kbps: kilobits a second for predicted packets, or None for any.
+    Where `train` is empty, `views` of the cameras that `test` does not name are chosen by the linspace rule
+    (`core.data.linspace_split`).
 
     Raises:
-        InputError: no single source, or a budget or a rate that is not positive.
+        InputError: no single source, or a value out of bounds.
     """
 
-    data: Path | None = None
-    live: Path | dict[str, Any] | None = None
-    synthetic: dict[str, Any] | None = None
-    layout: str | None = None
-    train: tuple[str, ...] = ()
-    test: tuple[str, ...] = ()
-    views: int | None = None
-    frames: int | None = None
-    downscale: float = 1.0
-    preset: str = "balanced"
-    device: str = "auto"
-    seed: int = 0
-    points: str = "auto"
-    keyframe_interval: int = 100
-    frame_budget_ms: float | None = None
-    target_kbps: float | None = None
+    data: Path | None = option(None, "Train this folder of a recording.", metavar="DATA", max_length=MAX_PATH)
+    live: Path | dict[str, Any] | None = option(
+        None, "Train what the cameras of this rig film: its file, or by REST the rig itself.", metavar="RIG.json"
+    )
+    synthetic: dict[str, int | float | str | bool] | None = option(
+        None, "Train a synthetic clip made on the fly.", metavar="cameras=5,frames=30"
+    )
+    layout: str | None = option(
+        None,
+        "Layout of the recording, where detection is wrong.",
+        choices=("n3dv", "meetroom", "colmap", "transforms", "caliscope"),
+    )
+    train: tuple[str, ...] = option((), "Training cameras by name.", metavar="cam01,cam02", max_length=MAX_CAMERAS)
+    test: tuple[str, ...] = option(
+        (), "Held-out cameras, never trained on.", metavar="cam00[,...]", max_length=MAX_CAMERAS
+    )
+    views: int | None = option(
+        None, "So many training cameras, evenly spread over the rest.", minimum=1, maximum=MAX_CAMERAS
+    )
+    frames: int | None = option(None, "At most so many frames.", minimum=1, maximum=10_000_000)
+    downscale: float = option(1.0, "Make pictures so many times smaller.", minimum=1, maximum=64)
+    preset: str = option(
+        "balanced",
+        "What training spends on quality; paper is the published method.",
+        choices=("live", "balanced", "quality", "paper"),
+        stream_default="live",
+    )
+    device: str = option("auto", "auto takes a CUDA device where there is one.", choices=("auto", "cpu", "cuda"))
+    seed: int = option(0, "Of everything random.", minimum=0, maximum=2**31 - 1)
+    points: str = option(
+        "auto",
+        "First points: auto, colmap, sweep, colmap+sweep, vggt, random, or a .ply or .npz file.",
+        metavar="METHOD|FILE",
+        max_length=MAX_PATH,
+    )
+    keyframe_interval: int = option(
+        100, "Most frames between keyframes.", minimum=1, maximum=1_000_000, metavar="FRAMES"
+    )
+    frame_budget_ms: float | None = option(
+        None, "Train each later frame for so many milliseconds; quality gives way.",
+        minimum=1, maximum=1e6, metavar="MS",
+    )  # fmt: skip
+    target_kbps: float | None = option(
+        None, "Keep predicted packets to this rate, in kilobits a second.", minimum=1, maximum=1e7, metavar="KBPS"
+    )
 
     def __post_init__(self) -> None:
         if sum(getattr(self, name) is not None for name in SOURCES) != 1:
             raise InputError("what to train", "name one source: data, live or synthetic")
-        for name in ("frame_budget_ms", "target_kbps"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise InputError(name, f"must be positive, not {value}")
+        for each in JOB_OPTIONS:
+            each.check(getattr(self, each.name))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; `job_from_json` goes back."""
@@ -65,14 +86,15 @@ class TrainJob:
         return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
 
 
-JOB_FIELDS = frozenset(field.name for field in fields(TrainJob))
+JOB_OPTIONS = options_of(TrainJob)
+JOB_FIELDS = frozenset(each.name for each in JOB_OPTIONS)
 
 
 def job_from_json(values: dict[str, Any]) -> TrainJob:
     """The job with these fields, all of them of `JOB_FIELDS`.
 
     Raises:
-        InputError: no single source.
+        InputError: no single source, or a value out of bounds.
     """
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     for name in ("data", "live"):

@@ -1,46 +1,97 @@
-"""What a stream is made from, as REST bodies and the configuration file say it."""
+"""How an option is described: once, beside its field, for the command line, REST and the configuration file alike.
+
+`server.cli.options` makes command-line options of the descriptions, `server.pipeline.new_stream` the model of REST
+bodies and of the configuration file. This module imports no library, as `streamlod --help` loads it.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import dataclasses
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field
-
-from server.pipeline.spec import StreamSpec, spec_from_json
+from core.errors import InputError
 
 
-class NewStream(BaseModel):
-    """A stream to create: exactly one of `data`, `live`, `play` and `synthetic`."""
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One option as every interface offers it.
 
-    model_config = ConfigDict(
-        extra="forbid",
-        json_schema_extra={"examples": [{"id": "stage", "synthetic": {"cameras": 5, "frames": 30}, "start": True}]},
+    Attributes:
+        name: of the field; the command line says ``--some-name`` for ``some_name``.
+        type: of the field.
+        default: value where none is given.
+        help: what it does, in one sentence; with units.
+        minimum, maximum: smallest and largest number that is taken.
+        max_length: most characters of a text, or items of a list.
+        pattern: regular expression that the whole text matches, from ``^`` to ``$``.
+        choices: the values that are taken, where these are few.
+        metavar: what stands for the value in the help of the command line.
+        stream_default: default of a stream that is watched while it trains, where it is another than for a file.
+    """
+
+    name: str
+    type: Any
+    default: Any
+    help: str
+    minimum: float | None = None
+    maximum: float | None = None
+    max_length: int | None = None
+    pattern: str | None = None
+    choices: tuple[str, ...] = ()
+    metavar: str | None = None
+    stream_default: Any = None
+
+    def check(self, value: Any) -> None:
+        """Raise InputError if `value`, of the right type, is out of bounds."""
+        if value is None:
+            return
+        if self.choices and value not in self.choices:
+            raise InputError(self.name, f"must be one of {', '.join(self.choices)}, not {value!r:.80}")
+        if self.minimum is not None or self.maximum is not None:
+            low = -math.inf if self.minimum is None else self.minimum
+            high = math.inf if self.maximum is None else self.maximum
+            if not low <= value <= high:
+                raise InputError(self.name, f"must lie between {low:g} and {high:g}, not {value}")
+        if self.pattern is not None and not re.fullmatch(self.pattern, value):
+            raise InputError(self.name, f"{value!r:.80} does not match {self.pattern}")
+        if self.max_length is not None and len(value if isinstance(value, tuple) else str(value)) > self.max_length:
+            raise InputError(self.name, f"is longer than {self.max_length}")
+
+
+def option(
+    default: Any,
+    help: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    max_length: int | None = None,
+    pattern: str | None = None,
+    choices: tuple[str, ...] = (),
+    metavar: str | None = None,
+    stream_default: Any = None,
+) -> Any:
+    """A field of a dataclass that is an option; the arguments are those of `Option`."""
+    description = {
+        "help": help,
+        "minimum": minimum,
+        "maximum": maximum,
+        "max_length": max_length,
+        "pattern": pattern,
+        "choices": choices,
+        "metavar": metavar,
+        "stream_default": stream_default,
+    }
+    return dataclasses.field(default=default, metadata=description)
+
+
+def options_of(owner: type) -> tuple[Option, ...]:
+    """The options among the fields of a dataclass, in their order."""
+    types = get_type_hints(owner)
+    return tuple(
+        Option(field.name, types[field.name], field.default, **field.metadata)
+        for field in dataclasses.fields(owner)
+        if field.metadata
     )
-
-    id: str = Field(pattern="^[a-z0-9][a-z0-9_-]{0,63}$")
-    data: str | None = Field(default=None, max_length=4096, description="folder of a data set on the server")
-    live: str | dict[str, Any] | None = Field(
-        default=None, description="file of a live rig on the server, or the rig itself (docs/ingest.md)"
-    )
-    play: str | None = Field(default=None, max_length=4096, description="recorded .slod file on the server")
-    synthetic: dict[str, int | float | str | bool | list[int]] | None = Field(
-        default=None, description="clip made on the fly"
-    )
-    loop: bool = True
-    train: list[str] = Field(default=[], max_length=256)
-    test: list[str] = Field(default=[], max_length=256)
-    views: int | None = Field(default=None, ge=1, le=256)
-    frames: int | None = Field(default=None, ge=1, le=10_000_000)
-    downscale: float = Field(default=1.0, ge=1.0, le=64.0)
-    preset: str = Field(default="live", max_length=64)
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    seed: int = Field(default=0, ge=0, le=2**31 - 1)
-    frame_budget_ms: float | None = Field(default=None, gt=0, le=1e6, description="time to train each later frame")
-    target_kbps: float | None = Field(default=None, gt=0, le=1e7, description="rate of predicted packets")
-    keyframe_interval: int = Field(default=100, ge=1, le=1_000_000, description="most frames between keyframes")
-    start: bool = Field(default=False, description="start it at once")
-
-    @property
-    def spec(self) -> StreamSpec:
-        """What the stream is made from; InputError if it cannot be made."""
-        return spec_from_json(self.model_dump(exclude={"start"}, exclude_none=True))

@@ -3,40 +3,35 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from core.errors import InputError
-from server.pipeline.job import JOB_FIELDS, SOURCES, TrainJob, job_from_json
+from server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob, job_from_json
+from server.pipeline.options import option, options_of
 
-_ID = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
-_OWN_FIELDS = frozenset({"id", "play", "loop"})
-_PRESET = "live"  # where a stream names none
+_ID = "^[a-z0-9][a-z0-9_-]{0,63}$"
 
 
 @dataclass(frozen=True, slots=True)
 class StreamSpec:
-    """Either `job` or `play` says where packets come from.
-
-    Attributes:
-        id: name in URLs: lower-case letters, digits, ``-`` and ``_``.
-        job: what to train.
-        play: a recorded `.slod` file to stream in real time.
-        loop: whether `play` begins again at its end.
+    """Either `job`, what to train, or `play` says where packets come from; the help of the other fields says the rest.
 
     Raises:
-        InputError: a bad id, or no single source.
+        InputError: a bad id, no single source, or a value out of bounds.
     """
 
-    id: str = "main"
+    id: str = option("main", "Name in addresses: 1 to 64 lower-case letters, digits, - or _.", pattern=_ID)
     job: TrainJob | None = None
-    play: Path | None = None
-    loop: bool = True
+    play: Path | None = option(None, "Stream a recorded file in real time.", metavar="FILE.slod", max_length=MAX_PATH)
+    loop: bool = option(True, "Begin a played file again at its end.")
 
     def __post_init__(self) -> None:
-        if not _ID.fullmatch(self.id):
+        if not re.fullmatch(_ID, self.id):
             raise InputError(f"stream {self.id!r:.80}", "an id is 1 to 64 lower-case letters, digits, - or _")
+        for each in _OWN_OPTIONS:
+            each.check(getattr(self, each.name))
         if (self.job is None) == (self.play is None):
             raise InputError(f"stream {self.id}", "name one source: data, live, synthetic or play")
 
@@ -49,6 +44,14 @@ class StreamSpec:
         """Plain values, those of the job among them; `spec_from_json` goes back."""
         own = {"id": self.id, "play": None if self.play is None else str(self.play), "loop": self.loop}
         return own if self.job is None else own | self.job.to_json()
+
+
+_OWN_OPTIONS = options_of(StreamSpec)
+_OWN_FIELDS = frozenset(each.name for each in _OWN_OPTIONS)
+_STREAM_DEFAULTS = {each.name: each.stream_default for each in JOB_OPTIONS if each.stream_default is not None}
+STREAM_OPTIONS = _OWN_OPTIONS + tuple(
+    replace(each, default=_STREAM_DEFAULTS.get(each.name, each.default)) for each in JOB_OPTIONS
+)  # of a stream, with the defaults of one that is watched while it trains
 
 
 def spec_from_json(values: dict[str, Any]) -> StreamSpec:
@@ -65,4 +68,4 @@ def spec_from_json(values: dict[str, Any]) -> StreamSpec:
         own["play"] = Path(own["play"])
     job = {name: value for name, value in values.items() if name in JOB_FIELDS}
     has_source = any(values.get(name) is not None for name in SOURCES)
-    return StreamSpec(**own, job=job_from_json({"preset": _PRESET} | job) if has_source else None)
+    return StreamSpec(**own, job=job_from_json(_STREAM_DEFAULTS | job) if has_source else None)

@@ -23,6 +23,7 @@ from codec.packet.packet import PacketKind
 from codec.renewal import Renewal, RenewalRule
 from core.camera import Camera
 from core.data import Dataset, linspace_split, open_dataset, prefetch
+from core.errors import InputError
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.scene.anchors import Scene
@@ -137,9 +138,16 @@ def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
     elif job.data is not None:
         dataset = open_dataset(job.data, layout=job.layout, downscale=job.downscale)
     else:
-        dataset = open_synthetic(SyntheticSpec(**job.synthetic or {}))
+        dataset = open_synthetic(_synthetic(job.synthetic or {}))
     names = job.train or linspace_split(dataset.names, job.views, job.test).train
     return OpenJob(job, dataset.select(names), dataset.cameras)
+
+
+def _synthetic(values: dict[str, Any]) -> SyntheticSpec:
+    try:
+        return SyntheticSpec(**values)
+    except TypeError as error:  # a name that it does not have, or a value of another type
+        raise InputError("synthetic clip", f"has a wrong field ({error})") from error
 
 
 def train_stream(

@@ -22,7 +22,7 @@ from server.api.schemas import NewLink
 from server.auth.gate import Gate, hash_token, read_tokens
 from server.auth.keys import parse_keys
 from server.auth.links import LinkSigner
-from server.pipeline.options import NewStream
+from server.pipeline.new_stream import NewStream
 from server.protocol.messages import parse_control, parse_hello
 from server.settings import Settings, load_settings
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -20,9 +19,7 @@ from client.evaluation.packet_sizes import packet_size
 from codec.renewal import RenewalRule
 from core.scene.residual import difference
 from core.train import TrainConfig, Trainer
-from server.cli.main import serve, train
 from server.pipeline.job import TrainJob
-from server.pipeline.options import NewStream
 from tests.client.evaluation.conftest import shortened
 
 
@@ -40,9 +37,6 @@ def test_a_stream_pays_for_its_keyframes() -> None:
     assert stream_bytes(KEYFRAME_INTERVAL, 0) == 1
     defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RenewalRule().longest
     assert defaults == (KEYFRAME_INTERVAL, KEYFRAME_INTERVAL)
-    assert NewStream.model_fields["keyframe_interval"].default == KEYFRAME_INTERVAL
-    commands = [inspect.signature(command).parameters["keyframe_interval"].default for command in (train, serve)]
-    assert commands == [KEYFRAME_INTERVAL, KEYFRAME_INTERVAL]
 
 
 def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:

@@ -1,0 +1,61 @@
+"""The options of a stream as a pydantic model, for REST bodies and the configuration file."""
+
+from __future__ import annotations
+
+import operator
+from functools import reduce
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import ConfigDict, Field, create_model
+
+from server.pipeline.options import Option
+from server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
+
+
+def _json_type(kind: Any) -> Any:
+    """The type of an option as JSON and TOML have it: paths are texts, tuples are lists."""
+    if kind is Path:
+        return str
+    if get_origin(kind) is UnionType:
+        return reduce(operator.or_, map(_json_type, get_args(kind)))
+    if get_origin(kind) is tuple:
+        return list[str]
+    return kind
+
+
+def _field(option: Option) -> Any:
+    """Type and description of an option, as `create_model` takes them."""
+    kind = _json_type(option.type)
+    if option.choices:
+        choice: Any = Literal.__getitem__(option.choices)
+        kind = choice | None if option.default is None else choice
+    default = list(option.default) if isinstance(option.default, tuple) else option.default
+    bounds = {
+        "ge": option.minimum,
+        "le": option.maximum,
+        "max_length": option.max_length,
+        "pattern": option.pattern,
+    }
+    given: dict[str, Any] = {name: bound for name, bound in bounds.items() if bound is not None}
+    return kind, Field(default=default, description=option.help, **given)
+
+
+_StreamOptions = create_model("_StreamOptions", **{option.name: _field(option) for option in STREAM_OPTIONS})
+
+
+class NewStream(_StreamOptions):  # type: ignore[misc, valid-type]
+    """A stream to create: exactly one of `data`, `live`, `play` and `synthetic`."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"id": "stage", "synthetic": {"cameras": 5, "frames": 30}, "start": True}]},
+    )
+
+    start: bool = Field(default=False, description="Start it at once.")
+
+    @property
+    def spec(self) -> StreamSpec:
+        """What the stream is made from; InputError if it cannot be made."""
+        return spec_from_json(self.model_dump(exclude={"start"}, exclude_none=True))
