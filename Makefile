@@ -27,7 +27,7 @@ demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-ou
 	$(BIN)/streamlod demo
 
 test: install ## Run the tests
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadfile
 
 lint: install ## ruff and mypy
 	$(BIN)/ruff check .

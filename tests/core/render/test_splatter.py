@@ -48,13 +48,13 @@ def test_only_changed_rows_are_expanded_again(monkeypatch: pytest.MonkeyPatch) -
     import core.render.splatter
 
     counted = []
-    whole = core.splat.expand_slots
+    whole = core.render.splatter.expand_slots
 
     def counting(*arguments):  # type: ignore[no-untyped-def]
         counted.append(len(arguments[4]))
         return whole(*arguments)
 
-    monkeypatch.setattr(core.splat, "expand_slots", counting)
+    monkeypatch.setattr(core.render.splatter, "expand_slots", counting)
     first, second = states(2)
     splatter, camera = Splatter(), first.header.cameras[0]
     splatter.cloud(first, camera)
