@@ -30,7 +30,7 @@ LAYERS = {
         "progress", "trainer",
     ),
     "server": (
-        "protocol", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer", "registry",
+        "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer", "registry",
         "metrics api", "app", "run", "cli",
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead metrics", "rig", "live"),

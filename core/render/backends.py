@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import logging
+import os
 import shutil
+from pathlib import Path
 from typing import Literal
 
 from core.errors import BackendUnavailable
 
 Backend = Literal["cpu", "cuda", "reference"]
 _REMEDY = "choose the device cpu"
+_LOG = logging.getLogger(__name__)
 
 
 def select(device: str = "auto") -> Backend:
@@ -28,6 +32,8 @@ def select(device: str = "auto") -> Backend:
     if missing is None:
         return "cuda"
     if device == "auto":
+        if has_nvidia_device():
+            _LOG.warning("there is an NVIDIA GPU, but the CPU is used: %s", missing)
         return "cpu"
     raise BackendUnavailable("the cuda backend", missing)
 
@@ -43,7 +49,7 @@ def cuda_fault() -> str | None:
         return f"torch finds no CUDA device: install a driver and torch built for CUDA, or {_REMEDY}"
     if importlib.util.find_spec("gsplat") is None:
         return f"install gsplat>=1.5.3,<1.6, or {_REMEDY}"
-    if shutil.which("nvcc") is None and not _gsplat_is_compiled():
+    if shutil.which("nvcc") is None and not _gsplat_is_compiled() and not _gsplat_was_built():
         return f"gsplat compiles its kernels at first use and finds no nvcc: install the CUDA toolkit, or {_REMEDY}"
     return None
 
@@ -51,3 +57,17 @@ def cuda_fault() -> str | None:
 def _gsplat_is_compiled() -> bool:
     """Whether gsplat brought its kernels as a compiled module, as its own wheels for CUDA do."""
     return importlib.util.find_spec("gsplat.csrc") is not None
+
+
+def _gsplat_was_built() -> bool:
+    """Whether gsplat has compiled its kernels here before: then it loads them without a compiler."""
+    from torch.utils.cpp_extension import get_default_build_root
+
+    root = Path(os.environ.get("TORCH_EXTENSIONS_DIR") or get_default_build_root())
+    return any(root.rglob("gsplat_cuda.so"))
+
+
+def has_nvidia_device() -> bool:
+    """Whether the system shows an NVIDIA GPU, with or without a torch that can use it."""
+    files = (Path("/dev/nvidiactl"), Path("/dev/dxg"))  # Linux, and Linux inside Windows
+    return any(file.exists() for file in files) or shutil.which("nvidia-smi") is not None

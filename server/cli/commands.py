@@ -108,6 +108,7 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
 
 def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
     """Serve until told to stop."""
+    from core.render import select
     from server.run import serve as run
 
     for stream in streams:
@@ -115,6 +116,8 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
         for path in (stream.play, job and job.data, job and job.live):
             if isinstance(path, Path) and not path.exists():
                 raise InputError(path, "does not exist")
+        if job is not None and job.device == "cuda":
+            select(job.device)  # a GPU that was asked for is never replaced by the CPU in silence
     with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end
         run(settings, streams)
     return ""

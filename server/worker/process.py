@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from core.errors import InputError, StreamlodError
+from core.errors import BackendUnavailable, InputError, StreamlodError
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 
@@ -118,7 +118,7 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
             train(spec.job, scene, resume.frames, sender, push_socket)
         sender.send(Tag.END)
     except StreamlodError as error:
-        sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError)})
+        sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError | BackendUnavailable)})
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return  # the supervisor is gone
     except Exception as error:

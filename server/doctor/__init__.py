@@ -1,0 +1,1 @@
+"""`streamlod doctor`: what this machine can do, checked by doing it."""
