@@ -2,7 +2,7 @@
 
 A decoder that reads a header differently from us could be made to allocate more than was announced. So these readers
 accept only what every decoder reads alike, one frame header among segments of known length (ITU-T T.81 section B.2,
-PNG third edition section 5), and refuse the rest. Compressed text and animations of PNG, which could unpack to any
+PNG third edition, chunks), and refuse the rest. Compressed text and animations of PNG, which could unpack to any
 size, are left out of what is decoded.
 """
 

@@ -271,7 +271,7 @@ def tradeoff(
 
 @app.command()
 def doctor(
-    device: DeviceOption = Device.auto,
+    device: Device = DEFAULTS["device"],
     host: Annotated[str, typer.Option(help="Address that the service would listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port that it would listen on.")] = 8000,
     state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Where it would record.")] = None,
@@ -279,7 +279,7 @@ def doctor(
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Check what this machine can do; exit code 1 where something that was asked for does not work."""
-    findings = _load("server.doctor.report:examine")(device.value, host, port, state_dir, quick)
+    findings = _load("server.doctor.report:examine")(device, host, port, state_dir, quick)
     typer.echo(_load("server.doctor.report:as_json" if json else "server.doctor.report:as_table")(findings))
     if _load("server.doctor.report:worst")(findings) == "fault":
         raise typer.Exit(1)

@@ -232,7 +232,9 @@ async def play(folder: Path | None, seed: int, viewers: int) -> None:
 
 def run_schedules(folder: Path, monkeypatch: pytest.MonkeyPatch, rounds: int) -> None:
     monkeypatch.setattr(server.stream.stream, "_HUB_BYTES", 4000)  # so that viewers fall out of the hub's window
-    monkeypatch.setattr(server.stream.hub, "_STATE_BYTES", 30_000)  # and out of the states that one residual can start from
+    monkeypatch.setattr(
+        server.stream.hub, "_STATE_BYTES", 30_000
+    )  # and out of the states that one residual can start from
     for seed in range(rounds):
         asyncio.run(play(folder / str(seed) if seed % 2 else None, seed, VIEWERS))
 
