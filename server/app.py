@@ -15,7 +15,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
 from server.api import downloads, live, push, streams
-from server.api.access import need, registry_of
+from server.api.access import grant_of, need, registry_of
 from server.api.schemas import Health
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem, problem_response
@@ -134,7 +134,7 @@ def _add_health(app: FastAPI) -> None:
     )
     async def metrics(request: Request) -> PlainTextResponse:
         """The same as on the port of the metrics, for those with the right."""
-        text = generate_latest(collector_registry(registry_of(request)))
+        text = generate_latest(collector_registry(registry_of(request), grant_of(request)))
         return PlainTextResponse(text, media_type=CONTENT_TYPE_LATEST)
 
 

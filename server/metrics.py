@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from server.auth.gate import EVERYTHING, Grant, Right
 from server.ingest.metrics import ingest_families
 from server.registry import Registry
 
@@ -37,10 +38,15 @@ _COUNTERS = {
 
 
 class StreamCollector(Collector):
-    """Turns the registry's state into metric families, with a label for the stream."""
+    """Turns the registry's state into metric families, with a label for the stream.
 
-    def __init__(self, registry: Registry) -> None:
-        self._registry = registry
+    Args:
+        registry: of the server.
+        grant: the figures of streams that it allows; those of the whole server only if it covers all streams.
+    """
+
+    def __init__(self, registry: Registry, grant: Grant = EVERYTHING) -> None:
+        self._registry, self._grant = registry, grant
 
     def collect(self) -> Iterable[Metric]:
         """All families."""
@@ -50,7 +56,10 @@ class StreamCollector(Collector):
         counters = {
             name: CounterMetricFamily(f"streamlod_{name}", text, labels=["stream"]) for name, text in _COUNTERS.items()
         }
-        for label, stream in list(self._registry.streams.items()):
+        streams = {
+            name: stream for name, stream in self._registry.streams.items() if self._grant.allows(Right.METRICS, name)
+        }
+        for label, stream in streams.items():
             counts, recording = stream.counters, stream.bus.recording
             scene = stream.hub.scene
             values = {
@@ -82,7 +91,11 @@ class StreamCollector(Collector):
                 counters[name].add_metric([label], value)
         yield from gauges.values()
         yield from counters.values()
-        yield from ingest_families({name: stream.ingest for name, stream in self._registry.streams.items()})
+        yield from ingest_families({name: stream.ingest for name, stream in streams.items()})
+        if self._grant.covers_all:
+            yield from self._server_families()
+
+    def _server_families(self) -> Iterable[Metric]:
         refused = CounterMetricFamily("streamlod_refused_tokens", "requests with a wrong token")
         refused.add_metric([], self._registry.gate.refused)
         yield refused
@@ -92,8 +105,8 @@ class StreamCollector(Collector):
         yield away
 
 
-def collector_registry(registry: Registry) -> CollectorRegistry:
-    """A Prometheus registry over the server's."""
+def collector_registry(registry: Registry, grant: Grant = EVERYTHING) -> CollectorRegistry:
+    """A Prometheus registry over what `grant` allows of the server's."""
     collectors = CollectorRegistry()
-    collectors.register(StreamCollector(registry))
+    collectors.register(StreamCollector(registry, grant))
     return collectors

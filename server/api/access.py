@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 from urllib.parse import urlsplit
 
 from fastapi import Depends, Request
@@ -13,7 +13,7 @@ from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocket
 
 from core.errors import SessionError
-from server.auth.gate import Gate, Right
+from server.auth.gate import Gate, Grant, Right
 from server.http.problems import Problem
 from server.http.site_policy import is_own_host
 from server.protocol.messages import FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
@@ -21,6 +21,7 @@ from server.registry import Registry
 from server.stream.stream import Stream
 
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, and cannot read the answer
+RECHECK_SECONDS = 5.0  # between two looks at the token of a websocket
 _REFUSAL_SECONDS = 0.5  # every refusal takes so long, whatever was wrong
 
 
@@ -33,6 +34,12 @@ def registry_of(connection: HTTPConnection) -> Registry:
 def address_of(connection: HTTPConnection) -> str:
     """The peer's network address."""
     return connection.client.host if connection.client else ""
+
+
+def grant_of(connection: HTTPConnection) -> Grant:
+    """What the token of a request that was let in allows."""
+    grant: Grant = connection.state.grant
+    return grant
 
 
 def token_of(connection: HTTPConnection) -> str | None:
@@ -54,6 +61,7 @@ async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: 
         return Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
     grant = await gate.admit(token_of(connection))
     if grant is not None and grant.allows(right, stream):
+        connection.state.grant = grant
         return None
     if grant is not None:
         return Problem(403, f"the token does not give the right to {right.value} here")
@@ -95,6 +103,22 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
     if stream_id not in registry.streams:
         raise SessionError(NO_STREAM, "there is no such stream")
     return registry.streams[stream_id]
+
+
+async def until_withdrawn(connection: HTTPConnection, right: Right, stream_id: str | None) -> NoReturn:
+    """Look every few seconds whether the token of a connection that lasts still allows what it does.
+
+    Raises:
+        SessionError: it does not: it has expired, was withdrawn, or has lost the right.
+    """
+    gate, token = registry_of(connection).gate, token_of(connection)
+    while True:
+        await asyncio.sleep(RECHECK_SECONDS)
+        grant = await gate.admit(token)
+        if grant is None:
+            raise SessionError(UNAUTHORISED, "the token has expired or was withdrawn; connect with another")
+        if not grant.allows(right, stream_id):
+            raise SessionError(FORBIDDEN, f"the token does not give the right to {right.value} here any more")
 
 
 def need(right: Right) -> Any:

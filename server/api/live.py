@@ -12,7 +12,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
 
 from core.errors import SessionError
-from server.api.access import address_of, admit, registry_of
+from server.api.access import address_of, admit, registry_of, until_withdrawn
 from server.auth.gate import Right
 from server.http.websocket import CONNECTION, Connection
 from server.protocol.messages import (
@@ -147,15 +147,17 @@ async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello
     transport.connection.listen(take)
     sending = asyncio.create_task(session.run())
     listening = asyncio.create_task(_listen(websocket, session))
+    checking = asyncio.create_task(until_withdrawn(websocket, Right.READ, stream_id))
+    tasks = (sending, listening, checking)
     try:
-        done, _ = await asyncio.wait([sending, listening], return_when=asyncio.FIRST_COMPLETED)
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         transport.connection.listen(None)
         transport.connection.on_blocked(None)
         registry.sessions.pop(session, None)
-        for task in (sending, listening):
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(sending, listening, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
     for task in done:
         task.result()
 

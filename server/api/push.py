@@ -7,7 +7,7 @@ import asyncio
 from starlette.websockets import WebSocket
 
 from core.errors import InputError, SessionError
-from server.api.access import admit
+from server.api.access import admit, until_withdrawn
 from server.auth.gate import Right
 from server.http.websocket import CONNECTION, Connection
 from server.ingest.push.message import MAX_MESSAGE_BYTES
@@ -34,4 +34,9 @@ async def open_intake(websocket: WebSocket, stream_id: str) -> RelayedIntake:
     return intake
 
 
-router = push_router(open_intake)
+async def until_no_publisher(websocket: WebSocket, stream_id: str) -> None:
+    """Wait until the node may not push there any more; SessionError then."""
+    await until_withdrawn(websocket, Right.PUBLISH, stream_id)
+
+
+router = push_router(open_intake, until_no_publisher)

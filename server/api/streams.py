@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from core.errors import InputError
-from server.api.access import StreamOf, need, refusal, registry_of
+from server.api.access import StreamOf, grant_of, need, refusal, registry_of
 from server.api.schemas import Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem
@@ -31,9 +31,9 @@ async def list_streams(
     cursor: Annotated[str | None, Query(max_length=64, description="from an earlier page")] = None,
     limit: Annotated[int, Query(ge=1, le=200, description="streams a page")] = 50,
 ) -> StreamList:
-    """Streams in order of their id."""
-    streams = registry_of(request).streams
-    names = [name for name in sorted(streams) if cursor is None or name > cursor]
+    """The streams that the token may read, in order of their id."""
+    streams, grant = registry_of(request).streams, grant_of(request)
+    names = [name for name in sorted(streams) if grant.allows(Right.READ, name) and (cursor is None or name > cursor)]
     page = names[:limit]
     items = [StreamBody.model_validate(streams[name].describe()) for name in page]
     return StreamList(items=items, next_cursor=page[-1] if len(names) > limit else None)
@@ -89,9 +89,11 @@ async def stop_stream(stream: StreamOf) -> StreamBody:
     "/{stream_id}/links", status_code=201, summary="Sign an address of a download", dependencies=[need(Right.READ)]
 )
 async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link:
-    """An address with which anybody may fetch a download, or all of the stream's, until it expires."""
+    """An address with which anybody may fetch a download, or all of the stream's, until it or the token expires."""
     scope = f"/v1/streams/{stream.spec.id}/{body.path}"
     expires = int(time.time()) + body.seconds
+    if (limit := grant_of(request).expires) is not None:
+        expires = min(expires, limit)
     query = registry_of(request).gate.links.sign(scope, expires)
     url = f"{scope}{'' if body.path else 'bitstream'}?{query}"
     return Link(url=url, query=query, expires_at=datetime.fromtimestamp(expires, UTC))

@@ -34,14 +34,26 @@ class Right(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """Rights on the streams whose id matches a pattern such as ``*`` or ``stage-*``."""
+    """Rights on the streams whose id matches a pattern such as ``*`` or ``stage-*``.
+
+    Attributes:
+        rights: what may be done.
+        streams: the pattern.
+        expires: Unix time at which the token ends, or None for one that does not end by itself.
+    """
 
     rights: frozenset[Right]
     streams: str = "*"
+    expires: int | None = None
 
     def allows(self, right: Right, stream: str | None) -> bool:
         """Whether `right` is given, on `stream` if one is named."""
         return right in self.rights and (stream is None or fnmatchcase(stream, self.streams))
+
+    @property
+    def covers_all(self) -> bool:
+        """Whether it is for every stream, and so for what belongs to none."""
+        return self.streams == "*"
 
 
 EVERYTHING = Grant(frozenset(Right))
@@ -156,6 +168,7 @@ def _grant_of_claims(claims: dict[str, Any] | None) -> Grant | None:
         return None
     try:
         claim = claims["lod"]
-        return Grant(frozenset(Right(right) for right in claim["rights"]), str(claim.get("streams", "*")))
-    except (KeyError, TypeError, ValueError, AttributeError):
+        rights = frozenset(Right(right) for right in claim["rights"])
+        return Grant(rights, str(claim.get("streams", "*")), int(claims["exp"]))
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return None

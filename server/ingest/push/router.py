@@ -6,9 +6,9 @@ import asyncio
 import contextlib
 import json
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
-from typing import Protocol
+from typing import Any, Protocol
 
 from fastapi import APIRouter
 from starlette.types import Message
@@ -33,14 +33,21 @@ class AnyIntake(Protocol):
         """The capture node has gone."""
 
 
+async def _always(_: WebSocket, __: str) -> None:
+    await asyncio.Event().wait()
+
+
 def push_router(
-    open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]], silence_seconds: float = MAX_SILENCE_SECONDS
+    open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]],
+    until_withdrawn: Callable[[WebSocket, str], Coroutine[Any, Any, None]] = _always,
+    silence_seconds: float = MAX_SILENCE_SECONDS,
 ) -> APIRouter:
     """The route ``/v1/streams/{stream_id}/ingest``.
 
     Args:
         open_intake: given the request and the stream's id, checks the right to publish and gives what takes the
             pictures; raises SessionError to refuse.
+        until_withdrawn: waits until the right to publish has ended, and then raises SessionError.
         silence_seconds: a node that sends nothing for so long is closed with 1013.
     """
     router = APIRouter()
@@ -56,7 +63,7 @@ def push_router(
                 intake = await open_intake(websocket, stream_id)
             finally:  # also to be refused: close codes and reasons need a connection
                 await websocket.accept(PUSH_SUBPROTOCOL if PUSH_SUBPROTOCOL in offers else None)
-            await _take(websocket, intake, silence_seconds)
+            await _first(_take(websocket, intake, silence_seconds), until_withdrawn(websocket, stream_id))
         except SessionError as error:
             await _close(websocket, error.close_code, error.detail)
         except (WebSocketDisconnect, ConnectionError):
@@ -66,6 +73,19 @@ def push_router(
             await _close(websocket, FAULT, "a fault inside the server")
 
     return router
+
+
+async def _first(*works: Coroutine[Any, Any, None]) -> None:
+    """Run all until one ends, and raise what that one raised."""
+    tasks = [asyncio.create_task(work) for work in works]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        task.result()
 
 
 async def _take(websocket: WebSocket, intake: AnyIntake, silence_seconds: float) -> None:
