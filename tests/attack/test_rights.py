@@ -74,7 +74,7 @@ def test_a_viewer_whose_token_ends_is_closed(
 ) -> None:
     monkeypatch.setattr("server.api.access.RECHECK_SECONDS", 0.2)
     settings = write_tokens(tmp_path, viewer={"rights": ["read"]})
-    token = web_token(-28.5, "read") if change == "expired" else "viewer"  # half a minute of leeway
+    token = web_token(-25, "read") if change == "expired" else "viewer"  # half a minute of leeway
     with ExitStack() as stack:
         server = stack.enter_context(running(settings, StreamSpec(play=clip.path)))
         viewer = stack.enter_context(viewing(server, additional_headers=bearer(token)))
@@ -103,7 +103,7 @@ def test_a_capture_node_whose_token_ends_is_closed(tmp_path: Path, monkeypatch: 
         server = stack.enter_context(running(write_tokens(tmp_path), *_STREAMS))
         address = f"ws://127.0.0.1:{server.port}/v1/streams/stage-1/ingest"
         options: Any = {"subprotocols": ["streamlod.push.v1"], "proxy": None}
-        headers = bearer(web_token(-29, "publish"))
+        headers = bearer(web_token(-26, "publish"))
         node = stack.enter_context(connect(address, additional_headers=headers, **options))
         assert close_code(node.recv) == 4401
 
