@@ -120,7 +120,7 @@ def _add_health(app: FastAPI) -> None:
         elif failed:
             detail = f"stream {failed[0]} has failed"
         elif registry.store is not None and not registry.store.has_room:
-            detail = "the disk is full up to its reserve"
+            detail = "the disk is full except for its reserve"
         response.status_code = 503 if detail else 200
         return Health(status="not ready" if detail else "ok", detail=detail)
 

@@ -15,7 +15,7 @@ from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
 from server.stream.store import Store
 from server.stream.stream import Stream
-from server.viewer.renderer import Painter
+from server.viewer.renderer import PictureRenderer
 from server.viewer.session import ViewerSession
 
 _LOG = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ class Registry:
         self.store = Store(settings.state, settings.retention) if settings.state else None
         self.streams: dict[str, Stream] = {}
         self.sessions: dict[ViewerSession, str] = {}  # with the viewer's address
-        self.painter = Painter(settings.limits.thin_viewers, settings.limits.thin_pixels)
+        self.renderer = PictureRenderer(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
         self.draining = False
         self._drained = False
@@ -99,7 +99,7 @@ class Registry:
         limit = asyncio.get_running_loop().time() + self.settings.drain_seconds / 2
         while self.sessions and asyncio.get_running_loop().time() < limit:
             await asyncio.sleep(0.02)
-        self.painter.close()
+        self.renderer.close()
         await asyncio.gather(*(stream.stop() for stream in self.streams.values()), return_exceptions=True)
         if self.store is not None:
             await asyncio.to_thread(self.store.close)

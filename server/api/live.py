@@ -132,7 +132,7 @@ async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello
     limits, address = registry.settings.limits, address_of(websocket)
     _find_room(registry, address)  # once more: many may have been let in before the first of them said hello
     if hello.pictures:
-        session: ViewerSession = ThinSession(stream, hello, transport, limits, registry.painter)
+        session: ViewerSession = ThinSession(stream, hello, transport, limits, registry.renderer)
     else:
         session = ViewerSession(stream, hello, transport, limits)
 

@@ -1,4 +1,4 @@
-"""When each stage of each frame ran, as Chrome and Perfetto show it."""
+"""When each stage of each frame ran, in the trace format of Chrome and Perfetto."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ class Span:
     """A stage of a frame.
 
     Attributes:
-        lane: what runs one after the other: read, train, encode or write.
+        track: row of the trace, whose spans follow each other: read, train, encode or write.
         name: of the stage.
         begin, end: seconds of `time.perf_counter`.
     """
 
-    lane: str
+    track: str
     name: str
     begin: float
     end: float
 
 
-def timed(items: Iterator[T], lane: str) -> Generator[tuple[T, Span], None, None]:
+def timed(items: Iterator[T], track: str) -> Generator[tuple[T, Span], None, None]:
     """Each item with the time it took to come."""
     while True:
         begin = time.perf_counter()
@@ -34,29 +34,30 @@ def timed(items: Iterator[T], lane: str) -> Generator[tuple[T, Span], None, None
             item = next(items)
         except StopIteration:
             return
-        yield item, Span(lane, lane, begin, time.perf_counter())
+        yield item, Span(track, track, begin, time.perf_counter())
 
 
-def timing(lane: str, work: Callable[[], T]) -> tuple[T, Span]:
+def timing(track: str, work: Callable[[], T]) -> tuple[T, Span]:
     """What `work` returns, with the time it took."""
     begin = time.perf_counter()
     result = work()
-    return result, Span(lane, lane, begin, time.perf_counter())
+    return result, Span(track, track, begin, time.perf_counter())
 
 
 def chrome_trace(frames: Iterable[tuple[int, tuple[Span, ...]]]) -> dict[str, Any]:
-    """Frames' numbers and spans in the trace event format, one row a lane."""
+    """(frame, spans) pairs in the trace event format, one row a track."""
     events: list[dict[str, Any]] = []
-    lanes: dict[str, int] = {}
+    tracks: dict[str, int] = {}
     start: float | None = None
     for number, spans in frames:
         start = min((span.begin for span in spans), default=None) if start is None else start
         for span in spans:
-            row = lanes.setdefault(span.lane, len(lanes) + 1)
+            row = tracks.setdefault(span.track, len(tracks) + 1)
             at, length = 1e6 * (span.begin - (start or 0)), 1e6 * (span.end - span.begin)
-            event = {"name": span.name, "cat": span.lane, "ph": "X", "pid": 1, "tid": row, "ts": at, "dur": length}
+            event = {"name": span.name, "cat": span.track, "ph": "X", "pid": 1, "tid": row, "ts": at, "dur": length}
             events.append({**event, "args": {"frame": number}})
     named = [
-        {"name": "thread_name", "ph": "M", "pid": 1, "tid": row, "args": {"name": lane}} for lane, row in lanes.items()
+        {"name": "thread_name", "ph": "M", "pid": 1, "tid": row, "args": {"name": track}}
+        for track, row in tracks.items()
     ]
     return {"traceEvents": [*named, *events], "displayTimeUnit": "ms"}

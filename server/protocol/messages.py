@@ -10,7 +10,7 @@ from typing import Any
 
 from core.errors import SessionError
 from server.protocol.packets import Position
-from server.protocol.thin_messages import Pick, Shown, View, parse_view_message
+from server.protocol.thin_messages import Pick, Shown, ViewMessage, parse_view_message
 
 SUBPROTOCOL = "streamlod.v1"
 PROTOCOL_VERSION = 1
@@ -72,7 +72,7 @@ class Play:
     """Go on."""
 
 
-Control = Ack | Set | Seek | Pause | Play | View | Shown | Pick
+Control = Ack | Set | Seek | Pause | Play | ViewMessage | Shown | Pick
 
 
 def parse_hello(text: str) -> Hello:

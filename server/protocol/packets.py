@@ -31,15 +31,15 @@ class StreamPacket:
     """One published packet.
 
     Attributes:
-        number: counts the packets of the stream in this process; a keyframe may share its position with the residual
-            before it, never its number.
+        sequence: counts the packets of the stream in this process; a keyframe may share its position with the residual
+            before it, never its sequence.
         position: epoch and version of the state after it.
         info: its header.
         data: the packet of codec/FORMAT.md.
         arrived: monotonic time at which it came, in seconds.
     """
 
-    number: int
+    sequence: int
     position: Position
     info: PacketInfo
     data: bytes
@@ -87,10 +87,10 @@ class StreamPacket:
         return replace(self, _framed={}, _pieces={})
 
 
-def stream_packet(number: int, epoch: int, data: bytes) -> StreamPacket:
-    """`data` as packet `number`; BitstreamError if its header is not valid."""
+def stream_packet(sequence: int, epoch: int, data: bytes) -> StreamPacket:
+    """`data` as packet `sequence`; BitstreamError if its header is not valid."""
     info = peek(data)
-    return StreamPacket(number, Position(epoch, info.to_version), info, data, time.monotonic())
+    return StreamPacket(sequence, Position(epoch, info.to_version), info, data, time.monotonic())
 
 
 def binary_frame(data: bytes) -> bytes:
@@ -167,7 +167,7 @@ class PacketWindow:
         if newest is None:
             fits = packet.is_key
         else:
-            fits = packet.number == newest.number + 1 and packet.follows(newest.position)
+            fits = packet.sequence == newest.sequence + 1 and packet.follows(newest.position)
             fits = fits and packet.position >= newest.position
         if not fits:
             raise ValueError(f"packet {packet.position} does not apply to the newest state")
@@ -182,16 +182,16 @@ class PacketWindow:
         while (end := self._group_end()) is not None and self._packets[end].position <= before:
             self._drop_oldest_group()
 
-    def after(self, number: int) -> StreamPacket | None:
-        """The packet that comes next after packet `number`, if both ends of that step are still here."""
-        index = self._index(number) + 1
+    def after(self, sequence: int) -> StreamPacket | None:
+        """The packet that comes next after packet `sequence`, if both ends of that step are still here."""
+        index = self._index(sequence) + 1
         return self._packets[index] if 0 <= index < len(self._packets) else None
 
-    def bytes_after(self, number: int) -> int:
-        """Bytes of all packets after packet `number`."""
+    def bytes_after(self, sequence: int) -> int:
+        """Bytes of all packets after packet `sequence`."""
         if not self._packets:
             return 0
-        index = max(self._index(number), -1)
+        index = max(self._index(sequence), -1)
         return self._ends[-1] - (self._ends[index] if index >= 0 else self._dropped_bytes)
 
     def read(self, first: Position, last: Position) -> list[StreamPacket]:
@@ -206,9 +206,9 @@ class PacketWindow:
         ends = [*starts[1:], len(self._packets)] if starts else []
         return [self._packets[a:b] for a, b in zip(starts, ends, strict=True)]
 
-    def _index(self, number: int) -> int:
-        """Where packet `number` is or would be; below -1 if the packet after it is gone as well."""
-        return number - self._packets[0].number if self._packets else -2
+    def _index(self, sequence: int) -> int:
+        """Where packet `sequence` is or would be; below -1 if the packet after it is gone as well."""
+        return sequence - self._packets[0].sequence if self._packets else -2
 
     def _group_end(self) -> int | None:
         return next((i for i in range(1, len(self._packets)) if self._packets[i].is_key), None)

@@ -24,7 +24,7 @@ _MOST = 2**53
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class ViewMessage:
     """What is to be seen: `camera` with the size of the viewer's canvas."""
 
     camera: Camera
@@ -46,7 +46,7 @@ class Pick:
     direction: Float64
 
 
-def parse_view_message(message: dict[str, Any]) -> View | Shown | Pick:
+def parse_view_message(message: dict[str, Any]) -> ViewMessage | Shown | Pick:
     """An `ack` that names a picture, a `view` or a `pick` message.
 
     Raises:
@@ -60,7 +60,7 @@ def parse_view_message(message: dict[str, Any]) -> View | Shown | Pick:
     return Shown(_whole(message.get("picture"), "picture"))
 
 
-def _view(message: dict[str, Any]) -> View:
+def _view(message: dict[str, Any]) -> ViewMessage:
     size = _side(message.get("width"), "width"), _side(message.get("height"), "height")
     focal, principal = _numbers(message, "focal", 2, 1e6), _numbers(message, "principal", 2, 1e6)
     if not all(_FOCAL[0] <= value / max(size) <= _FOCAL[1] for value in focal):
@@ -69,7 +69,7 @@ def _view(message: dict[str, Any]) -> View:
     position = np.array(_numbers(message, "position", 3, _FARTHEST))
     pose = np.concatenate([rotation, -rotation @ position[:, None]], axis=1)
     try:
-        return View(pinhole("viewer", (focal[0], focal[1]), (principal[0], principal[1]), size, pose))
+        return ViewMessage(pinhole("viewer", (focal[0], focal[1]), (principal[0], principal[1]), size, pose))
     except InputError as error:
         raise SessionError(BAD_MESSAGE, error.fault) from error
 

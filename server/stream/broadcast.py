@@ -1,7 +1,7 @@
-"""Viewers that have everything so far: what comes next is written to all of them in one loop.
+"""The fast path for viewers that are up to date: each new packet is written to all of them in one loop.
 
-With many viewers the time goes into memory that is touched for each of them. So a lane is one small object, and nothing
-is asked for each packet: whatever gets in the way of a viewer takes its lane off the list.
+With many viewers, most of the time goes into touching each one's memory. So a receiver is one small object, and the
+loop asks it no questions: whatever must stop a viewer from getting packets takes its receiver out of the broadcast.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from server.protocol.packets import StreamPacket, payload_bytes
 from server.stream.counters import Counters
 
 
-class Lane:
-    """The short way to one viewer.
+class Receiver:
+    """One viewer, as the broadcast sees it.
 
     Args:
-        write: takes a whole websocket frame without waiting.
-        rouse: called when the lane must be left; it has to call `Lanes.leave`.
+        write: writes a whole websocket frame without waiting.
+        notify: called when the receiver must leave the broadcast; it has to call `Broadcast.remove`.
 
     Attributes:
-        sent: bytes of packets that the viewer was given, by this way or another.
-        ceiling: value of `sent` above which it has to acknowledge some before it gets more.
-        levels: that it gets while it is on the list, otherwise 0.
+        sent: bytes of packets sent to the viewer, by broadcast or otherwise.
+        send_limit: value of `sent` above which the viewer has to acknowledge packets before it gets more.
+        levels: levels that it gets while it is in the broadcast, otherwise 0.
     """
 
-    __slots__ = ("ceiling", "levels", "rouse", "sent", "write")
+    __slots__ = ("levels", "notify", "send_limit", "sent", "write")
 
-    def __init__(self, write: Callable[[bytes], None], rouse: Callable[[], None]) -> None:
-        self.write, self.rouse = write, rouse
-        self.sent, self.ceiling, self.levels = 0, sys.maxsize, 0
+    def __init__(self, write: Callable[[bytes], None], notify: Callable[[], None]) -> None:
+        self.write, self.notify = write, notify
+        self.sent, self.send_limit, self.levels = 0, sys.maxsize, 0
 
 
-class Lanes:
-    """All lanes of a stream that are open.
+class Broadcast:
+    """All receivers of a stream that are up to date.
 
     Args:
         counters: where bytes are counted.
@@ -42,38 +42,38 @@ class Lanes:
 
     def __init__(self, counters: Counters) -> None:
         self._counters = counters
-        self._groups: dict[int, set[Lane]] = {}
+        self._groups: dict[int, set[Receiver]] = {}  # by number of levels
         self._depth = 0  # levels of the newest packet
 
-    def enter(self, lane: Lane, levels: int) -> None:
-        """Give the viewer every packet from now on, with so many levels."""
-        self._groups.setdefault(levels, set()).add(lane)
-        lane.levels = levels
+    def add(self, receiver: Receiver, levels: int) -> None:
+        """Send the viewer every packet from now on, with so many levels."""
+        self._groups.setdefault(levels, set()).add(receiver)
+        receiver.levels = levels
 
-    def leave(self, lane: Lane) -> None:
-        """No more packets for this viewer."""
-        self._groups[lane.levels].discard(lane)
-        lane.levels = 0
+    def remove(self, receiver: Receiver) -> None:
+        """Send this viewer no more packets."""
+        self._groups[receiver.levels].discard(receiver)
+        receiver.levels = 0
 
-    def pass_on(self, packet: StreamPacket, message: bytes = b"") -> None:
-        """Write a packet to all, and a framed control message with it, as one write costs much less than two."""
+    def send(self, packet: StreamPacket, message: bytes = b"") -> None:
+        """Write a packet to all receivers, with a framed control message appended: one write is cheaper than two."""
         for levels, group in self._groups.items():
             if not group:
                 continue
             frame = packet.framed(levels)
-            size, lanes = payload_bytes(frame), tuple(group)  # a write may block, and take its lane off the list
+            size, receivers = payload_bytes(frame), tuple(group)  # a write may block, which removes the receiver
             frame += message
-            for lane in lanes:
-                lane.sent += size
-                lane.write(frame)
-                if lane.sent > lane.ceiling:
-                    lane.rouse()
-            self._counters.sent_bytes += size * len(lanes)
+            for receiver in receivers:
+                receiver.sent += size
+                receiver.write(frame)
+                if receiver.sent > receiver.send_limit:
+                    receiver.notify()
+            self._counters.sent_bytes += size * len(receivers)
         depth, self._depth = self._depth, packet.info.level_mask.bit_length()
-        if depth != self._depth:  # there may be more that a viewer wants
-            self.rouse()
+        if depth != self._depth:  # viewers may want the levels that are new
+            self.notify_all()
 
-    def rouse(self) -> None:
-        """Let every viewer look what is to be done."""
-        for lane in [lane for group in self._groups.values() for lane in group]:
-            lane.rouse()
+    def notify_all(self) -> None:
+        """Wake every viewer's session, which takes its receiver out of the broadcast."""
+        for receiver in [receiver for group in self._groups.values() for receiver in group]:
+            receiver.notify()

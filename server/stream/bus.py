@@ -1,6 +1,6 @@
-"""How packets get from where they are made to where they are used: four calls, behind which a network may lie.
+"""The interface between the producer of packets and their consumers. A network could lie behind it.
 
-`LocalBus` is the single-machine one: a window in memory in front of the recording on disk.
+`LocalBus` is the implementation for one machine: a window in memory in front of the recording on disk.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class Bus(Protocol):
     """Packets of one stream."""
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
-        """Add the newest packet; never waits. What is not to be recorded is lost when memory forgets it."""
+        """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""
 
     def subscribe(self, after: int) -> AsyncIterator[StreamPacket]:
         """Packets numbered above `after` as they come; one that left the window before it was taken is skipped."""
@@ -55,12 +55,12 @@ class LocalBus:
             published = self._published
             packet = self.window.after(after)
             oldest = self.window.oldest
-            if packet is None and oldest is not None and oldest.number > after:
+            if packet is None and oldest is not None and oldest.sequence > after:
                 packet = oldest
             if packet is None:
                 await published.wait()
                 continue
-            after = packet.number
+            after = packet.sequence
             yield packet
 
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:

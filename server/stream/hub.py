@@ -1,7 +1,7 @@
 """The live end of one stream: the decoded state, and packets from any version to the newest, made on demand.
 
-Viewers hold nothing but a number; what they get next is read from here. So a viewer that falls behind costs no memory,
-and is brought up to date by one residual of exact integers instead of a queue.
+A viewer's session holds only the sequence number of the last packet sent; what it gets next is read from here. So a
+viewer that falls behind needs no queue: one residual, made on demand, brings it up to date.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import difference
 from server.protocol.packets import PIECE_BYTES, PacketWindow, StreamPacket, binary_frame
-from server.stream.broadcast import Lane, Lanes
+from server.stream.broadcast import Broadcast, Receiver
 from server.stream.counters import Counters
 
-_STATE_BYTES = 16_000_000  # decoded states kept, to begin skip packets from
+_STATE_BYTES = 16_000_000  # of decoded states kept, from which skip packets can start
 _FRAMES_SECONDS = 2.0  # after which a viewer that lags gets a residual rather than old packets one by one
 _RESIDUALS = 32  # encoded on demand and kept
 
@@ -36,7 +36,7 @@ class _State:
 
 
 class Hub:
-    """What all viewers of a stream share.
+    """The live end of a stream, shared by all its viewers.
 
     Args:
         window_bytes: packets kept in memory.
@@ -45,21 +45,22 @@ class Hub:
 
     Attributes:
         window: recent packets.
-        lanes: viewers that are given every new packet at once.
+        broadcast: viewers that are up to date and get every new packet at once.
         listeners: called whenever something has changed; they must not raise.
     """
 
     def __init__(self, window_bytes: int, counters: Counters, limits: Limits = DEFAULT_LIMITS) -> None:
         self.window = PacketWindow(window_bytes)
         self._decoder = SceneDecoder(limits)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="hub")  # what viewers ask for may fill the shared pool
+        # a thread of its own, because viewers' requests may fill the shared pool
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="hub")
         self._key: _State | None = None
         self._states: OrderedDict[int, _State] = OrderedDict()
         self._state_bytes = 0
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
         self._parts: tuple[int, list[bytes]] | None = None
         self._framed: deque[StreamPacket] = deque()
-        self.lanes = Lanes(counters)
+        self.broadcast = Broadcast(counters)
         self.listeners: set[Callable[[], None]] = set()
 
     @property
@@ -76,15 +77,15 @@ class Hub:
     def scene(self) -> Scene | None:
         """The decoded state at the live edge."""
         newest = self.newest
-        return None if newest is None else self._states[newest.number].scene
+        return None if newest is None else self._states[newest.sequence].scene
 
     async def accept(
         self, packet: StreamPacket, message: bytes = b"", on_decoded: Callable[[], None] = lambda: None
     ) -> None:
-        """Decode the newest packet, in a thread, and offer it to viewers; a framed control message goes with it.
+        """Decode the newest packet in a thread, then send it to viewers with `message`, a framed control message.
 
         Args:
-            on_decoded: called when the packet is known to be valid, just before it is the newest.
+            on_decoded: called once the packet is known to be valid, just before it becomes the newest.
 
         Raises:
             BitstreamError: it is not valid; nothing has changed.
@@ -96,7 +97,7 @@ class Hub:
         on_decoded()
         packet = replace(packet, arrived=time.monotonic())
         if packet.is_key and len(packet.data) > PIECE_BYTES:
-            self.lanes.rouse()  # each viewer gets a large keyframe at its own pace
+            self.broadcast.notify_all()  # each viewer gets a large keyframe at its own pace
         self.window.append(packet)
         self._framed.append(packet)
         while packet.arrived - self._framed[0].arrived > _FRAMES_SECONDS:
@@ -104,43 +105,43 @@ class Hub:
         state = _State(packet, scene)
         if packet.is_key:
             self._key = state
-        self._states[packet.number] = state
+        self._states[packet.sequence] = state
         self._state_bytes += _size_bytes(state)
         while len(self._states) > 2 and self._state_bytes > _STATE_BYTES:
             self._state_bytes -= _size_bytes(self._states.popitem(last=False)[1])
-        self.lanes.pass_on(packet, message)
+        self.broadcast.send(packet, message)
         self._call_listeners()
 
     def wake(self) -> None:
-        """Let every viewer look again."""
-        self.lanes.rouse()
+        """Wake every viewer's session."""
+        self.broadcast.notify_all()
         self._call_listeners()
 
-    def enter_lane(self, lane: Lane, levels: int) -> None:
-        """Give a viewer that is up to date every packet from now on, and call its listener no more."""
-        self.listeners.discard(lane.rouse)
-        self.lanes.enter(lane, levels)
+    def add_receiver(self, receiver: Receiver, levels: int) -> None:
+        """Broadcast every packet to a viewer that is up to date, instead of calling its listener."""
+        self.listeners.discard(receiver.notify)
+        self.broadcast.add(receiver, levels)
 
-    def leave_lane(self, lane: Lane) -> None:
-        """Undo `enter_lane`."""
-        self.lanes.leave(lane)
-        self.listeners.add(lane.rouse)
+    def remove_receiver(self, receiver: Receiver) -> None:
+        """Undo `add_receiver`."""
+        self.broadcast.remove(receiver)
+        self.listeners.add(receiver.notify)
 
     def _call_listeners(self) -> None:
         for listener in tuple(self.listeners):
             listener()
 
-    def can_skip(self, number: int) -> bool:
-        """Whether one residual leads from packet `number` to the newest."""
-        newest, state = self.newest, self._states.get(number)
+    def can_skip_from(self, sequence: int) -> bool:
+        """Whether one residual leads from packet `sequence` to the newest."""
+        newest, state = self.newest, self._states.get(sequence)
         if newest is None or state is None:
             return False
         same = state.packet.position.epoch == newest.position.epoch
-        return same and state.scene.keyframe == self._states[newest.number].scene.keyframe
+        return same and state.scene.keyframe == self._states[newest.sequence].scene.keyframe
 
-    async def skip(self, number: int, levels: int) -> tuple[StreamPacket, bytes]:
-        """The newest packet, and one framed residual to it from packet `number`; needs `can_skip`."""
-        return await self._residual(self._states[number], (1 << levels) - 1)
+    async def skip(self, sequence: int, levels: int) -> tuple[StreamPacket, bytes]:
+        """The newest packet, and one framed residual to it from packet `sequence`; needs `can_skip_from`."""
+        return await self._residual(self._states[sequence], (1 << levels) - 1)
 
     def key_parts(self, first: int, last: int) -> list[bytes]:
         """The newest keyframe's levels `first` to `last` as framed packets, coarse first.
@@ -149,8 +150,8 @@ class Hub:
         """
         assert self._key is not None
         packet = self._key.packet
-        if self._parts is None or self._parts[0] != packet.number:
-            self._parts = packet.number, [binary_frame(part) for part in split_levels(packet.data)]
+        if self._parts is None or self._parts[0] != packet.sequence:
+            self._parts = packet.sequence, [binary_frame(part) for part in split_levels(packet.data)]
         return self._parts[1][first : last + 1]
 
     async def catch_up(self, first: int, last: int) -> tuple[StreamPacket, bytes | None]:
@@ -161,7 +162,7 @@ class Hub:
         assert self._key is not None
         newest = self.newest
         assert newest is not None
-        if newest.number == self._key.packet.number:
+        if newest.sequence == self._key.packet.sequence:
             return newest, None
         mask = (1 << last + 1) - (1 << first)
         return await self._residual(self._key, mask)
@@ -171,7 +172,7 @@ class Hub:
         if self._key is None or self.newest is None:
             return []
         packets = [self._key.packet.data]
-        if self.newest.number != self._key.packet.number:
+        if self.newest.sequence != self._key.packet.sequence:
             packets.append(await self._encoded(self._key))
         return packets
 
@@ -186,9 +187,9 @@ class Hub:
         """The residual from `before` to the newest state, encoded once."""
         newest = self.newest
         assert newest is not None
-        key = (before.packet.number, newest.number)
+        key = (before.packet.sequence, newest.sequence)
         if key not in self._made:
-            after = self._states[newest.number]
+            after = self._states[newest.sequence]
             self._made[key] = asyncio.create_task(asyncio.to_thread(_encode, before, after))
             while len(self._made) > _RESIDUALS:
                 self._made.popitem(last=False)
@@ -196,7 +197,7 @@ class Hub:
 
 
 def _size_bytes(state: _State) -> int:
-    """Memory that a state takes beside the one before it: a keyframe's columns are all its own."""
+    """Memory of a state that it does not share with the state before it; a keyframe shares nothing."""
     own = AnchorLevel.__slots__ if state.packet.is_key else ("position", "latent", "alive")
     return sum(getattr(level, name).nbytes for level in state.scene.levels for name in own)
 

@@ -1,7 +1,7 @@
-"""Recordings: one append-only `.slod` file a group of pictures, and a catalogue of them.
+"""Recordings on disk: one append-only `.slod` file for each group of pictures (GOP), and a catalogue of them.
 
 All writing happens on one thread. Live streaming never waits for it and survives its failure: a full disk stops the
-recording, says so, and the next keyframe tries again.
+recording and is reported, and the next keyframe tries again.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Segment:
         first, last: positions of its keyframe and of its newest packet.
         packets, size_bytes: count and sum of sizes of its packets.
         begun_ns: Unix time of its keyframe.
-        begun: monotonic time of its keyframe [s]; retention goes by it, so that a clock that is set deletes nothing.
+        begun: monotonic time of its keyframe [s]; used for retention, as the system clock may be set.
         closed: whether it has its index and will not change.
     """
 
@@ -97,7 +97,7 @@ class Store:
             return self._catalogue.execute(statement, values).fetchall()
 
     def recording(self, stream: str) -> Recording:
-        """The recording of a stream, repaired if the last run broke off."""
+        """The recording of a stream, repaired if the last run was interrupted."""
         recording = Recording(self, stream)
         self._recordings.append(recording)
         return recording
@@ -120,7 +120,7 @@ class Store:
         return usage.free > usage.total * self.retention.reserve_fraction
 
     def close(self) -> None:
-        """Finish what waits, all open segments, and the catalogue."""
+        """Finish queued work, close all open segments and the catalogue."""
         for recording in self._recordings:
             self._thread.submit(recording.finish)
         self._thread.shutdown(wait=True)
@@ -146,7 +146,7 @@ class Recording:
         return self.segments[-1].first.epoch if self.segments else 0
 
     def append(self, packet: StreamPacket) -> None:
-        """Record a packet, soon; drops it if the disk is far behind."""
+        """Queue a packet for recording, or drop it if the disk is far behind."""
         if self._waiting_bytes > self._store.retention.memory_bytes:
             self.fault, self.lost_packets = "the disk is too slow", self.lost_packets + 1
             self._store.submit(self._abandon)
@@ -200,7 +200,7 @@ class Recording:
 
     def _begin(self, packet: StreamPacket) -> None:
         if not self._store.has_room:
-            raise OSError("the disk is full up to its reserve")
+            raise OSError("the disk is full except for its reserve")
         path = self._folder / f"{packet.position.epoch:06d}-{packet.position.version:010d}.slod"
         if path.exists():
             raise OSError(f"{path.name} exists already")
@@ -225,7 +225,7 @@ class Recording:
         _LOG.error("stream %s: %s", self._stream, self.fault)
 
     def _abandon(self) -> None:
-        """Leave the open segment as it is up to its last whole packet."""
+        """Give up the open segment, keeping it up to its last whole packet."""
         writer, self._writer = self._writer, None
         if writer is None:
             return
@@ -263,7 +263,7 @@ class Recording:
         self._store.execute("INSERT OR REPLACE INTO segments VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
 
     def _restore(self) -> list[Segment]:
-        """Segments on disk; those that the catalogue does not know as they are were torn, and are repaired."""
+        """Segments on disk; those that differ from the catalogue were cut short by a crash and are repaired."""
         statement = "SELECT epoch, first, last, packets, bytes, begun_ns, file_bytes FROM segments WHERE stream = ?"
         known = {(row[0], row[1]): row for row in self._store.execute(statement, (self._stream,))}
         segments = []
@@ -282,7 +282,7 @@ class Recording:
         return segments
 
     def _repair(self, path: Path, begun_ns: int) -> Segment | None:
-        """Cut a torn tail and write the index; None, and no file, if no keyframe survived."""
+        """Cut off an incomplete packet and write the index. Without a whole keyframe: None, and no file."""
         try:
             with SlodReader(path) as reader:
                 entries = reader.entries

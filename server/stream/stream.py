@@ -1,4 +1,4 @@
-"""One stream: its worker, its live end, its past, and the state that everybody asks for."""
+"""One stream: its worker, its live end, its recording, and its published state."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ class Stream:
         self.state, self.detail = "idle", ""
         self.progress: dict[str, Any] | None = None
         self.report: dict[str, Any] | None = None
-        self.ingest: dict[str, Any] | None = None  # how live cameras do
+        self.ingest: dict[str, Any] | None = None  # figures of live cameras
         self.created_at = datetime.now(UTC)
         self.deleted = False
         self.live_at = 0.0  # monotonic time of the newest packet
         self._epoch = recording.last_epoch if recording else 0
-        self._number = 0
+        self._sequence = 0
         self._windowed_at = 0.0
         self._new_epoch = True
         self._frames_done = 0
@@ -77,7 +77,7 @@ class Stream:
 
     @property
     def is_running(self) -> bool:
-        """Whether there is, or will be, a worker."""
+        """Whether there is a worker, or one is about to be started."""
         return self._task is not None and not self._task.done()
 
     @property
@@ -144,7 +144,7 @@ class Stream:
 
     async def delete(self) -> None:
         """Stop for good and erase the recording."""
-        self.deleted = True  # nobody starts it again meanwhile
+        self.deleted = True  # so that nobody starts it again meanwhile
         await self.stop()
         if self.bus.recording is not None:
             await self.bus.recording.erase()
@@ -196,10 +196,10 @@ class Stream:
         self._enter("ended" if ending.done else "failed", ending.text)
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
-        packet = stream_packet(self._number, self._epoch + self._new_epoch, data)
+        packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
         await self.hub.accept(packet, self._window_message(), self._begin_epoch)
         self.bus.publish(packet, record=record)
-        self._number += 1
+        self._sequence += 1
         self.counters.packets += 1
         self.counters.packet_bytes += len(data)
         self.live_at = time.monotonic()
@@ -207,16 +207,16 @@ class Stream:
             self._enter_live()
 
     def _begin_epoch(self) -> None:
-        """Tell of a new epoch in the moment in which its first packet becomes the newest one.
+        """Announce a new epoch at the moment its first packet becomes the newest.
 
-        Earlier, who joins between the two would be welcomed to the old epoch and never hear of this one.
+        If it were announced earlier, a viewer that joins in between would be told the old epoch and never the new one.
         """
         if self._new_epoch:
             self._epoch, self._new_epoch = self._epoch + 1, False
             self._tell(event("epoch", epoch=self._epoch))
 
     def _window_message(self) -> bytes:
-        """A framed window event, now and then."""
+        """A framed window event, at most once a second, otherwise nothing."""
         now, window = time.monotonic(), self.window
         if window is None or now - self._windowed_at < _WINDOW_SECONDS:
             return b""
@@ -227,7 +227,7 @@ class Stream:
         self.ingest = figures
         if self.state == "starting":
             self._enter("starting", complaint(figures))
-        elif not self._new_epoch:  # a worker that has sent nothing yet does not end the trouble
+        elif not self._new_epoch:  # until a restarted worker has sent a packet, the stream stays degraded
             self._enter_live()
 
     def _enter_live(self) -> None:
@@ -242,7 +242,7 @@ class Stream:
 
     def _tell(self, message: dict[str, Any]) -> None:
         for queue in self._events:
-            if queue.full():  # a viewer that takes nothing; the newest events tell most
+            if queue.full():  # a viewer that reads nothing; drop its oldest event
                 queue.get_nowait()
             queue.put_nowait(message)
         self.hub.wake()

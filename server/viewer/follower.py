@@ -11,79 +11,79 @@ from server.viewer.pacing import LevelControl
 
 
 class Follower:
-    """A place in the hub's window, and what follows from there.
+    """Follows the hub for one viewer.
 
-    A viewer that is up to date and whose socket is empty gets new packets by its lane, without its task being woken:
-    that is the ordinary case.
+    In the ordinary case the viewer is up to date and its write buffer is empty: then it is in the hub's broadcast and
+    gets new packets without its task being woken.
 
     Args:
         stream: what is followed.
-        delivery: the way to the viewer.
-        levels: how many it gets.
+        delivery: sends to the viewer.
+        levels: how many levels it gets.
         limits: of the server.
     """
 
     def __init__(self, stream: Stream, delivery: Delivery, levels: LevelControl, limits: Limits) -> None:
         self._stream, self._hub, self._delivery = stream, stream.hub, delivery
         self._levels, self._limits = levels, limits
-        self._number: int | None = None  # of the newest packet sent from the hub
+        self._sequence: int | None = None  # of the newest packet sent from the hub
         self._told_caught_up = False
 
     @property
     def shown_levels(self) -> int:
-        """Levels that packets carry for this viewer."""
+        """Levels that packets hold for this viewer."""
         return min(self._levels.levels, self._stream.levels or 1)
 
     def restart(self) -> None:
-        """Join anew with the next step."""
-        self._number, self._told_caught_up = None, False
+        """Join again with the next step."""
+        self._sequence, self._told_caught_up = None, False
 
     def resume(self) -> None:
-        """Go on from the newest packet that was replayed, where it is the hub's; otherwise join anew."""
+        """Go on from the last packet replayed if that is the hub's newest; otherwise join again."""
         newest, last = self._hub.newest, self._delivery.last
-        self._number = None
+        self._sequence = None
         if newest is not None and last is not None and newest.position == last.position:
-            self._number = newest.number if newest.info.keyframe == last.info.keyframe else None
+            self._sequence = newest.sequence if newest.info.keyframe == last.info.keyframe else None
 
     @property
-    def is_content(self) -> bool:
-        """Whether packets take the lane, and there is no level more to be tried after a while."""
-        return self._delivery.lane.levels > 0 and not self._wants_more
+    def is_settled(self) -> bool:
+        """Whether the viewer is in the broadcast and gets all levels it wants, so that no timer is needed."""
+        return self._delivery.receiver.levels > 0 and not self._wants_more
 
     @property
     def _wants_more(self) -> bool:
         return self._levels.levels < min(self._levels.wanted, self._stream.levels or 1)
 
-    def leave_lane(self) -> None:
-        """Let nothing more take the lane; what has gone that way is accounted for."""
-        lane, newest = self._delivery.lane, self._hub.newest
-        if lane.levels and newest is not None:
-            self._hub.leave_lane(lane)
-            self._number, self._delivery.last = newest.number, newest
+    def leave_broadcast(self) -> None:
+        """Leave the broadcast; what was sent by it counts as sent."""
+        receiver, newest = self._delivery.receiver, self._hub.newest
+        if receiver.levels and newest is not None:
+            self._hub.remove_receiver(receiver)
+            self._sequence, self._delivery.last = newest.sequence, newest
 
     async def step(self, now: float) -> bool:
-        """Send the next thing; whether there was anything."""
+        """Send what comes next; returns whether there was anything."""
         newest = self._hub.newest
         assert newest is not None
-        if self._number is None:
+        if self._sequence is None:
             await self._join()
             return True
-        if self._number == newest.number:
-            return await self._rest(now)
-        following = self._hub.window.after(self._number)
+        if self._sequence == newest.sequence:
+            return await self._when_up_to_date(now)
+        following = self._hub.window.after(self._sequence)
         if following is not None and following.is_key:
-            await self._renew(following)
+            await self._send_refresh(following)
             return True
         if following is not None and now - following.arrived <= self._limits.viewer_lag_seconds:
-            self._number = following.number
+            self._sequence = following.sequence
             await self._delivery.frame(following.framed(self._levels.levels), following)
             return True
-        await self._overtake(now)
+        await self._skip_ahead(now)
         return True
 
-    async def _rest(self, now: float) -> bool:
-        """The viewer has everything: say so once, or try a level more."""
-        self._delivery.held_seconds = 0.0
+    async def _when_up_to_date(self, now: float) -> bool:
+        """The viewer has everything: tell it once, try one more level, or join the broadcast."""
+        self._delivery.blocked_seconds = 0.0
         if not self._told_caught_up:
             self._told_caught_up = True
             await self._delivery.event(event("caught_up"))
@@ -91,62 +91,62 @@ class Follower:
             await self._raise_level(now)
             return True
         if self._delivery.can_post:
-            self._hub.enter_lane(self._delivery.lane, self._levels.levels)
+            self._hub.add_receiver(self._delivery.receiver, self._levels.levels)
         return False
 
     async def _join(self) -> None:
-        """The newest keyframe, coarse levels first, and one residual from it to now."""
+        """Send the newest keyframe, coarse levels first, and one residual from it to the newest state."""
         last = self.shown_levels - 1
         parts = self._hub.key_parts(0, last)
         newest, residual = await self._hub.catch_up(0, last)
-        self._number = newest.number
+        self._sequence = newest.sequence
         self._delivery.last = newest
-        await self._give(parts, residual)
+        await self._send_parts(parts, residual)
 
-    async def _renew(self, keyframe: StreamPacket) -> None:
-        """A new keyframe while an older one is shown: a piece a frame, then one residual over what has come since."""
+    async def _send_refresh(self, keyframe: StreamPacket) -> None:
+        """Send a refresh keyframe, one piece per frame interval, then one residual to the newest state."""
         scene, levels = self._hub.scene, self.shown_levels
         assert scene is not None
-        await self._delivery.trickle(keyframe, levels, 1 / scene.header.fps)
-        self._number = keyframe.number
+        await self._delivery.send_in_pieces(keyframe, levels, 1 / scene.header.fps)
+        self._sequence = keyframe.sequence
         if self._hub.keyframe is keyframe:
             newest, residual = await self._hub.catch_up(0, levels - 1)
             if residual is not None:
-                self._number = newest.number
+                self._sequence = newest.sequence
                 await self._delivery.frame(residual, newest)
 
-    async def _overtake(self, now: float) -> None:
-        """The viewer fell behind: fewer levels, and one residual over all that it missed."""
-        assert self._number is not None
+    async def _skip_ahead(self, now: float) -> None:
+        """The viewer fell behind: send fewer levels, and one residual over everything that it missed."""
+        assert self._sequence is not None
         shown = self._levels.levels = self.shown_levels
-        if self._delivery.held_seconds > self._limits.viewer_lag_seconds / 10:  # its own doing, not the server's pause
+        if self._delivery.blocked_seconds > self._limits.viewer_lag_seconds / 10:  # not the server's fault
             self._levels.congested(now)
-            self._delivery.held_seconds = 0.0
+            self._delivery.blocked_seconds = 0.0
         if self._levels.levels != shown:
             await self._delivery.event(event("levels", levels=self._levels.levels, reason="congestion"))
         self._stream.counters.skips += 1
-        if not self._hub.can_skip(self._number):
-            self._number = None
+        if not self._hub.can_skip_from(self._sequence):
+            self._sequence = None
             return
         before = self._delivery.last
-        newest, residual = await self._hub.skip(self._number, self._levels.levels)
-        self._number = newest.number
+        newest, residual = await self._hub.skip(self._sequence, self._levels.levels)
+        self._sequence = newest.sequence
         if before is not None:
             limits = {"from": before.position.version, "to": newest.position.version}
             await self._delivery.event(event("skipped", **limits, reason="congestion"))
         await self._delivery.frame(residual, newest)
 
     async def _raise_level(self, now: float) -> None:
-        """One level more: its part of the keyframe, and what has happened to it since."""
+        """Send one more level: its part of the keyframe, and the residual from there to the newest state."""
         first = self._levels.levels
         self._levels.raise_level(now)
         last = self.shown_levels - 1
         parts = self._hub.key_parts(first, last)
         _, residual = await self._hub.catch_up(first, last)
         await self._delivery.event(event("levels", levels=self.shown_levels, reason="recovered"))
-        await self._give(parts, residual)
+        await self._send_parts(parts, residual)
 
-    async def _give(self, parts: list[bytes], residual: bytes | None) -> None:
-        """Parts of the keyframe, and the residual from it, if one is needed."""
+    async def _send_parts(self, parts: list[bytes], residual: bytes | None) -> None:
+        """Send parts of the keyframe, and the residual from it, if one is needed."""
         for frame in parts if residual is None else [*parts, residual]:
             await self._delivery.frame(frame)

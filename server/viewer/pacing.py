@@ -1,10 +1,10 @@
-"""How fast, and with how many levels, one viewer is fed. Pure arithmetic on given times; no I/O."""
+"""How fast one viewer is sent to, and with how many levels. Pure arithmetic on given times, no I/O."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-_CALM_SECONDS = 5.0  # without congestion before a level is tried again
+_CALM_SECONDS = 5.0  # without congestion, before one more level is tried
 _LONGEST_CALM_SECONDS = 80.0
 
 
@@ -25,7 +25,7 @@ class Throttle:
         return self._rate is not None
 
     def spend(self, size_bytes: int, now: float) -> float:
-        """Account for `size_bytes`; seconds to wait before anything more is sent."""
+        """Count `size_bytes`; returns the seconds to wait before anything more is sent."""
         if self._rate is None:
             return 0.0
         self._free_at = max(self._free_at, now) + size_bytes / self._rate
@@ -33,7 +33,7 @@ class Throttle:
 
 
 class Allowance:
-    """A number of messages a second that is not exceeded on average; two seconds' worth may come at once.
+    """A limit on messages a second, on average; two seconds' worth may come at once.
 
     Args:
         per_second: messages.
@@ -45,7 +45,7 @@ class Allowance:
         self._left, self._at = 2 * per_second, now
 
     def take(self, now: float) -> bool:
-        """Account for one message; whether it is within the allowance."""
+        """Count one message; returns whether it is within the limit."""
         self._left = min(2 * self.per_second, self._left + self.per_second * (now - self._at)) - 1
         self._at = now
         return self._left >= 0
@@ -53,10 +53,10 @@ class Allowance:
 
 @dataclass(slots=True)
 class LevelControl:
-    """How many levels a viewer gets: one less whenever it falls behind, one more after a calm time.
+    """How many levels a viewer gets: one less whenever it falls behind, one more after a time without congestion.
 
-    A level that did not hold doubles the calm time before it is tried again, so that quality recovers but does not
-    flicker.
+    If a raised level causes congestion, the time before it is tried again is doubled, so that quality recovers without
+    flickering.
 
     Attributes:
         wanted: levels that the viewer asked for.

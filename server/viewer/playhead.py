@@ -1,12 +1,12 @@
-"""Where a viewer wants to be: at the live edge, in the past, or standing still. Pure state; no I/O."""
+"""Where a viewer wants to be: at the live edge, in the past, or paused. Pure state, no I/O."""
 
 from __future__ import annotations
 
 from server.protocol.packets import Position
 
 
-class Course:
-    """What a viewer asked for last.
+class Playhead:
+    """The position and mode that a viewer asked for last.
 
     Args:
         start: where it begins; None is the live edge.
@@ -24,16 +24,16 @@ class Course:
         self._target, self.mode, self.changed = to, "replay" if to else "live", True
 
     def pause(self) -> None:
-        """Stand still."""
+        """Stop at the present position."""
         self.mode, self.changed = "paused", True
 
     def play(self, here: Position | None) -> None:
-        """Go on from `here`, where the viewer stands."""
+        """Play on from `here`, the viewer's position."""
         if self.mode == "paused":
             self.seek(here)
 
     def settle(self, here: Position | None, oldest: Position, newest: Position) -> tuple[Position, bool]:
-        """The place to go to from `here`, and whether the window of `oldest` to `newest` has moved it."""
+        """The position to go to from `here`, and whether it was clamped to the window from `oldest` to `newest`."""
         self.changed = False
         if self.mode == "paused" and here is not None:
             return here, False

@@ -1,6 +1,6 @@
-"""Pictures drawn by the server, for viewers that cannot draw: scene and camera in, JPEG out, at a grade that adapts.
+"""Pictures drawn by the server, for viewers that cannot draw: scene and camera in, JPEG out, at an adaptive quality.
 
-Drawing runs in one thread for all viewers, in turn; its kernels let the event loop go on meanwhile.
+One thread draws for all viewers in turn; its kernels release the GIL, so the event loop keeps running.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from core.scene.gaussians import GaussianCloud
 T = TypeVar("T")
 
 HEADER = struct.Struct("<IIIHHBBHI")  # number, epoch, version, width, height, quality, levels, 0, drawing time in us
-_MOST_PAIRS = 1 << 24  # of a Gaussian and a tile: 64 MB and about a second, whatever a viewer asks for
-_SMALLEST_SIDE = 16  # pixels
+_MAX_PAIRS = 1 << 24  # of a Gaussian and a tile: 64 MB and about a second, whatever a viewer asks for
+_MIN_SIDE = 16  # pixels
 _FULL_CHROMA = 90  # JPEG quality from which colour keeps its full resolution
 
 
@@ -44,11 +44,11 @@ class Grade:
 GRADES = (Grade(1, 92), Grade(1, 80), Grade(0.75, 75), Grade(0.5, 70), Grade(0.35, 60), Grade(0.25, 50))
 
 
-class Pace:
+class GradeControl:
     """Chooses the grade from how long pictures take, from the begin of drawing to the viewer's acknowledgement.
 
-    Coarser at once when a picture takes long; finer after a calm while, if the next grade should still be quick. A
-    picture of a view that rests may take longer.
+    It gets coarser at once when a picture takes long, and finer after several quick pictures, if the next grade should
+    still be quick. A picture of a view that does not move may take longer.
     """
 
     _SLOW, _QUICK, _REST = 0.25, 0.15, 1.5  # seconds a picture
@@ -60,12 +60,12 @@ class Pace:
 
     @property
     def moving(self) -> int:
-        """Index of the grade for a picture that another will follow soon."""
+        """Index of the grade while the view or the scene changes."""
         return self._index
 
     @property
     def resting(self) -> int:
-        """Index of the grade for a picture that stays."""
+        """Index of the grade when nothing changes."""
         fine = (index for index in range(self._index) if self._expected(index) <= self._REST)
         return next(fine, self._index)
 
@@ -73,7 +73,7 @@ class Pace:
         """A picture of grade `index` took `seconds`."""
         self._cost = seconds / _work(index)
         if index < self._index:
-            return  # it had time
+            return  # a picture of a view at rest may take longer
         if seconds > self._SLOW:
             steps = 2 if seconds > 3 * self._SLOW else 1
             self._index, self._calm = min(self._index + steps, len(GRADES) - 1), 0
@@ -93,7 +93,7 @@ def _work(index: int) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Painted:
+class RenderedPicture:
     """A JPEG file with its size in pixels, and how long it took to make."""
 
     jpeg: bytes
@@ -102,27 +102,27 @@ class Painted:
     seconds: float
 
 
-class Painter:
-    """The thread that draws, and the places of the viewers it draws for.
+class PictureRenderer:
+    """The thread that draws pictures, for a limited number of viewers.
 
     Args:
-        places: how many viewers at most.
+        seats: most viewers that it draws for at the same time.
         most_pixels: of a picture.
     """
 
-    def __init__(self, places: int, most_pixels: int) -> None:
-        self.places, self._most_pixels = places, most_pixels
+    def __init__(self, seats: int, most_pixels: int) -> None:
+        self.seats, self._most_pixels = seats, most_pixels
         self.taken = 0
         self._thread: ThreadPoolExecutor | None = None
 
     @property
     def is_full(self) -> bool:
-        """Whether no place is left."""
-        return self.taken >= self.places
+        """Whether no seat is left."""
+        return self.taken >= self.seats
 
     @contextlib.contextmanager
-    def place(self) -> Iterator[None]:
-        """Hold one place; ask `is_full` first."""
+    def seat(self) -> Iterator[None]:
+        """Take one seat while the context lasts; check `is_full` first."""
         assert not self.is_full
         self.taken += 1
         try:
@@ -131,18 +131,20 @@ class Painter:
             self.taken -= 1
 
     async def run(self, work: Callable[[], T]) -> T:
-        """`work` in the drawing thread, after what waits there."""
+        """Run `work` in the drawing thread, after the work queued before it."""
         if self._thread is None:
-            self._thread = ThreadPoolExecutor(1, thread_name_prefix="painter")
+            self._thread = ThreadPoolExecutor(1, thread_name_prefix="renderer")
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
 
-    def paint(self, splatter: Splatter, scene: Scene, camera: Camera, levels: int, grade: Grade) -> Painted:
+    def render_picture(
+        self, splatter: Splatter, scene: Scene, camera: Camera, levels: int, grade: Grade
+    ) -> RenderedPicture:
         """Draw and compress; call it through `run`."""
         started = time.perf_counter()
         camera = fitted(camera, grade.scale, self._most_pixels)
         image = draw(splatter.cloud(scene, camera, levels), camera, scene)
         jpeg = compress(image, grade.quality)
-        return Painted(jpeg, camera.width, camera.height, time.perf_counter() - started)
+        return RenderedPicture(jpeg, camera.width, camera.height, time.perf_counter() - started)
 
     def close(self) -> None:
         """End the thread after what it is doing."""
@@ -153,7 +155,7 @@ class Painter:
 def fitted(camera: Camera, scale: float, most_pixels: int) -> Camera:
     """`camera` with both sides of its picture scaled, and shrunk to at most `most_pixels`."""
     scale *= min(1.0, (most_pixels / (scale**2 * camera.width * camera.height)) ** 0.5)
-    width, height = (max(_SMALLEST_SIDE, int(side * scale)) for side in (camera.width, camera.height))
+    width, height = (max(_MIN_SIDE, int(side * scale)) for side in (camera.width, camera.height))
     return camera.scaled(width, height)
 
 
@@ -162,7 +164,7 @@ def draw(cloud: GaussianCloud, camera: Camera, scene: Scene) -> UInt8:
     inner = camera
     while True:
         try:
-            image = render(cloud, inner, scene.header.background, _MOST_PAIRS).image
+            image = render(cloud, inner, scene.header.background, _MAX_PAIRS).image
             break
         except ModelError:
             size = max(1, inner.width // 2), max(1, inner.height // 2)

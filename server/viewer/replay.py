@@ -1,4 +1,4 @@
-"""A viewer in the past: packets from the bus, at the times at which they were filmed."""
+"""Replay for one viewer: recorded packets, sent at the pace at which they were filmed."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from server.stream.bus import LocalBus
 from server.viewer.delivery import Delivery
 from server.viewer.pacing import LevelControl
 
-_CHUNK_VERSIONS = 16  # of the past, read at once
+_CHUNK_VERSIONS = 16  # read at once
 _LONGEST_GAP_SECONDS = 2.0
 
 
 class Replay:
-    """Plays what is retained, from a place on to where it ends.
+    """Plays what is retained, from a position to its end.
 
     Args:
-        bus: where the past is.
-        delivery: the way to the viewer.
-        levels: how many it gets.
+        bus: packets in memory and on disk.
+        delivery: sends to the viewer.
+        levels: how many levels it gets.
 
     Attributes:
         is_over: whether nothing more is retained.
@@ -29,11 +29,11 @@ class Replay:
     def __init__(self, bus: LocalBus, delivery: Delivery, levels: LevelControl) -> None:
         self._bus, self._delivery, self._levels = bus, delivery, levels
         self._ahead: deque[StreamPacket] = deque()
-        self._clock = 0.0  # monotonic time that stands for presentation time 0
+        self._clock = 0.0  # monotonic time of presentation time 0
         self.is_over = False
 
     def clear(self) -> None:
-        """Forget what was read ahead."""
+        """Discard what was read ahead."""
         self._ahead.clear()
         self.is_over = False
 
@@ -42,7 +42,7 @@ class Replay:
         return max(0.0, self._due(self._ahead[0]) - now) if self._ahead else None
 
     async def load(self, place: Position) -> None:
-        """Send from the keyframe before `place` up to it; what precedes `place` is due at once."""
+        """Send from the last keyframe before `place`; packets up to `place` are due at once."""
         here, last = self._bus.key_before(place), None
         while here is not None and here <= place:
             chunk = Position(here.epoch, here.version + _CHUNK_VERSIONS - 1)
@@ -50,14 +50,14 @@ class Replay:
             while packets and not (packets[0].is_key if last is None else packets[0].follows(last.position)):
                 packets.pop(0)  # some may have left the window meanwhile
             for packet in packets:
-                await self._give(packet)
+                await self._send_parts(packet)
             last = packets[-1] if packets else last
             here = Position(packets[-1].position.epoch, packets[-1].position.version + 1) if packets else None
         if last is not None:
             self._clock = time.monotonic() - last.info.time_ns / 1e9
 
     async def step(self, now: float) -> bool:
-        """Send what is due, or read ahead; whether there is something to do at once."""
+        """Send what is due, or read ahead; returns whether there is more to do at once."""
         if not self._ahead:
             await self._read_ahead()
             return bool(self._ahead)
@@ -66,12 +66,12 @@ class Replay:
             self._clock += now - due
         elif due > now:
             return False
-        await self._give(self._ahead.popleft())
+        await self._send_parts(self._ahead.popleft())
         return True
 
     async def _read_ahead(self) -> None:
         """The next versions of the past, from the next keyframe where some are missing."""
-        if self._delivery.last is None:  # what it wanted to see left the window before it was sent
+        if self._delivery.last is None:  # what was asked for left the window before it was sent
             self.is_over = True
             return
         here = self._delivery.last.position
@@ -88,5 +88,5 @@ class Replay:
     def _due(self, packet: StreamPacket) -> float:
         return self._clock + packet.info.time_ns / 1e9
 
-    async def _give(self, packet: StreamPacket) -> None:
+    async def _send_parts(self, packet: StreamPacket) -> None:
         await self._delivery.frame(binary_frame(packet.restricted(self._levels.levels)), packet)

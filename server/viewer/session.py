@@ -1,8 +1,8 @@
-"""One viewer's session: what it wishes, and what it gets next.
+"""One viewer's session: what it asked for, and what it is sent next.
 
-A viewer has no queue. It has a place in the hub's window or in the past, and whenever its socket takes more, the next
-packet is chosen from there: the following one, or one residual over everything it missed. So a slow viewer costs a
-socket buffer.
+A viewer has no queue. It has a position in the hub's window or in the recording, and whenever its socket can take more,
+the next packet is chosen: the following one, or one residual over everything it missed. So a slow viewer costs no more
+than a socket buffer.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from server.stream.stream import Stream
 from server.viewer.delivery import Delivery, Transport
 from server.viewer.follower import Follower
 from server.viewer.pacing import Allowance, LevelControl
-from server.viewer.playhead import Course
+from server.viewer.playhead import Playhead
 from server.viewer.replay import Replay
 
 _LOG = logging.getLogger(__name__)
 _TICK_SECONDS = 1.0
-_MOST_LEVELS = 64
+_MAX_LEVELS = 64
 
 
 class ViewerSession:
@@ -33,7 +33,7 @@ class ViewerSession:
 
     Args:
         stream: what it watches.
-        hello: its wishes.
+        hello: what it asked for.
         transport: its connection.
         limits: of the server.
     """
@@ -45,21 +45,21 @@ class ViewerSession:
         self.draining = False
         self.wake = asyncio.Event()
         now = time.monotonic()
-        wanted = hello.levels or _MOST_LEVELS
+        wanted = hello.levels or _MAX_LEVELS
         self._levels = LevelControl(wanted, wanted, quiet_since=now)
         rate = hello.kilobytes_per_second
-        self._delivery = Delivery(transport, stream.hub, stream.counters, limits, rate, self._rouse)
+        self._delivery = Delivery(transport, stream.hub, stream.counters, limits, rate, self._notify)
         self._follower = Follower(stream, self._delivery, self._levels, limits)
-        transport.on_blocked(self._follower.leave_lane)
+        transport.on_blocked(self._follower.leave_broadcast)
         self._replay = Replay(stream.bus, self._delivery, self._levels)
-        self._course = Course(hello.start)
+        self._playhead = Playhead(hello.start)
         self._tell_levels = False
         self._windowed_at = now
         self._allowance = Allowance(limits.messages_per_second, now)
         self._begun = now
 
     def on_control(self, message: Control) -> None:
-        """Take a control message; its effect comes with the next step.
+        """Take a control message; it takes effect with the next step.
 
         Raises:
             SessionError: 4429, too many.
@@ -71,37 +71,37 @@ class ViewerSession:
             waiting = self._delivery.is_full
             self._delivery.acknowledge(message.received_bytes, now)
             if waiting or self._delivery.is_full:
-                self._rouse()
+                self._notify()
             return
-        self._rouse()
+        self._notify()
         match message:
             case Set(levels, rate_kilobytes, given):
                 if "levels" in given:
-                    self._levels.want(levels or _MOST_LEVELS, now)
+                    self._levels.want(levels or _MAX_LEVELS, now)
                     self._tell_levels = True
                 if "kilobytes_per_second" in given:
                     self._delivery.limit_rate(rate_kilobytes)
             case Seek(to):
-                self._course.seek(to)
+                self._playhead.seek(to)
             case Pause():
-                self._course.pause()
+                self._playhead.pause()
             case Play():
-                self._course.play(self._delivery.position)
+                self._playhead.play(self._delivery.position)
 
-    def _rouse(self) -> None:
-        """Let the session's task look what is to be done."""
-        self._follower.leave_lane()
+    def _notify(self) -> None:
+        """Leave the broadcast and wake the session's task."""
+        self._follower.leave_broadcast()
         self.wake.set()
 
     async def run(self) -> None:
-        """Feed the viewer until it leaves.
+        """Send to the viewer until it leaves.
 
         Raises:
             SessionError: the connection is to be closed with its code.
         """
         stream = self._stream
         events = stream.listen()
-        stream.hub.listeners.add(self._rouse)
+        stream.hub.listeners.add(self._notify)
         stream.viewers += 1
         stream.counters.joins += 1
         _LOG.info("stream %s: viewer %s (%s) joins", stream.spec.id, self.id, self.client)
@@ -119,64 +119,64 @@ class ViewerSession:
                     await self._idle()
         finally:
             stream.viewers -= 1
-            self._follower.leave_lane()
-            stream.hub.listeners.discard(self._rouse)
+            self._follower.leave_broadcast()
+            stream.hub.listeners.discard(self._notify)
             stream.unlisten(events)
             seconds = time.monotonic() - self._begun
             _LOG.info("stream %s: viewer %s left after %.1f s, %d bytes", stream.spec.id, self.id, seconds,
-                      self._delivery.lane.sent)  # fmt: skip
+                      self._delivery.receiver.sent)  # fmt: skip
 
     async def _idle(self) -> None:
         """Wait until there may be something to do."""
-        if self._follower.is_content:
+        if self._follower.is_settled:
             await self.wake.wait()
             return
         now = time.monotonic()
         wait = _TICK_SECONDS
         if self._delivery.free_at > now:
             wait = min(wait, self._delivery.free_at - now)
-        if self._course.mode == "replay" and (due := self._replay.seconds_to_next(now)) is not None:
+        if self._playhead.mode == "replay" and (due := self._replay.seconds_to_next(now)) is not None:
             wait = min(wait, due)
         full = self._delivery.is_full
-        timer = asyncio.get_running_loop().call_later(wait, self._rouse)
+        timer = asyncio.get_running_loop().call_later(wait, self._notify)
         try:
             await self.wake.wait()
         finally:
             timer.cancel()
             if full:
-                self._delivery.held_seconds += time.monotonic() - now
+                self._delivery.blocked_seconds += time.monotonic() - now
 
     async def _step(self) -> bool:
-        """Send the next thing; whether there was anything."""
+        """Send what comes next; returns whether there was anything."""
         now = time.monotonic()
         if self._stream.newest is None:
             return False
-        if self._course.changed:
+        if self._playhead.changed:
             await self._begin()
             return True
         if self._tell_levels:
             self._tell_levels = False
             await self._delivery.event(event("levels", levels=self._follower.shown_levels, reason="requested"))
-        if self._course.mode == "paused" or self._delivery.must_wait(now):
+        if self._playhead.mode == "paused" or self._delivery.must_wait(now):
             return False
         if now - self._windowed_at >= _TICK_SECONDS and self._stream.window is not None:
             self._windowed_at = now
             await self._delivery.event(event("window", **self._stream.window))
-        if self._course.mode == "live":
+        if self._playhead.mode == "live":
             return await self._follower.step(now)
         going_on = await self._replay.step(now)
         if not self._replay.is_over:
             return going_on
-        self._course.mode = "live"
+        self._playhead.mode = "live"
         self._follower.resume()
         return True
 
     async def _begin(self) -> None:
-        """Answer hello, seek, pause or play with a position, and start over from there."""
+        """Answer hello, seek, pause or play with a position, and continue from there."""
         newest = self._stream.newest
         assert newest is not None
-        place, clamped = self._course.settle(self._delivery.position, self._stream.bus.oldest or newest, newest)
-        mode = self._course.mode
+        place, clamped = self._playhead.settle(self._delivery.position, self._stream.bus.oldest or newest, newest)
+        mode = self._playhead.mode
         if mode != "paused":
             self._follower.restart()
             self._replay.clear()

@@ -1,7 +1,7 @@
-"""A viewer that gets pictures: an ordinary session whose decoder lives here, and a loop that draws for it.
+"""A thin viewer, which gets pictures: an ordinary session whose decoder runs in the server, and a loop that draws.
 
-So joining, levels, seeking, pausing and falling behind are those of every viewer; only the last step, from the state to
-a picture, happens on this side. One picture is on its way at a time, the newest view wins.
+Joining, levels, seeking, pausing and falling behind work as for every viewer; only the last step, from the decoded
+state to a picture, happens here. One picture is in flight at a time, drawn for the newest view.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from core.render.splatter import Splatter
 from core.scene.anchors import Scene
 from server.protocol.messages import BUSY, FORBIDDEN, Control, Hello, Pause, Play, Seek, event
 from server.protocol.packets import Position, binary_frame
-from server.protocol.thin_messages import Pick, Shown, View
+from server.protocol.thin_messages import Pick, Shown, ViewMessage
 from server.settings import Limits
 from server.stream.counters import Counters
 from server.stream.stream import Stream
 from server.viewer.delivery import Transport
-from server.viewer.renderer import GRADES, HEADER, Pace, Painter, look_along
+from server.viewer.renderer import GRADES, HEADER, GradeControl, PictureRenderer, look_along
 from server.viewer.session import ViewerSession
 
 _REST_SECONDS = 0.3  # after which a view that does not move gets a better picture
-_SHORTEST_SECONDS = 0.05  # between two pictures
+_MIN_INTERVAL_SECONDS = 0.05  # between two pictures
 
 
-class _Inlet:
-    """Where the inner session writes: packets go to a decoder, events through to the viewer."""
+class _DecodingTransport:
+    """The transport of the ordinary session: packets go to a decoder, events to the viewer."""
 
     def __init__(self, outer: Transport, changed: asyncio.Event) -> None:
         self._outer, self._changed = outer, changed
         self._decoder = SceneDecoder()
         self.scene: Scene | None = None
-        self.levels = 0  # of the scene that are at its version, coarse ones first
+        self.levels = 0  # of the scene that are up to date, counted from the coarsest
 
     async def binary(self, frame: bytes) -> None:
         await asyncio.to_thread(self._decoder.push, _payload(frame))
@@ -56,11 +56,11 @@ class _Inlet:
         await self._outer.text(message)
 
     def post(self, frame: bytes) -> None:
-        raise AssertionError("decoding takes a while")
+        raise AssertionError("never clear, so nothing is posted")
 
     @property
     def is_clear(self) -> bool:
-        """Never: decoding takes a while."""
+        """Never: each packet is decoded before the next one."""
         return False
 
     def on_blocked(self, call: Callable[[], None]) -> None:
@@ -72,22 +72,24 @@ class ThinSession(ViewerSession):
 
     Args:
         stream, hello, transport, limits: as of `ViewerSession`.
-        painter: draws.
+        renderer: draws the pictures.
     """
 
-    def __init__(self, stream: Stream, hello: Hello, transport: Transport, limits: Limits, painter: Painter) -> None:
+    def __init__(
+        self, stream: Stream, hello: Hello, transport: Transport, limits: Limits, renderer: PictureRenderer
+    ) -> None:
         self._changed = asyncio.Event()
-        self._inlet = _Inlet(transport, self._changed)
-        super().__init__(stream, hello, self._inlet, limits)
-        self._delivery.counters = Counters()  # packets stay in this process: they count as nobody's bytes
-        self._outlet, self._painter = transport, painter
-        self._splatter, self._pace = Splatter(), Pace()
+        self._decoding = _DecodingTransport(transport, self._changed)
+        super().__init__(stream, hello, self._decoding, limits)
+        self._delivery.counters = Counters()  # packets stay in this process and are not counted as sent
+        self._viewer, self._renderer = transport, renderer
+        self._splatter, self._grades = Splatter(), GradeControl()
         self._camera: Camera | None = None
         self._number = self._shown = 0
-        self._keyframe: Scene | None = None  # that the viewer was told of
+        self._keyframe: Scene | None = None  # whose scene event the viewer has got
         self._picks: list[Pick] = []
-        self._stop = False  # pause as soon as the place of a seek is reached
-        self._frozen: tuple[Scene, int] | None = None  # paused: what is looked at, whatever has arrived since
+        self._stop = False  # pause as soon as the position of a seek is reached
+        self._frozen: tuple[Scene, int] | None = None  # paused: the state on screen, whatever has arrived since
         self._drawn: tuple[Scene, int, Camera] | None = None
 
     def on_control(self, message: Control) -> None:
@@ -99,7 +101,7 @@ class ThinSession(ViewerSession):
                 self._stop, self._frozen = stop, None
             case Play():
                 self._frozen = None
-            case View(camera):
+            case ViewMessage(camera):
                 self._camera = camera
             case Shown(picture):
                 self._shown = max(self._shown, min(picture, self._number))
@@ -108,13 +110,13 @@ class ThinSession(ViewerSession):
         self._changed.set()
 
     async def run(self) -> None:
-        if self._painter.is_full:
+        if self._renderer.is_full:
             self._stream.counters.thin_refused += 1
-            if self._painter.places == 0:
+            if self._renderer.seats == 0:
                 raise SessionError(FORBIDDEN, "this server draws no pictures")
-            raise SessionError(BUSY, f"the server draws for {self._painter.places} viewers already; try again later")
+            raise SessionError(BUSY, f"the server draws for {self._renderer.seats} viewers already; try again later")
         tasks: list[asyncio.Task[None]] = []
-        with self._painter.place():
+        with self._renderer.seat():
             self._stream.thin_viewers += 1
             try:
                 tasks = [asyncio.create_task(super().run()), asyncio.create_task(self._draw())]
@@ -131,14 +133,14 @@ class ThinSession(ViewerSession):
         await super()._go_back(place)
         if self._stop:
             self._stop = False
-            self._course.pause()
+            self._playhead.pause()
 
     async def _draw(self) -> None:
-        """Picture after picture: at once when there is something new, better ones while nothing changes."""
+        """Draw picture after picture: at once when something changes, then a better one when nothing does."""
         fine = True
         while True:
             self._changed.clear()
-            scene, levels = self._frozen or (self._inlet.scene, self._inlet.levels)
+            scene, levels = self._frozen or (self._decoding.scene, self._decoding.levels)
             camera = self._camera
             if scene is not None and levels:
                 await self._introduce(scene)
@@ -146,20 +148,20 @@ class ThinSession(ViewerSession):
             if scene is None or not levels or camera is None:
                 await self._changed.wait()
                 continue
-            index = self._pace.moving
+            index = self._grades.moving
             if self._drawn == (scene, levels, camera):
                 if fine:
                     await self._changed.wait()
                     continue
                 if not await self._rests():
                     continue
-                index = self._pace.resting
+                index = self._grades.resting
             self._drawn = scene, levels, camera
             await self._picture(scene, camera, levels, index)
-            fine = index <= self._pace.resting
+            fine = index <= self._grades.resting
 
     async def _rests(self) -> bool:
-        """Wait for a change; whether none came."""
+        """Wait for a change; returns whether none came in time."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_REST_SECONDS):
                 await self._changed.wait()
@@ -169,28 +171,30 @@ class ThinSession(ViewerSession):
         """Draw, send, and wait until it is on the viewer's screen."""
         begin, grade = time.monotonic(), GRADES[index]
         place = self._delivery.position
-        painted = await self._painter.run(lambda: self._painter.paint(self._splatter, scene, camera, levels, grade))
+        rendered = await self._renderer.run(
+            lambda: self._renderer.render_picture(self._splatter, scene, camera, levels, grade)
+        )
         self._number += 1
         head = (
             self._number,
             place.epoch if place else 0,
             scene.version,
-            painted.width,
-            painted.height,
+            rendered.width,
+            rendered.height,
             grade.quality,
             levels,
             0,
         )
-        data = HEADER.pack(*head, int(painted.seconds * 1e6)) + painted.jpeg
+        data = HEADER.pack(*head, int(rendered.seconds * 1e6)) + rendered.jpeg
         counters = self._stream.counters
         counters.pictures += 1
         counters.picture_bytes += len(data)
-        counters.picture_seconds += painted.seconds
-        await self._outlet.binary(binary_frame(data))
+        counters.picture_seconds += rendered.seconds
+        await self._viewer.binary(binary_frame(data))
         await self._acknowledged()
         seconds = time.monotonic() - begin
-        self._pace.delivered(index, seconds)
-        await asyncio.sleep(max(0.0, _SHORTEST_SECONDS - seconds))
+        self._grades.delivered(index, seconds)
+        await asyncio.sleep(max(0.0, _MIN_INTERVAL_SECONDS - seconds))
 
     async def _acknowledged(self) -> None:
         limit = self._limits.stuck_seconds
@@ -204,7 +208,7 @@ class ThinSession(ViewerSession):
         raise SessionError(BUSY, f"no picture was acknowledged for {limit:g} s")
 
     async def _introduce(self, scene: Scene) -> None:
-        """Tell of a new scene, once."""
+        """Send a scene event for each new scene."""
         if self._keyframe is not None and self._keyframe.weights is scene.weights:
             return
         self._keyframe = scene
@@ -222,14 +226,14 @@ class ThinSession(ViewerSession):
         ]  # fmt: skip
         facts: dict[str, Any] = {"background": header.background.tolist(), "fps": header.fps}
         facts |= {"levels": header.octree.levels, "view_dependent": header.view_dependent, "cameras": cameras}
-        await self._outlet.text(json.dumps(event("scene", **facts)))
+        await self._viewer.text(json.dumps(event("scene", **facts)))
 
     async def _answer(self, scene: Scene, levels: int) -> None:
-        """Answer what was asked about rays."""
+        """Answer pick messages."""
         picks, self._picks = self._picks, []
         for pick in picks:
-            point, depth = await self._painter.run(partial(self._look, scene, levels, pick))
-            await self._outlet.text(json.dumps(event("picked", id=pick.id, point=point, depth=depth)))
+            point, depth = await self._renderer.run(partial(self._look, scene, levels, pick))
+            await self._viewer.text(json.dumps(event("picked", id=pick.id, point=point, depth=depth)))
 
     def _look(self, scene: Scene, levels: int, pick: Pick) -> tuple[list[float] | None, float]:
         pose = np.concatenate([np.eye(3), -pick.origin[:, None]], axis=1)

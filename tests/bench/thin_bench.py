@@ -9,7 +9,7 @@ import argparse
 import time
 
 from core.render.splatter import Splatter
-from server.viewer.renderer import GRADES, Painter
+from server.viewer.renderer import GRADES, PictureRenderer
 from tests.client.web.scenes import make_scene, moved
 
 _REPEATS = 5
@@ -20,28 +20,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--anchors", type=int, default=20_000, help="about so many, four Gaussians each")
     scene = make_scene(parser.parse_args().anchors, view_dependent=False)
-    painter, splatter, camera = Painter(1, 2**25), Splatter(), scene.header.cameras[0]
+    renderer, splatter, camera = PictureRenderer(1, 2**25), Splatter(), scene.header.cameras[0]
     print(f"{scene.anchor_count} anchors, {len(splatter.cloud(scene, camera))} Gaussians drawn")
     print("| size | grade | CPU ms, the same scene | CPU ms, a new frame | KB |\n| --- | --- | --- | --- | --- |")
     for width, height in ((640, 360), (1280, 720)):
         view = camera.scaled(width, height)
         for grade in GRADES:
-            painter.paint(splatter, scene, view, 16, grade)
+            renderer.render_picture(splatter, scene, view, 16, grade)
             begin = time.process_time()
             for _ in range(_REPEATS):
-                painted = painter.paint(splatter, scene, view, 16, grade)
+                rendered = renderer.render_picture(splatter, scene, view, 16, grade)
             still = time.process_time() - begin
             frames = [scene := moved(scene) for _ in range(_REPEATS)]
             begin = time.process_time()
             for frame in frames:
-                painter.paint(splatter, frame, view, 16, grade)
+                renderer.render_picture(splatter, frame, view, 16, grade)
             moving = time.process_time() - begin
             cells = (
                 f"{width}x{height}",
                 f"{grade.scale:g}, JPEG {grade.quality}",
                 f"{1000 * still / _REPEATS:.1f}",
                 f"{1000 * moving / _REPEATS:.1f}",
-                f"{len(painted.jpeg) / 1000:.1f}",
+                f"{len(rendered.jpeg) / 1000:.1f}",
             )
             print(f"| {' | '.join(cells)} |")
 

@@ -247,18 +247,18 @@ def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
                     newest, frame = await hub.catch_up(0, 2)
                     if frame:
                         decoder.push(unframed(frame))
-                    number = newest.number
-                case "next" if number is not None:
-                    following = hub.window.after(number)
+                    sequence = newest.sequence
+                case "next" if sequence is not None:
+                    following = hub.window.after(sequence)
                     if following is not None:
                         decoder.push(unframed(following.framed(3)))
-                        number = following.number
-                case "skip" if number is not None and number < version:
-                    newest, frame = await hub.skip(number, 3)
+                        sequence = following.sequence
+                case "skip" if sequence is not None and number < version:
+                    newest, frame = await hub.skip(sequence, 3)
                     decoder.push(unframed(frame))
-                    number = newest.number
-            if number is not None:
-                assert_same_state(states[number], decoder.scene)
+                    sequence = newest.sequence
+            if sequence is not None:
+                assert_same_state(states[sequence], decoder.scene)
 
     for seed in range(8):
         asyncio.run(run(seed))

@@ -107,17 +107,17 @@ def overlap(ones: list[Span], others: list[Span]) -> float:
 def test_the_stages_of_three_frames_run_side_by_side(trained: tuple[Path, list[EncodedFrame]]) -> None:
     _, frames = trained
 
-    def lane(name: str, chosen: list[EncodedFrame]) -> list[Span]:
-        return [span for frame in chosen for span in frame.spans if span.lane == name]
+    def track(name: str, chosen: list[EncodedFrame]) -> list[Span]:
+        return [span for frame in chosen for span in frame.spans if span.track == name]
 
-    assert [span.lane for span in frames[2].spans if span.lane != "train"] == ["read", "encode", "write"]
-    assert {span.name for span in lane("train", frames)} >= {"points", "seed", "train", "partition", "round"}
-    for name in ("read", "train", "encode", "write"):  # within a lane, one after the other
-        spans = lane(name, frames)
+    assert [span.track for span in frames[2].spans if span.track != "train"] == ["read", "encode", "write"]
+    assert {span.name for span in track("train", frames)} >= {"points", "seed", "train", "partition", "round"}
+    for name in ("read", "train", "encode", "write"):  # within a track, one after the other
+        spans = track(name, frames)
         assert all(a.end <= b.begin for a, b in pairwise(spans))
-    assert overlap(lane("read", frames[1:]), lane("train", frames[:-1])) > 0
-    assert overlap(lane("encode", frames[:-1]), lane("train", frames[1:])) > 0
-    assert overlap(lane("encode", frames), lane("write", frames)) == 0
+    assert overlap(track("read", frames[1:]), track("train", frames[:-1])) > 0
+    assert overlap(track("encode", frames[:-1]), track("train", frames[1:])) > 0
+    assert overlap(track("encode", frames), track("write", frames)) == 0
 
 
 def test_a_failing_encoder_ends_the_stream_and_the_training(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""The short way to viewers that are up to date, and what closes it."""
+"""Broadcast to viewers that are up to date, and what takes a viewer out of it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 from codec.encoder import encode_keyframe
 from server.protocol.packets import PIECE_BYTES, Position, StreamPacket, binary_frame, payload_bytes, stream_packet
 from server.settings import Limits
-from server.stream.broadcast import Lane, Lanes
+from server.stream.broadcast import Broadcast, Receiver
 from server.stream.counters import Counters
 from server.stream.hub import Hub
 from server.viewer.delivery import Delivery
-from server.viewer.playhead import Course
+from server.viewer.playhead import Playhead
 from tests.codec.scenes import make_scene
 
 
@@ -25,11 +25,11 @@ def packet() -> StreamPacket:
 class Viewer:
     """Takes `room` frames, then blocks."""
 
-    def __init__(self, lanes: Lanes, levels: int, room: int = 10) -> None:
-        self.lanes, self.room = lanes, room
+    def __init__(self, broadcast: Broadcast, levels: int, room: int = 10) -> None:
+        self.broadcast, self.room = broadcast, room
         self.frames: list[bytes] = []
-        self.lane = Lane(self.write, self.leave)
-        lanes.enter(self.lane, levels)
+        self.receiver = Receiver(self.write, self.leave)
+        broadcast.add(self.receiver, levels)
 
     def write(self, frame: bytes) -> None:
         self.frames.append(frame)
@@ -37,36 +37,36 @@ class Viewer:
             self.leave()
 
     def leave(self) -> None:
-        if self.lane.levels:
-            self.lanes.leave(self.lane)
+        if self.receiver.levels:
+            self.broadcast.remove(self.receiver)
 
 
 def test_all_share_one_frame_a_level_count_and_one_that_blocks_does_not_keep_the_others(packet: StreamPacket) -> None:
     counters = Counters()
-    lanes = Lanes(counters)
-    lanes.pass_on(packet)  # so that its number of levels is nothing new
-    blocking, *others = [Viewer(lanes, 3, room=1), Viewer(lanes, 3), Viewer(lanes, 1)]
+    broadcast = Broadcast(counters)
+    broadcast.send(packet)  # so that its number of levels is nothing new
+    blocking, *others = [Viewer(broadcast, 3, room=1), Viewer(broadcast, 3), Viewer(broadcast, 1)]
     for _ in range(2):
-        lanes.pass_on(packet)
+        broadcast.send(packet)
     assert blocking.frames == [binary_frame(packet.data)]
     assert [len(viewer.frames) for viewer in others] == [2, 2]
     assert others[0].frames[0] is blocking.frames[0]
     assert payload_bytes(others[1].frames[0]) < len(packet.data)
-    sizes = [viewer.lane.sent for viewer in (blocking, *others)]
+    sizes = [viewer.receiver.sent for viewer in (blocking, *others)]
     assert sizes == [len(packet.data), 2 * len(packet.data), 2 * len(packet.restricted(1))]
     assert counters.sent_bytes == sum(sizes)
 
 
-def test_a_lane_is_left_above_its_ceiling_and_when_the_number_of_levels_changes(packet: StreamPacket) -> None:
-    lanes = Lanes(Counters())
-    viewer = Viewer(lanes, 2)
-    lanes.pass_on(packet, b"news")  # three levels where there were none
-    assert viewer.lane.levels == 0
+def test_a_receiver_leaves_above_its_send_limit_and_when_the_number_of_levels_changes(packet: StreamPacket) -> None:
+    broadcast = Broadcast(Counters())
+    viewer = Viewer(broadcast, 2)
+    broadcast.send(packet, b"news")  # three levels where there were none
+    assert viewer.receiver.levels == 0
     assert viewer.frames[0].endswith(b"news")
-    lanes.enter(viewer.lane, 2)
-    viewer.lane.ceiling = viewer.lane.sent
+    broadcast.add(viewer.receiver, 2)
+    viewer.receiver.send_limit = viewer.receiver.sent
     for _ in range(3):
-        lanes.pass_on(packet)
+        broadcast.send(packet)
     assert len(viewer.frames) == 2
 
 
@@ -99,7 +99,7 @@ class Nowhere:
 def test_a_viewer_whose_packets_take_long_gets_nothing_until_it_has_them_all() -> None:
     counters = Counters()
     delivery = Delivery(Nowhere(), Hub(10**6, counters), counters, Limits(flight_bytes=100_000), None, lambda: None)
-    delivery.lane.sent = 10**6
+    delivery.receiver.sent = 10**6
     fine = [delivery.can_post]  # it has never acknowledged anything: nothing is known of it
     for sent, received, now in (
         (1_000_000, 950_000, 100.0),
@@ -110,24 +110,24 @@ def test_a_viewer_whose_packets_take_long_gets_nothing_until_it_has_them_all() -
         (1_200_000, 1_199_000, 108.0),  # few bytes, but they take long
         (1_200_000, 1_200_000, 109.0),
     ):
-        delivery.lane.sent = sent
+        delivery.receiver.sent = sent
         delivery.acknowledge(received, now)
         fine.append(delivery.can_post)
     assert fine == [True, True, True, False, True, True, False, True]
 
 
-def test_a_course_is_clamped_to_the_window_and_stands_where_it_was_paused() -> None:
+def test_a_playhead_is_clamped_to_the_window_and_stands_where_it_was_paused() -> None:
     oldest, newest = Position(1, 5), Position(2, 9)
-    course = Course(Position(1, 2))
-    assert course.settle(None, oldest, newest) == (oldest, True)
-    assert course.mode == "replay"
-    course.pause()
+    playhead = Playhead(Position(1, 2))
+    assert playhead.settle(None, oldest, newest) == (oldest, True)
+    assert playhead.mode == "replay"
+    playhead.pause()
     here = Position(1, 8)
-    assert course.settle(here, oldest, newest) == (here, False)
-    course.play(here)
-    assert (course.mode, course.settle(here, oldest, newest)) == ("replay", (here, False))
-    course.seek(Position(7, 0))
-    assert course.settle(here, oldest, newest) == (newest, True)
-    assert course.mode == "live"
-    course.play(here)  # it plays already
-    assert not course.changed
+    assert playhead.settle(here, oldest, newest) == (here, False)
+    playhead.play(here)
+    assert (playhead.mode, playhead.settle(here, oldest, newest)) == ("replay", (here, False))
+    playhead.seek(Position(7, 0))
+    assert playhead.settle(here, oldest, newest) == (newest, True)
+    assert playhead.mode == "live"
+    playhead.play(here)  # it plays already
+    assert not playhead.changed

@@ -173,8 +173,8 @@ def test_a_subscription_gets_everything_from_its_number_on(tmp_path: Path) -> No
 
         async def take() -> None:
             async for packet in bus.subscribe(3):
-                seen.append(packet.number)
-                if packet.number == 11:
+                seen.append(packet.sequence)
+                if packet.sequence == 11:
                     return
 
         for packet in packets[:6]:

@@ -27,9 +27,9 @@ from core.scene.gaussians import GaussianCloud
 from server.metrics import collector_registry
 from server.pipeline.spec import StreamSpec
 from server.protocol.messages import parse_control, parse_hello
-from server.protocol.thin_messages import View
+from server.protocol.thin_messages import ViewMessage
 from server.settings import Limits, Settings
-from server.viewer.renderer import GRADES, HEADER, Pace, draw, fitted
+from server.viewer.renderer import GRADES, HEADER, GradeControl, draw, fitted
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene
 from tests.server.conftest import Running, running, viewing
@@ -204,7 +204,7 @@ def test_places_are_limited_counted_and_given_back(server: Running) -> None:
         packets.hello().until("caught_up")
     assert server.registry.streams["main"].counters.thin_refused == refused + 1
     limit = time.monotonic() + 10
-    while server.registry.painter.taken:
+    while server.registry.renderer.taken:
         assert time.monotonic() < limit
         time.sleep(0.01)
     with viewing(server) as plain:
@@ -241,7 +241,7 @@ GOOD = {
     ids=str,
 )  # fmt: skip
 def test_refuses_views_out_of_bounds(change: dict[str, Any]) -> None:
-    assert isinstance(parse_control(json.dumps(GOOD)), View)
+    assert isinstance(parse_control(json.dumps(GOOD)), ViewMessage)
     with pytest.raises(SessionError) as refused:
         parse_control(json.dumps({**GOOD, **change}))
     assert refused.value.close_code == 4400
@@ -275,22 +275,22 @@ def test_who_shows_nothing_loses_the_place(states: tuple[Path, list[Scene]]) -> 
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1013
         assert "no picture was acknowledged" in closed.value.rcvd.reason
-        assert server.registry.painter.taken == 0
+        assert server.registry.renderer.taken == 0
         assert server.registry.streams["main"].counters.stuck == 1
 
 
 def test_pace_follows_the_viewer() -> None:
     """Slow deliveries make pictures coarser, quick ones finer, and a view at rest gets the best that is affordable."""
-    pace = Pace()
+    grades = GradeControl()
     for _ in range(4):
-        pace.delivered(pace.moving, 1.0)
-    assert pace.moving == len(GRADES) - 1
-    assert pace.resting > 0  # the finest would take some 50 s
+        grades.delivered(grades.moving, 1.0)
+    assert grades.moving == len(GRADES) - 1
+    assert grades.resting > 0  # the finest would take some 50 s
     for _ in range(60):
-        pace.delivered(pace.moving, 0.01)
-    assert pace.moving == pace.resting == 0
-    pace.delivered(0, 0.3)
-    assert (pace.moving, pace.resting) == (1, 0)
+        grades.delivered(grades.moving, 0.01)
+    assert grades.moving == grades.resting == 0
+    grades.delivered(0, 0.3)
+    assert (grades.moving, grades.resting) == (1, 0)
 
 
 def test_a_view_that_would_cost_too_much_is_drawn_coarser(states: tuple[Path, list[Scene]]) -> None:
