@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from codec.splice import size_of, splice
-from server.api.access import StreamOf, need_download
+from core.errors import StreamlodError
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
 from server.http.problems import PROBLEMS, Problem
 from server.protocol.packets import Position, StreamPacket
@@ -73,6 +73,21 @@ async def bitstream(
     if not chosen:
         raise _absent(stream, Position(wanted, 0)) if newest else Problem(404, "the stream has no packet yet")
     return respond(request, await _file(stream, chosen, FRESH, str(wanted)))
+
+
+@router.head("/recording", include_in_schema=False)
+@router.get("/recording", summary="The file that the stream plays", response_class=Response, responses=_ANSWERS)
+async def recording(stream: StreamOf, request: Request) -> Response:
+    """The whole `.slod` file behind a stream whose source is a recording, whatever part of it has been played."""
+    if stream.spec.play is None:
+        raise Problem(404, "the stream plays no recording; what is retained of it is at bitstream")
+    try:
+        pieces = await asyncio.to_thread(splice, [stream.spec.play])
+    except (OSError, StreamlodError) as error:
+        raise Problem(404, "the recording cannot be read") from error
+    changed_ns = (await asyncio.to_thread(stream.spec.play.stat)).st_mtime_ns
+    state = f"{stream.spec.id} {changed_ns} {list(map(size_of, pieces))}"
+    return respond(request, Download(pieces, _hash(state.encode()), _FILE_TYPE, FRESH, f"{stream.spec.id}.slod"))
 
 
 def _groups(stream: Stream) -> dict[Position, Group]:

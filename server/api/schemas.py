@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from server.auth.links import LONGEST_SECONDS
 
 _STREAM_EXAMPLE: dict[str, Any] = {
-    "id": "main", "name": "main", "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
+    "id": "main", "name": "main", "source": "cameras", "loop": False,
+    "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
     "anchors": 20413, "viewers": 2, "restarts": 0, "recording": "on",
     "progress": {"fraction": 1.0, "loss": 0.03, "text": "first frame"},
     "report": {"version": 57, "total_seconds": 0.8}, "ingest": None,
@@ -47,6 +48,10 @@ class StreamBody(BaseModel):
 
     id: str
     name: str
+    source: Literal["cameras", "data", "recording"] = Field(
+        description="live cameras, pictures taken earlier that are trained now, or a recorded bitstream"
+    )
+    loop: bool = Field(description="whether a recording begins again at its end")
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
     detail: str = Field(description="why, where the state needs an explanation")
     epoch: int | None

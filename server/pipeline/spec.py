@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from core.errors import InputError
 from server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob, job_from_json
@@ -39,6 +39,13 @@ class StreamSpec:
     def is_live(self) -> bool:
         """Whether cameras deliver while it trains."""
         return self.job is not None and self.job.live is not None
+
+    @property
+    def source(self) -> Literal["cameras", "data", "recording"]:
+        """What viewers see: live cameras, pictures taken earlier that are trained now, or a recorded bitstream."""
+        if self.play is not None:
+            return "recording"
+        return "cameras" if self.is_live else "data"
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, those of the job among them; `spec_from_json` goes back."""

@@ -104,6 +104,8 @@ class Stream:
         return {
             "id": self.spec.id,
             "name": self.spec.id,
+            "source": self.spec.source,
+            "loop": self.spec.play is not None and self.spec.loop,
             "state": self.state,
             "detail": self.detail,
             "epoch": newest.epoch if newest else None,

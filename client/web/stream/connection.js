@@ -76,7 +76,7 @@ export class Connection {
 
   /** @param {string} text */
   #control(text) {
-    const told = this.session.control(text);
+    const told = this.session.control(text, performance.now(), Date.now());
     if (this.session.status.phase === "version") this.close();
     if (!told) return;
     if (told.clamped && this.stopAt !== null) this.stopAt = told.version;

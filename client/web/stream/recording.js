@@ -8,12 +8,15 @@ import { Session } from "./session.js";
 /** @typedef {import("../decode/container.js").Entry} Entry */
 
 const READ_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
+const STALL_MS = 1000; // that a frame is waited for
 
 /** Bytes of one address, by range where the server can, whole where it cannot. */
 class RangeReader {
-  /** @param {string} url */
-  constructor(url) {
+  /** @param {string} url @param {string | null} token - where the server asks for one */
+  constructor(url, token) {
     this.url = url;
+    /** @type {Record<string, string>} */
+    this.headers = token ? { Authorization: `Bearer ${token}` } : {};
     /** @type {Uint8Array | null} */
     this.whole = null;
     this.size = 0;
@@ -21,7 +24,7 @@ class RangeReader {
 
   /** The last `n` bytes; learns the size. @param {number} n */
   async tail(n) {
-    const answer = await fetch(this.url, { headers: { Range: `bytes=-${n}` } });
+    const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=-${n}` } });
     if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
     const bytes = new Uint8Array(await answer.arrayBuffer());
     const total = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
@@ -39,7 +42,7 @@ class RangeReader {
   /** @param {number} start @param {number} end @returns {Promise<Uint8Array>} */
   async read(start, end) {
     if (!this.whole) {
-      const answer = await fetch(this.url, { headers: { Range: `bytes=${start}-${end - 1}` } });
+      const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${start}-${end - 1}` } });
       if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
       const bytes = new Uint8Array(await answer.arrayBuffer());
       if (answer.status === 206) return bytes;
@@ -50,12 +53,12 @@ class RangeReader {
 }
 
 export class Recording {
-  /** @param {string} url @param {Handlers} handlers */
-  constructor(url, handlers) {
+  /** @param {string} url @param {string | null} token @param {Handlers} handlers */
+  constructor(url, token, handlers) {
     this.handlers = handlers;
     this.session = new Session(performance.now());
-    Object.assign(this.session.status, { phase: "connecting", mode: "replay" });
-    this.reader = new RangeReader(url);
+    Object.assign(this.session.status, { source: "recording", mode: "replay" });
+    this.reader = new RangeReader(url, token);
     /** @type {Entry[]} */
     this.entries = [];
     /** @type {{ version: number, timeMs: number }[]} */
@@ -72,6 +75,7 @@ export class Recording {
     this.shown = -1;
     this.clock = { wall: 0, media: 0 };
     this.busy = false;
+    this.wantedAt = 0; // when the frame that is fetched was asked for
     this.ended = false;
     this.ticker = setInterval(() => this.#tick(), TICK_MS);
     this.#load().catch((error) => this.#fail(error));
@@ -87,15 +91,19 @@ export class Recording {
     must(this.moments.length, "bad_file", "the recording is empty or not a .slod file");
     const oldest = { epoch: 1, version: this.moments[0].version };
     const newest = { epoch: 1, version: this.moments[this.moments.length - 1].version };
-    Object.assign(this.session.status, { phase: "waiting", window: { oldest, newest } });
-    const { start } = this.session;
+    const { session } = this, { start } = session;
+    session.link = "open";
+    session.status.window = { oldest, newest };
+    session.settle();
     this.#moveTo(start === "live" ? 0 : this.#indexOf(start.version));
   }
 
   /** @param {unknown} error */
   #fail(error) {
     if (this.ended) return;
-    Object.assign(this.session.status, { phase: "failed", detail: error instanceof Error ? error.message : String(error) });
+    this.session.verdict = "failed";
+    this.session.status.detail = error instanceof Error ? error.message : String(error);
+    this.session.settle();
     clearInterval(this.ticker);
     this.handlers.status();
   }
@@ -113,7 +121,8 @@ export class Recording {
   }
 
   #tick() {
-    if (!this.moments.length || this.busy) return;
+    if (!this.moments.length || this.ended) return;
+    if (this.busy) return this.#settle();
     if (this.playing && this.shown >= 0) {
       const media = this.clock.media + (performance.now() - this.clock.wall) * this.speed;
       while (this.at + 1 < this.moments.length && this.moments[this.at + 1].timeMs <= media) this.at++;
@@ -126,6 +135,7 @@ export class Recording {
     }
     if (this.at !== this.shown) {
       this.busy = true;
+      this.wantedAt = performance.now();
       this.#show(this.at).catch((error) => this.#fail(error)).finally(() => (this.busy = false));
     }
     this.#settle();
@@ -172,13 +182,12 @@ export class Recording {
   }
 
   #settle() {
-    const { status } = this.session;
-    const over = !this.playing && this.shown === this.moments.length - 1;
-    const phase = this.shown < 0 ? "waiting" : this.playing ? "behind" : over ? "ended" : "paused";
-    const mode = this.playing ? "replay" : "paused";
-    if (status.phase === phase && status.mode === mode) return;
-    Object.assign(status, { phase, mode });
-    this.handlers.status();
+    const { session } = this, { status } = session, { phase, mode } = status;
+    session.isOver = !this.playing && this.shown === this.moments.length - 1;
+    session.isQuiet = this.busy && performance.now() - this.wantedAt > STALL_MS;
+    status.mode = this.playing || session.isOver ? "replay" : "paused";
+    session.settle();
+    if (status.phase !== phase || status.mode !== mode) this.handlers.status();
   }
 
   /** Commands as on a connection, and speed and loop. @param {any[]} messages */

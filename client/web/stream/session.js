@@ -2,23 +2,28 @@
  * The viewer's side of docs/protocol.md without a socket: messages in, messages to send and a status out.
  */
 
+import { phaseOf } from "./phase.js";
+
 export const PROTOCOL = "streamlod.v1";
 const VERSION = 1;
 const CLIENT = "streamlod-web/1.0";
 const FIRST_WAIT_MS = 500, LONGEST_WAIT_MS = 15_000;
-const STALL_MS = 2500;
+const MIN_STALL_MS = 2500; // without a frame
+const MAX_STALL_MS = 60_000;
+const USUAL_GAPS = 4; // so many times the usual time between two frames is a stall
 
 /** @typedef {{ epoch: number, version: number }} Position */
 
-/**
- * What is going on, for people.
- * @typedef {"connecting" | "waiting" | "live" | "behind" | "paused" | "stalled" | "reconnecting" | "ended" | "failed"
- *   | "version" | "denied" | "missing"} Phase
- */
+/** @typedef {import("./phase.js").Phase} Phase */
+/** @typedef {import("./phase.js").Source} Source */
 
 /**
  * @typedef {object} Status
  * @property {Phase} phase
+ * @property {Source} source
+ * @property {boolean} loops - a recording that the server begins again at its end
+ * @property {number | null} lagSeconds - from the newest frame applied to the newest there is; null where that cannot be told
+ * @property {number | null} clockMs - what to add to this side's Unix time to have the server's
  * @property {string} detail - the other side's words, may be empty
  * @property {string} trouble - what a degraded stream suffers from, else empty
  * @property {number | null} fraction - of training the first frame
@@ -34,23 +39,32 @@ const STALL_MS = 2500;
  */
 
 /** Close codes after which another attempt cannot help. @type {Record<number, Phase>} */
-const FINAL = { 1000: "ended", 1009: "failed", 4400: "failed", 4401: "denied", 4403: "denied", 4404: "missing", 4415: "version" };
+const FINAL = { 1000: "deleted", 1009: "failed", 4400: "failed", 4401: "denied", 4403: "denied", 4404: "missing", 4415: "version" };
 
 export class Session {
   /** @param {number} now - ms */
   constructor(now) {
     /** @type {Status} */
     this.status = {
-      phase: "connecting", detail: "", trouble: "", fraction: null, window: null, position: null, mode: "live", levels: null,
+      phase: "connecting", source: "cameras", loops: false, lagSeconds: null, clockMs: null, detail: "", trouble: "", fraction: null,
+      window: null, position: null, mode: "live", levels: null,
       sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0,
     };
     this.attempts = 0;
     this.open = false;
+    /** @type {"opening" | "open" | "broken"} */
+    this.link = "opening";
+    /** @type {Phase | null} */
+    this.verdict = null;
+    this.isOver = false; // a recording has reached its end
+    this.isQuiet = false;
     this.received = 0; // bytes on this connection
     this.ackEvery = 8;
     this.unacknowledged = 0;
     this.lastAck = now;
     this.lastPacket = now;
+    this.usualGap = 0; // ms between two frames
+    this.saidHello = now;
     this.epoch = 0;
     this.streamState = "";
     this.refused = 0;
@@ -64,7 +78,8 @@ export class Session {
   opened(now) {
     this.open = true;
     this.received = this.unacknowledged = 0;
-    this.lastAck = this.lastPacket = now;
+    this.lastAck = this.lastPacket = this.saidHello = now;
+    this.isQuiet = false;
     const wishes = Object.fromEntries(Object.entries(this.wishes).filter(([, value]) => value != null));
     return [{ type: "hello", versions: [VERSION], client: CLIENT, start: this.start, ...wishes }];
   }
@@ -72,23 +87,29 @@ export class Session {
   /**
    * A control message came.
    * @param {string} text
+   * @param {number} now - ms
+   * @param {number} unixMs - this side's Unix time
    * @returns {{ mode: "live" | "replay" | "paused", version: number, clamped: boolean } | null} what a position event says
    */
-  control(text) {
+  control(text, now = this.lastPacket, unixMs = NaN) {
     const message = JSON.parse(text);
     const { status } = this;
     const name = message.type === "event" ? message.event : message.type;
     switch (name) {
       case "welcome":
         if (message.version !== VERSION) {
-          status.phase = "version";
+          this.verdict = "version";
           break;
         }
         this.attempts = 0;
+        this.link = "open";
         this.epoch = message.epoch ?? 0;
         this.ackEvery = message.ack_every ?? 8;
         Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, window: message.window });
-        this.#streamState(message.state, message.detail);
+        Object.assign(status, { source: message.source ?? "cameras", loops: message.loop === true });
+        if (message.server_time_ns) status.clockMs = message.server_time_ns / 1e6 - (unixMs - (now - this.saidHello) / 2);
+        status.fraction = message.progress?.fraction ?? null;
+        this.#streamState(message.state, message.detail || message.progress?.text);
         break;
       case "state":
         this.#streamState(message.state, message.detail);
@@ -102,7 +123,9 @@ export class Session {
         break;
       case "position":
         status.mode = message.mode;
-        this.#settle();
+        this.lastPacket = now; // nothing was due while paused
+        this.isQuiet = false;
+        this.settle();
         return { mode: message.mode, version: message.version, clamped: message.clamped === true };
       case "levels":
         status.sentLevels = message.levels;
@@ -112,12 +135,12 @@ export class Session {
         break;
       case "caught_up":
         if (status.mode !== "paused") status.mode = "live";
-        this.#settle();
         break;
       case "window":
         status.window = { oldest: message.oldest, newest: message.newest };
         break;
     }
+    this.settle();
     return null;
   }
 
@@ -126,24 +149,29 @@ export class Session {
     this.streamState = state;
     this.status.detail = detail ?? "";
     this.status.trouble = state === "degraded" ? this.status.detail : "";
-    this.#settle();
   }
 
   /** The phase that follows from what is known. */
-  #settle() {
-    const { status } = this;
-    if (!this.open) return;
-    if (this.streamState === "ended" && status.mode === "live") status.phase = "ended";
-    else if (this.streamState === "failed") status.phase = "failed";
-    else if (!status.position || !this.epoch) status.phase = "waiting";
-    else status.phase = status.mode === "live" ? "live" : status.mode === "paused" ? "paused" : "behind";
+  settle() {
+    const { status } = this, { position, window } = status;
+    const known = position && window && status.fps && position.epoch === window.newest.epoch;
+    status.lagSeconds = known ? Math.max(0, window.newest.version - position.version) / /** @type {number} */ (status.fps) : null;
+    const isOld = position && window && position.epoch < window.newest.epoch;
+    status.phase = phaseOf({
+      link: this.link, verdict: this.verdict, stream: this.streamState, source: status.source, mode: status.mode,
+      hasFrame: position !== null, hasWindow: window !== null, isOver: this.isOver, lagSeconds: isOld ? Infinity : (status.lagSeconds ?? 0), isQuiet: this.isQuiet,
+    });
   }
 
   /** A packet of `size` bytes arrived. @type {(size: number, now: number) => void} */
   arrived(size, now) {
     this.received += size;
     this.status.bytes += size;
+    const gap = Math.min(now - this.lastPacket, MAX_STALL_MS);
+    // A slow encoder is not a stall, and a burst is no proof of a fast one.
+    if (this.status.phase === "live" || this.status.phase === "stalled") this.usualGap += (gap - this.usualGap) * (gap > this.usualGap ? 0.5 : 0.1);
     this.lastPacket = now;
+    this.isQuiet = false;
   }
 
   /** The state is at `version` now. @type {(version: number, decodeMs: number, now: number) => object[]} */
@@ -152,7 +180,7 @@ export class Session {
     const { window } = this.status; // told once a second, and not while paused: what was shown can be sought all the same
     if (window && window.newest.epoch === this.epoch && window.newest.version < version) this.status.window = { ...window, newest: position };
     this.refused = 0;
-    this.#settle();
+    this.settle();
     this.unacknowledged++;
     if (this.unacknowledged < this.ackEvery && now - this.lastAck < 900) return [];
     return this.acknowledge(decodeMs, now);
@@ -171,9 +199,9 @@ export class Session {
   tick(now) {
     const { status } = this;
     if (!this.open) return [];
-    const quiet = now - this.lastPacket > Math.max(STALL_MS, 8000 / (status.fps || 30));
-    if (status.phase === "live" && quiet) status.phase = "stalled";
-    else if (status.phase === "stalled" && !quiet) this.#settle();
+    const patience = Math.max(MIN_STALL_MS, 8000 / (status.fps || 30), USUAL_GAPS * this.usualGap);
+    this.isQuiet = now - this.lastPacket > Math.min(patience, MAX_STALL_MS);
+    this.settle();
     return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];
   }
 
@@ -196,8 +224,9 @@ export class Session {
     this.open = false;
     const own = this.refused > 0; // we left because of a packet; at once at first, then more slowly
     if (!own && FINAL[code]) {
-      status.phase = code === 1000 && !status.position ? "missing" : FINAL[code];
+      this.verdict = FINAL[code];
       status.detail = reason;
+      this.settle();
       return null;
     }
     if (status.mode === "live" || !status.position) this.start = "live";
@@ -205,9 +234,10 @@ export class Session {
     const step = Math.min(FIRST_WAIT_MS * 2 ** this.attempts, LONGEST_WAIT_MS);
     const wait = own && this.refused === 1 ? 0 : step * (0.75 + 0.5 * random);
     this.attempts++;
-    status.phase = "reconnecting";
+    this.link = "broken";
     status.detail = reason;
     status.retryAt = now + wait;
+    this.settle();
     return wait;
   }
 }

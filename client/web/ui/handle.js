@@ -10,15 +10,17 @@ const EVENTS = ["status", "scene", "picture", "refused"];
 /**
  * @param {Viewer} viewer
  * @param {Timeline} timeline
+ * @param {import("./status.js").Latency} latency
  * @param {() => void} destroy
  */
-export function createHandle(viewer, timeline, destroy) {
+export function createHandle(viewer, timeline, latency, destroy) {
   const handle = {
     /** What is going on now. */
     get state() {
       const { status, picture } = viewer;
       return {
-        phase: status?.phase ?? "connecting", mode: status?.mode ?? "live", position: status?.position ?? null, window: status?.window ?? null,
+        phase: status?.phase ?? "connecting", source: status?.source ?? null, mode: status?.mode ?? "live",
+        behindSeconds: status?.lagSeconds ?? null, latencyMs: latency.ms, fraction: status?.fraction ?? null, position: status?.position ?? null, window: status?.window ?? null,
         version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.fps, camera: toText(viewer.pose),
       };
     },
@@ -31,7 +33,7 @@ export function createHandle(viewer, timeline, destroy) {
     },
     /** @type {(version: number | "live") => void} */
     seek: (version) => (version === "live" ? timeline.live() : timeline.seek(version)),
-    play: () => timeline.paused && timeline.toggle(),
+    play: () => timeline.stands && timeline.toggle(),
     pause: () => timeline.pause(),
     /** @type {(frames: number) => void} */
     step: (frames) => timeline.step(frames),

@@ -7,39 +7,18 @@ import { attachMenu, button, element, menuItem, toast } from "./page.js";
 import { Quality, QUALITIES } from "../view/quality.js";
 import { frusta } from "../view/frusta.js";
 import { NO_WEBGL, words } from "./states.js";
+import { hideWhenIdle, Latency, show } from "./status.js";
 import { chooseStream, liveAddress, showStreams } from "./streams.js";
 import { fillStatistics, Rates } from "./statistics.js";
 import { Timeline } from "./timeline.js";
 import { Viewer } from "../view/viewer.js";
 
-/** @typedef {import("./states.js").Words} Words */
-
-const IDLE_MS = 4000;
+const OF_SLIDERS = new Set(["arrowleft", "arrowright", "arrowup", "arrowdown", "home", "end", "pageup", "pagedown"]);
 const options = new URLSearchParams(location.search);
 const recording = options.get("src");
 const canvas = /** @type {HTMLCanvasElement} */ (element("canvas"));
 document.body.classList.toggle("embed", options.get("embed") === "1");
 document.body.classList.toggle("bare", options.get("ui") === "0");
-
-/** @param {Words} said */
-function show(said) {
-  element("stage").dataset.tone = said.tone;
-  const chip = element("status-text");
-  if (chip.textContent !== said.chip) chip.textContent = said.chip;
-  const card = element("card");
-  card.hidden = !said.card;
-  element("stage").toggleAttribute("data-card", said.card !== null);
-  if (!said.card) return;
-  const { title, text, spinner, fraction, button: label } = said.card;
-  card.classList.toggle("still", !spinner);
-  element("card-title").textContent = title;
-  element("card-text").textContent = text;
-  const progress = /** @type {HTMLProgressElement} */ (element("card-progress"));
-  progress.hidden = fraction == null;
-  progress.value = fraction ?? 0;
-  button("card-button").hidden = !label;
-  button("card-button").textContent = label ?? "";
-}
 
 /** @returns {Promise<Viewer | null>} drawn here if that can be, else by the server */
 async function createViewer() {
@@ -64,7 +43,8 @@ function cannotDraw() {
 
 /** @param {Viewer} viewer */
 async function start(viewer) {
-  const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }), recording !== null);
+  const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }));
+  const latency = new Latency();
   const controls = new Controls(viewer);
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
@@ -74,7 +54,7 @@ async function start(viewer) {
     controls.destroy();
     viewer.destroy();
   };
-  const handle = createHandle(viewer, timeline, destroy);
+  const handle = createHandle(viewer, timeline, latency, destroy);
   Object.defineProperty(window, "streamlod", { value: handle });
   listenToParent(handle);
 
@@ -87,7 +67,8 @@ async function start(viewer) {
   viewer.addEventListener("status", (event) => {
     const { status, now } = /** @type {CustomEvent} */ (event).detail;
     retryAt = performance.now() + Math.max(0, status.retryAt - now);
-    if (recording && viewer.scene) status.fps ??= viewer.scene.fps;
+    if (viewer.scene) status.fps ??= viewer.scene.fps;
+    if (status.source === "recording" && !timeline.recording && !viewer.thin && options.get("together") !== "1") playWhole(status.loops);
     quality.limit(status.levels ?? viewer.scene?.levels ?? null);
     refresh();
   });
@@ -96,13 +77,15 @@ async function start(viewer) {
     if (detail.position && viewer.status) viewer.status.position = detail.position;
     element("stage").toggleAttribute("data-shown", true);
     rates.frame(detail, viewer.status?.bytes ?? 0);
+    latency.add(detail, viewer.status);
     quality.need(detail.needed ?? Infinity);
     refresh();
   });
   const heartbeat = setInterval(() => {
     quality.tick();
     if (viewer.status?.phase === "reconnecting") refresh();
-    if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates);
+    latency.show();
+    if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, latency.ms);
   }, 500);
   viewer.addEventListener("scene", () => {
     if (showFrusta) drawFrusta();
@@ -162,7 +145,7 @@ async function start(viewer) {
     const panel = element("stats");
     panel.hidden = !panel.hidden;
     button("b-stats").setAttribute("aria-pressed", String(!panel.hidden));
-    if (!panel.hidden) fillStatistics(panel, viewer, rates);
+    if (!panel.hidden) fillStatistics(panel, viewer, rates, latency.ms);
   };
   const help = () => /** @type {HTMLDialogElement} */ (element("help")).showModal();
 
@@ -216,23 +199,18 @@ async function start(viewer) {
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
-    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input, dialog, .menu")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("dialog, .menu")) return;
     if (event.key === " " && target.closest("button")) return;
     const key = event.key.toLowerCase();
+    if (target.closest("input") && OF_SLIDERS.has(key)) return;
     if (keys[key]) {
       event.preventDefault();
       keys[key]();
     } else if (/^[1-9]$/.test(key)) goTo(Number(key) - 1);
   });
 
-  let idle = 0;
-  const wake = () => {
-    document.body.classList.remove("idle");
-    clearTimeout(idle);
-    idle = window.setTimeout(() => document.body.classList.toggle("idle", viewer.status?.mode !== "paused"), IDLE_MS);
-  };
-  for (const name of ["pointermove", "pointerdown", "keydown", "focusin"]) window.addEventListener(name, wake);
-  wake();
+  const wake = hideWhenIdle(() => viewer.picture !== null && viewer.status?.mode !== "paused");
+  viewer.addEventListener("picture", wake, { once: true });
   window.addEventListener("pagehide", () => clearInterval(heartbeat));
 
   const pose = fromText(options.get("camera"));
@@ -245,11 +223,18 @@ async function start(viewer) {
   const wishes = quality.wishes();
   if (recording) {
     const url = new URL(recording, location.href).href;
+    timeline.playFile(false);
     viewer.tell({ type: "connect", url, recording: true, token: null, wishes, start: null });
     return;
   }
   const stream = await chooseStream(options);
   viewer.tell({ type: "connect", url: liveAddress(stream), recording: false, token, wishes, start: null });
+  /** The stream plays a recording: play its file, in which everything can be sought. @param {boolean} loop */
+  function playWhole(loop) {
+    timeline.playFile(loop);
+    const url = new URL(`/v1/streams/${encodeURIComponent(stream)}/recording`, location.href).href;
+    viewer.tell({ type: "connect", url, recording: true, token, wishes, start: null, loop });
+  }
 }
 
 const viewer = await createViewer();

@@ -23,20 +23,28 @@ export function toast(text, ms = 2600) {
   toastTimer = window.setTimeout(() => (line.hidden = true), ms);
 }
 
-/** A menu under a button: opens, closes, moves by arrow keys. @type {(button: HTMLElement, menu: HTMLElement, fill: () => void) => void} */
+/** @type {(() => void) | null} */
+let closeOpenMenu = null;
+
+/** A menu under a button: opens, closes, also when the focus leaves, and moves by arrow keys. @type {(button: HTMLElement, menu: HTMLElement, fill: () => void) => void} */
 export function attachMenu(opener, menu, fill) {
   const close = () => {
     menu.hidden = true;
     opener.setAttribute("aria-expanded", "false");
+    if (closeOpenMenu === close) closeOpenMenu = null;
   };
   opener.addEventListener("click", () => {
     const open = menu.hidden;
-    for (const other of document.querySelectorAll(".menu")) /** @type {HTMLElement} */ (other).hidden = true;
-    if (!open) return close();
+    closeOpenMenu?.();
+    if (!open) return;
+    closeOpenMenu = close;
     fill();
     menu.hidden = false;
     opener.setAttribute("aria-expanded", "true");
     menu.querySelector("button")?.focus();
+  });
+  menu.addEventListener("focusout", ({ relatedTarget: to }) => {
+    if (to && !menu.contains(/** @type {Node} */ (to)) && to !== opener) close();
   });
   menu.addEventListener("keydown", (event) => {
     if (event.key === "Escape") {

@@ -10,9 +10,17 @@
  */
 
 const LONGEST = 60; // characters of the server's words in the chip
+const WITHOUT_PICTURE = ["connecting", "reconnecting", "deleted", "failed", "version", "denied", "missing"]; // phases that say why there is none
 
 /** @type {(chip: string, tone: Words["tone"], title: string, text: string, more?: object) => Words} */
 const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { title, text, spinner: false, ...more } });
+
+/** How far back, for people. @type {(seconds: number | null) => string} */
+function behind(seconds) {
+  if (seconds === null) return "Behind live";
+  if (seconds < 10) return `${seconds.toFixed(1)} s behind live`;
+  return `${seconds < 60 ? `${Math.round(seconds)} s` : clock(seconds, 1).slice(0, -2)} behind live`;
+}
 
 /**
  * @param {Status} status
@@ -21,31 +29,43 @@ const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { titl
  * @returns {Words}
  */
 export function words(status, picture, waitMs) {
-  const { phase, detail, trouble } = status;
+  const { phase, detail, trouble, fraction, source } = status;
   const seconds = Math.ceil(waitMs / 1000);
+  /** @type {(chip: string, tone: Words["tone"]) => Words} */
+  const small = (chip, tone) => ({ chip, tone, card: null });
+  if (!picture && status.window && !WITHOUT_PICTURE.includes(phase)) { // decoded, or on its way: say nothing else before it is seen
+    return full("Loading", "busy", "Loading", "The picture is on its way.", { spinner: true });
+  }
   switch (phase) {
     case "connecting":
-      return picture ? { chip: "Connecting", tone: "busy", card: null } : full("Connecting", "busy", "Connecting", "Looking for the stream.", { spinner: true });
+      return picture ? small("Connecting", "busy") : full("Connecting", "busy", "Connecting", "Looking for the stream.", { spinner: true });
     case "waiting":
-      if (picture) return { chip: "Loading", tone: "busy", card: null };
-      return full("Waiting", "busy", status.fraction === null ? "Waiting for the first frame" : "Training the first frame",
-        detail || "The picture appears as soon as there is one.", { spinner: true, fraction: status.fraction });
+      if (picture) return small("Loading", "busy");
+      return full("Waiting", "busy", fraction === null ? "Waiting for the first frame" : "Training the first frame",
+        detail || "The picture appears as soon as there is one.", { spinner: true, fraction });
+    case "preview":
+      return small(`Preview${fraction === null ? "" : `, trained to ${Math.round(100 * fraction)} %`}`, "busy");
     case "live":
-      if (!trouble) return { chip: "Live", tone: "live", card: null };
-      return { chip: `Live, but ${trouble.length > LONGEST ? `${trouble.slice(0, LONGEST)}…` : trouble}`, tone: "busy", card: null };
+      if (trouble) return small(`Live, but ${trouble.length > LONGEST ? `${trouble.slice(0, LONGEST)}…` : trouble}`, "busy");
+      return source === "cameras" ? small("Live", "live") : small("Newest frame", "good");
     case "behind":
-      return { chip: "Playing", tone: "good", card: null };
+      return small(source === "cameras" ? behind(status.lagSeconds) : "Playing", "good");
+    case "replay":
+      return small("Replay", "good");
     case "paused":
-      return { chip: "Paused", tone: "quiet", card: null };
+      return small("Paused", "quiet");
     case "stalled":
-      return { chip: "No new frames", tone: "busy", card: null };
+      return small("No new frames", "busy");
     case "reconnecting": {
       const when = seconds > 0 ? `Trying again in ${seconds} s.` : "Trying again.";
-      if (picture) return { chip: seconds > 0 ? `Reconnecting in ${seconds} s` : "Reconnecting", tone: "busy", card: null };
+      if (picture) return small(seconds > 0 ? `Reconnecting in ${seconds} s` : "Reconnecting", "busy");
       return full("Reconnecting", "busy", detail ? "Not available now" : "The server does not answer", `${detail ? `${detail}. ` : ""}${when}`, { spinner: true, button: "Try now" });
     }
     case "ended":
-      return picture ? { chip: "Ended", tone: "quiet", card: null } : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");
+      return picture ? small("Ended", "quiet") : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");
+    case "deleted":
+      if (picture) return small("Deleted, this is its last picture", "bad");
+      return full("Deleted", "bad", "This stream was deleted", detail || "There is nothing to show any more.", { button: "Show streams" });
     case "failed":
       return full("Failed", "bad", "Something went wrong", detail || "The stream cannot be shown.", { button: "Reload" });
     case "version":
@@ -61,9 +81,9 @@ export function words(status, picture, waitMs) {
 export const NO_WEBGL = full("Cannot draw", "bad", "This browser cannot show the scene",
   "WebGL2 is missing or switched off. Turn on hardware acceleration, or use a current browser.");
 
-/** Position in time, for people: m:ss, or the frame number where the rate is unknown. @type {(versions: number, fps: number | null) => string} */
+/** Position in time, for people: m:ss.t, or the frame number where the rate is unknown. @type {(versions: number, fps: number | null) => string} */
 export function clock(versions, fps) {
   if (!fps) return String(Math.round(versions));
-  const total = Math.abs(versions) / fps, minutes = Math.floor(total / 60), rest = Math.floor(total % 60);
-  return `${minutes}:${String(rest).padStart(2, "0")}`;
+  const tenths = Math.floor((10 * Math.abs(versions)) / fps + 1e-6), minutes = Math.floor(tenths / 600);
+  return `${minutes}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`;
 }

@@ -29,20 +29,19 @@ export class Rates {
   }
 }
 
-/** @param {HTMLElement} list @param {Viewer} viewer @param {Rates} rates */
-export function fillStatistics(list, viewer, rates) {
+/** @param {HTMLElement} list @param {Viewer} viewer @param {Rates} rates @param {number | null} latencyMs - from camera to screen */
+export function fillStatistics(list, viewer, rates, latencyMs) {
   const { picture, status, canvas } = viewer;
   const { fps, kilobits } = rates.now();
   /** @type {(value: number | undefined, unit: string, digits?: number) => string} */
   const number = (value, unit, digits = 1) => (value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
-  const newest = status?.window?.newest.version, version = picture?.version;
-  const behind = newest !== undefined && version !== undefined && status?.fps ? Math.max(0, newest - version) / status.fps : undefined;
+  const version = picture?.version, live = status?.source !== "recording";
   const rows = {
     Drawing: number(viewer.fps, "fps", 0),
     Stream: number(fps, "fps"),
     Data: number(kilobits / 1000, "Mbit/s", 2),
     Frame: version === undefined ? "–" : String(version),
-    "Behind live": number(behind, "s"),
+    ...(live ? { "Behind live": number(status?.lagSeconds ?? undefined, "s"), "Camera to screen": number(latencyMs ?? undefined, "ms", 0) } : {}),
     Splats: picture ? picture.splats.toLocaleString("en") : "–",
     Anchors: picture?.summary ? picture.summary.anchors.toLocaleString("en") : "–",
     Levels: status?.levels ? `${status.sentLevels ?? status.levels} of ${status.levels}` : String(viewer.scene?.levels ?? "–"),

@@ -10,13 +10,10 @@ const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const SCRUB_MS = 90; // between two seeks while dragging
 
 export class Timeline {
-  /**
-   * @param {(messages: object[]) => void} send
-   * @param {boolean} recording - a file: has speed, has no live edge
-   */
-  constructor(send, recording) {
+  /** @param {(messages: object[]) => void} send */
+  constructor(send) {
     this.send = send;
-    this.recording = recording;
+    this.recording = false; // a file: has speed, has no newest frame that moves
     this.bar = element("timeline");
     this.scrub = /** @type {HTMLInputElement} */ (element("t-scrub"));
     /** @type {Status | null} */
@@ -25,8 +22,6 @@ export class Timeline {
     this.speed = 1;
     this.dragging = false;
     this.lastSeek = 0;
-    button("t-live").hidden = recording;
-    button("t-speed").hidden = !recording;
     button("t-play").onclick = () => this.toggle();
     button("t-back").onclick = () => this.step(-1);
     button("t-forward").onclick = () => this.step(1);
@@ -40,6 +35,15 @@ export class Timeline {
     };
   }
 
+  /** From now on a file is played. @param {boolean} loop */
+  playFile(loop) {
+    this.recording = true;
+    button("t-live").hidden = true;
+    button("t-speed").hidden = false;
+    this.loop = loop;
+    button("t-loop").setAttribute("aria-pressed", String(loop));
+  }
+
   get window() {
     return this.status?.window ?? null;
   }
@@ -50,6 +54,11 @@ export class Timeline {
 
   get paused() {
     return this.status?.mode === "paused";
+  }
+
+  /** Whether nothing moves until somebody says so. */
+  get stands() {
+    return this.paused || this.status?.phase === "ended" || this.status?.phase === "deleted";
   }
 
   /** @param {number} version */
@@ -126,9 +135,10 @@ export class Timeline {
     if (!status.window) return;
     const atEdge = status.mode === "live" && !this.recording;
     if (this.loop && !this.recording && before?.mode === "replay" && atEdge) this.seek(this.oldest);
-    setIcon("t-play", status.mode === "paused" || status.phase === "ended" ? "play" : "pause");
-    button("t-play").setAttribute("aria-label", status.mode === "paused" ? "Play" : "Pause");
-    this.bar.parentElement?.setAttribute("data-edge", atEdge ? "live" : "behind");
+    setIcon("t-play", this.stands ? "play" : "pause");
+    button("t-play").setAttribute("aria-label", this.stands ? "Play" : "Pause");
+    button("t-play").title = this.stands ? "Play (Space)" : "Pause (Space)";
+    element("t-live-text").textContent = status.source === "cameras" ? "LIVE" : "NEWEST";
     if (!this.dragging) this.#show(atEdge ? Math.max(this.version, status.window.newest.version) : this.version);
   }
 

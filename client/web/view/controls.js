@@ -132,7 +132,7 @@ export class Controls {
       return;
     }
     const target = /** @type {HTMLElement} */ (event.target);
-    if (event.ctrlKey || event.metaKey || event.altKey || target.closest?.("input, dialog, .menu")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || target.closest?.("dialog, .menu") || (event.code in ARROWS && target.closest?.("input"))) return;
     const known = event.code in FLY || event.code in ARROWS || event.key === "+" || event.key === "-" || event.key === "=";
     if (!known) return;
     this.keys.add(known && (event.key === "+" || event.key === "=") ? "Plus" : event.key === "-" ? "Minus" : event.code);

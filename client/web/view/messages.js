@@ -7,7 +7,7 @@
  * @typedef {import("./camera.js").Vec3} Vec3
  * @typedef {{ levels?: number | null, kilobytes_per_second?: number | null }} Wishes
  *
- * @typedef {{ type: "connect", url: string, recording: boolean, token: string | null, wishes: Wishes, start: Position | null }
+ * @typedef {{ type: "connect", url: string, recording: boolean, token: string | null, wishes: Wishes, start: Position | null, loop?: boolean }
  *   | { type: "view", view: import("./engine.js").EngineView }
  *   | { type: "send", messages: object[] }
  *   | { type: "wishes", wishes: Wishes }
@@ -19,7 +19,7 @@
  *
  * @typedef {{ anchors: number, levels: number, splats: number }} Summary
  *
- * @typedef {{ type: "picture", decodeMs: number, position: Position | null, summary: Summary | null,
+ * @typedef {{ type: "picture", timeMs?: number, decodeMs: number, position: Position | null, summary: Summary | null,
  *   drawn?: { width: number, height: number, quality: number } }
  *   & import("./engine.js").Picture} PictureMessage
  *

@@ -188,7 +188,7 @@ export class ThinLink {
       this.asked.delete(message.id);
       this.#tell({ type: "picked", id: message.id, point: kind === "depth" ? [0, 0, message.depth] : message.point });
     } else {
-      const told = this.session.control(text);
+      const told = this.session.control(text, performance.now(), Date.now());
       if (this.session.status.phase === "version") this.#close();
       if (told?.mode === "paused") this.stopAt = null;
       if (told?.clamped && this.stopAt !== null) this.stopAt = told.version;

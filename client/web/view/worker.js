@@ -26,6 +26,7 @@ let drawn = { keyframe: -1, generation: -1 };
 let scheduled = false;
 let refusals = 0;
 let decodeMs = 0;
+let timeMs = 0; // presentation time of the newest frame
 /** @type {number | null} version to reach before the next picture */
 let held = null;
 /** @type {import("./messages.js").Position | null} */
@@ -39,7 +40,7 @@ async function decode(bytes) {
   engine ??= new Engine(await kernel);
   const start = performance.now();
   try {
-    engine.push(bytes);
+    timeMs = engine.push(bytes).packet.timeMs;
   } catch (error) {
     if (!(error instanceof BitstreamError)) throw error;
     refusals++;
@@ -49,6 +50,7 @@ async function decode(bytes) {
   decodeMs = performance.now() - start;
   const version = versionOf(/** @type {any} */ (engine.scene));
   if (version === held) held = null;
+  if (source) source.session.status.fps ??= engine.scene?.header.fps ?? null; // the welcome of a stream that starts does not know
   schedule();
   return { version, ms: decodeMs };
 }
@@ -80,7 +82,7 @@ function picture() {
   const { spans, quads } = result;
   const transfer = [quads.buffer, ...spans.map(({ data }) => data.buffer)];
   const position = (shownAt = source?.session.status.position ?? null);
-  tell({ type: "picture", ...result, decodeMs, position, summary: engine.summary() }, /** @type {any} */ (transfer));
+  tell({ type: "picture", ...result, timeMs, decodeMs, position, summary: engine.summary() }, /** @type {any} */ (transfer));
 }
 
 function status() {
@@ -100,10 +102,10 @@ function hold(version) {
 
 const handlers = { packet: decode, hold, status };
 
-/** A file; who watches live does not load what plays files. @param {string} url */
-async function openRecording(url) {
+/** A file; who watches live does not load what plays files. @param {string} url @param {string | null} token */
+async function openRecording(url, token) {
   const { Recording } = await import("../stream/recording.js");
-  return new Recording(url, handlers);
+  return new Recording(url, token, handlers);
 }
 
 /** @param {MessageEvent<ToWorker>} event */
@@ -113,8 +115,9 @@ self.onmessage = async ({ data: message }) => {
       source?.close();
       drawn = { keyframe: -1, generation: -1 };
       engine?.reset();
-      source = message.recording ? await openRecording(message.url) : new Connection(message.url, message.token, handlers);
+      source = message.recording ? await openRecording(message.url, message.token) : new Connection(message.url, message.token, handlers);
       source.session.wishes = message.wishes;
+      if (message.loop) source.send([{ type: "loop", value: true }]);
       if (message.start) source.session.start = message.start;
       status();
       break;

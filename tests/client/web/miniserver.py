@@ -68,7 +68,10 @@ class Behaviour:
     state: str = "live"
     detail: str = ""
     close: tuple[int, str] | None = None
-    progress: tuple[float, str] | None = None
+    progress: tuple[float, str] | None = None  # in the welcome
+    source: str = "cameras"
+    leave: tuple[int, str] | None = None  # close every connection, once set
+    lead_ns: int = 0  # how far the server's clock is ahead of the times in the packets
     newest: int | None = None  # the live edge stops there
     corrupt: set[int] = field(default_factory=set)  # versions whose packet is damaged, once
     streams: tuple[str, ...] = ("main",)
@@ -112,11 +115,12 @@ class Viewer:
             return
         ready = b.state not in ("idle", "starting")
         facts: dict[str, Any] = {"levels": 3, "fps": b.fps, "window": self.window()} if ready else {}
+        progress = b.progress and {"fraction": b.progress[0], "loss": None, "text": b.progress[1]}
         welcome = {"type": "welcome", "version": b.version, "session": "test", "stream": "main", "state": b.state}
         welcome |= {"detail": b.detail, "epoch": 1, "levels": None, "fps": None, "window": None, "ack_every": 8}
+        welcome |= {"source": b.source, "loop": False, "progress": progress}
+        welcome |= {"server_time_ns": int((time.monotonic() - self.started) * 1e9) + b.lead_ns}
         await self.socket.send_text(json.dumps(welcome | facts))
-        if b.progress:
-            await self.event("progress", fraction=b.progress[0], loss=None, text=b.progress[1])
         if ready:
             start = hello["start"]
             await self.jump(self.edge if start == "live" else start["version"], "live" if start == "live" else "replay")
@@ -146,6 +150,9 @@ class Viewer:
         said = 0.0
         while True:
             await asyncio.sleep(1 / self.behaviour.fps)
+            if self.behaviour.leave:
+                await self.socket.close(*self.behaviour.leave)
+                return
             if time.monotonic() - said > 0.5:
                 said = time.monotonic()
                 await self.event("window", **self.window())

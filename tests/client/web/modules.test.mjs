@@ -7,6 +7,7 @@ import { crc32 } from "../../../client/web/decode/checksum.js";
 import { moments, plan } from "../../../client/web/decode/container.js";
 import { inflateColumns } from "../../../client/web/decode/deflate.js";
 import { Quality } from "../../../client/web/view/quality.js";
+import { LIVE_SECONDS, phaseOf } from "../../../client/web/stream/phase.js";
 import { Session } from "../../../client/web/stream/session.js";
 import { DepthSort, fillQuads } from "../../../client/web/view/sort.js";
 import { clock, words } from "../../../client/web/ui/states.js";
@@ -154,8 +155,8 @@ test("session: silence is a stall, the next frame ends it; an idle stream only w
   session.tick(60_000);
   assert.deepEqual([session.status.phase, session.status.fraction], ["waiting", 0.4]);
   session.control(event("state", { state: "live", detail: "" }));
-  session.applied(1, 1, 60_000);
   session.arrived(1, 60_000);
+  session.applied(1, 1, 60_000);
   session.tick(64_000);
   assert.equal(session.status.phase, "stalled");
   session.arrived(1, 64_001);
@@ -202,8 +203,115 @@ test("session: what was shown can be sought, before the window is told again", (
   assert.equal(session.status.window.newest.version, 39);
 });
 
+test("phase: each follows from its facts, and nothing contradicts it", () => {
+  const all = (function* () {
+    for (const link of ["opening", "open", "broken"]) for (const verdict of [null, "deleted", "denied"])
+    for (const stream of ["", "idle", "starting", "live", "degraded", "ended", "failed"]) for (const source of ["cameras", "data", "recording"])
+    for (const mode of ["live", "replay", "paused"]) for (const hasFrame of [false, true]) for (const hasWindow of [false, true])
+    for (const isOver of [false, true]) for (const lagSeconds of [0, LIVE_SECONDS + 0.1, Infinity]) for (const isQuiet of [false, true]) {
+      yield { link, verdict, stream, source, mode, hasFrame, hasWindow, isOver, lagSeconds, isQuiet };
+    }
+  })();
+  const seen = new Set();
+  for (const facts of all) {
+    const phase = phaseOf(facts);
+    seen.add(phase);
+    /** @type {Record<string, boolean>} what must hold where a phase is told */
+    const needs = {
+      live: facts.link === "open" && facts.mode === "live" && facts.hasFrame && !facts.isQuiet && facts.lagSeconds <= LIVE_SECONDS
+        && facts.source !== "recording" && !["idle", "ended", "failed", "starting"].includes(facts.stream),
+      behind: facts.hasFrame && facts.source !== "recording" && (facts.mode === "replay" || facts.lagSeconds > LIVE_SECONDS),
+      replay: facts.hasFrame && facts.source === "recording" && facts.mode !== "paused",
+      paused: facts.hasFrame && facts.mode === "paused",
+      preview: facts.hasFrame && facts.stream === "starting",
+      stalled: facts.hasFrame && facts.isQuiet,
+      ended: facts.isOver || (["idle", "ended"].includes(facts.stream) && (facts.mode === "live" || !facts.hasFrame)),
+      waiting: !facts.hasFrame, connecting: facts.link === "opening", reconnecting: facts.link === "broken",
+      failed: facts.stream === "failed", deleted: facts.verdict === "deleted", denied: facts.verdict === "denied",
+    };
+    assert.ok(needs[phase], `${phase} from ${JSON.stringify(facts)}`);
+    if (facts.verdict) assert.equal(phase, facts.verdict);
+    else if (facts.link !== "open") assert.ok(["connecting", "reconnecting"].includes(phase));
+  }
+  assert.deepEqual([...seen].sort(), ["behind", "connecting", "deleted", "denied", "ended", "failed", "live", "paused", "preview", "reconnecting", "replay", "stalled", "waiting"]);
+});
+
+/** Steps that a session can take, each at a time of its own. */
+const STEPS = {
+  hello: (s, now) => s.opened(now),
+  starting: (s, now) => s.control(welcome({ state: "starting", window: null, progress: { fraction: 0.1, text: "step 1" } }), now),
+  welcome: (s, now) => s.control(welcome(), now),
+  recording: (s, now) => s.control(welcome({ source: "recording" }), now),
+  old: (s, now) => s.control(welcome({ state: "ended" }), now),
+  frame: (s, now) => { s.arrived(9, now); s.applied(s.status.window?.newest.version ?? 1, 1, now); },
+  late: (s, now) => { s.arrived(9, now); s.applied(0, 1, now); },
+  far: (s, now) => s.control(event("window", { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 999 } }), now),
+  live: (s, now) => s.control(event("state", { state: "live", detail: "" }), now),
+  end: (s, now) => s.control(event("state", { state: "ended", detail: "" }), now),
+  fail: (s, now) => s.control(event("state", { state: "failed", detail: "" }), now),
+  stop: (s, now) => s.control(event("state", { state: "idle", detail: "" }), now),
+  pause: (s, now) => s.control(event("position", { mode: "paused", epoch: 1, version: 9 }), now),
+  seek: (s, now) => s.control(event("position", { mode: "replay", epoch: 1, version: 3 }), now),
+  edge: (s, now) => s.control(event("position", { mode: "live", epoch: 1, version: 9 }), now),
+  caught: (s, now) => s.control(event("caught_up"), now),
+  silence: (s, now) => s.tick(now + 5000),
+  tick: (s, now) => s.tick(now),
+  broken: (s, now) => s.closed(1006, "", now, 0.5),
+  deleted: (s, now) => s.closed(1000, "the stream was deleted", now, 0.5),
+  refused: (s, now) => s.closed(4401, "", now, 0.5),
+};
+
+test("phase: every transition", () => {
+  const walks = [
+    "hello connecting, starting waiting, frame preview, live live, silence stalled, frame live, far behind, frame live, pause paused, silence paused, seek behind, caught live",
+    "hello connecting, welcome waiting, frame live, end ended, live live, stop ended, live live, fail failed, live live, deleted deleted",
+    "hello connecting, welcome waiting, frame live, broken reconnecting, broken reconnecting, hello reconnecting, welcome live, broken reconnecting, refused denied",
+    "hello connecting, welcome waiting, frame live, silence stalled, broken reconnecting, hello reconnecting, starting preview, silence preview, frame preview, deleted deleted",
+    "hello connecting, welcome waiting, silence waiting, frame live, silence stalled, pause paused, edge live, silence stalled, end ended, pause paused, seek behind, end behind, edge ended",
+    "hello connecting, recording waiting, frame replay, silence stalled, frame replay, pause paused, seek replay, end replay, edge ended, deleted deleted",
+    "hello connecting, old waiting, frame ended, seek behind, pause paused, edge ended, broken reconnecting, hello reconnecting, old ended",
+    "hello connecting, welcome waiting, frame live, seek behind, silence stalled, late behind, broken reconnecting, hello reconnecting, welcome behind",
+    "hello connecting, fail connecting, welcome waiting, fail failed", "refused denied", "broken reconnecting, hello reconnecting, deleted deleted",
+  ];
+  for (const walk of walks) {
+    const session = new Session(0);
+    let now = 0;
+    assert.equal(session.status.phase, "connecting");
+    for (const step of walk.split(", ")) {
+      const [name, wanted] = step.split(" ");
+      STEPS[name](session, (now += 100));
+      if (name === "silence") now += 5000;
+      assert.equal(session.status.phase, wanted, `${step} in: ${walk}`);
+    }
+  }
+});
+
+test("session: a slow encoder is not a stall, a sudden silence is one", () => {
+  const session = new Session(0);
+  session.opened(0);
+  session.control(welcome({ source: "data" }));
+  let now = 0;
+  for (let i = 0; i < 6; i++) {
+    now += 4000;
+    session.arrived(1, now);
+    session.applied(10 + i, 1, now);
+  }
+  session.tick(now + 5000);
+  assert.equal(session.status.phase, "live");
+  session.tick(now + 40_000);
+  assert.equal(session.status.phase, "stalled");
+});
+
+test("session: the welcome tells the progress of the first frame and the server's clock", () => {
+  const session = new Session(0);
+  session.opened(1000);
+  session.control(welcome({ state: "starting", window: null, progress: { fraction: 0.3, loss: null, text: "step 3" }, server_time_ns: 5_000_000_000 }), 1040, 7000);
+  assert.deepEqual([session.status.fraction, session.status.detail], [0.3, "step 3"]);
+  assert.equal(session.status.clockMs, 5000 - 6980, "the server wrote it in the middle of the round trip");
+});
+
 test("session: final close codes are not tried again, a refused packet is at once", () => {
-  for (const [code, phase] of [[4401, "denied"], [4403, "denied"], [4404, "missing"], [4415, "version"], [4400, "failed"], [1009, "failed"]]) {
+  for (const [code, phase] of [[1000, "deleted"], [4401, "denied"], [4403, "denied"], [4404, "missing"], [4415, "version"], [4400, "failed"], [1009, "failed"]]) {
     const session = new Session(0);
     assert.equal(session.closed(code, "why", 0, 0.5), null);
     assert.deepEqual([session.status.phase, session.status.detail], [phase, "why"]);
@@ -215,17 +323,25 @@ test("session: final close codes are not tried again, a refused packet is at onc
   assert.ok(session.closed(4400, "", 0, 0.5) >= 500);
 });
 
+const PHASES = ["connecting", "waiting", "preview", "live", "behind", "replay", "paused", "stalled", "reconnecting", "ended", "deleted", "failed",
+  "version", "denied", "missing"];
+
 test("every phase has words, and none stands in the way of a picture without need", () => {
   const { status } = new Session(0);
-  for (const phase of ["connecting", "waiting", "live", "behind", "paused", "stalled", "reconnecting", "ended", "failed", "version", "denied", "missing"]) {
+  for (const phase of PHASES) {
     const bare = words({ ...status, phase }, false, 2500), shown = words({ ...status, phase }, true, 2500);
     assert.ok(bare.chip && shown.chip, phase);
     assert.equal(shown.card !== null, ["failed", "version", "denied", "missing"].includes(phase), phase);
   }
   assert.match(words({ ...status, phase: "reconnecting" }, true, 2500).chip, /3 s/);
+  assert.equal(words({ ...status, phase: "live", source: "data" }, true, 0).tone, "good", "red is for live cameras");
+  assert.equal(words({ ...status, phase: "behind", lagSeconds: 3.21 }, true, 0).chip, "3.2 s behind live");
+  assert.equal(words({ ...status, phase: "preview", fraction: 0.42 }, true, 0).chip, "Preview, trained to 42 %");
+  const window = { oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: 9 } };
+  assert.equal(words({ ...status, phase: "ended", window }, false, 0).card.title, "Loading", "an end is told after the last picture");
   assert.equal(words({ ...status, phase: "live", trouble: "camera cam01 is lost" }, true, 0).chip, "Live, but camera cam01 is lost");
   assert.ok(words({ ...status, phase: "live", trouble: "x".repeat(500) }, true, 0).chip.length < 80);
-  assert.equal(clock(3690, 30), "2:03");
+  assert.equal(clock(3695, 30), "2:03.1");
   assert.equal(clock(12, null), "12");
 });
 

@@ -186,7 +186,7 @@ def test_recording_plays_without_a_server(page: Any, clip: Clip, tmp_path: Path)
         shows(page, "s.version === 10")
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[10].levels]
         page.evaluate("streamlod.loop(true); streamlod.play()")
-        shows(page, "s.version < 10 && s.phase === 'behind'")
+        shows(page, "s.version < 10 && s.phase === 'replay'")
 
 
 def test_recording_from_a_server_that_knows_no_ranges(page: Any, clip: Clip, tmp_path: Path) -> None:
@@ -346,7 +346,7 @@ def test_real_server_live_seek_restart(page: Any, clip: Clip, tmp_path: Path) ->
         for version in range(1, len(clip.states)):
             writer.append(clip.residual(version - 1, version))
     with running(Settings(), StreamSpec(play=recording, loop=False)) as server:
-        page.goto(f"{server.url}/?quality=high")
+        page.goto(f"{server.url}/?quality=high&together=1")
         shows(page, "s.version === 39")
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[39].levels]
         page.evaluate("streamlod.pause()")
@@ -378,7 +378,7 @@ def test_real_server_restarted_in_mid_stream(page: Any, clip: Clip, tmp_path: Pa
         for version in range(1, len(clip.states)):
             writer.append(clip.residual(version - 1, version))
     with running(Settings(), StreamSpec(play=recording, loop=True)) as server:
-        page.goto(f"{server.url}/?quality=high")
+        page.goto(f"{server.url}/?quality=high&together=1")
         shows(page, "s.version > 3")
         port = int(server.url.rpartition(":")[2])
     shows(page, "s.phase === 'reconnecting'")

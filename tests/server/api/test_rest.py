@@ -86,6 +86,20 @@ def test_the_bitstream_is_the_recorded_file(client: httpx.Client, clip: Clip, tm
         assert path.read_bytes() == clip.path.read_bytes()  # the index as well
 
 
+def test_a_played_file_can_be_had_whole(client: httpx.Client, clip: Clip) -> None:
+    """`recording` is the file itself, by ranges too; streams of other sources have none."""
+    assert client.get("/v1/streams/main").json()["source"] == "recording"
+    assert client.get("/v1/streams/main/recording").content == clip.path.read_bytes()
+    part = client.get("/v1/streams/main/recording", headers={"Range": "bytes=-16"})
+    assert (part.status_code, part.content) == (206, clip.path.read_bytes()[-16:])
+    body = {"id": "made", "synthetic": {}}
+    created = client.post("/v1/streams", json=body)
+    assert created.status_code == 201, created.text
+    assert created.json()["source"] == "data"
+    assert client.get("/v1/streams/made/recording").status_code == 404
+    assert client.delete("/v1/streams/made").status_code == 204
+
+
 def test_downloads_answer_ranges_and_conditions(client: httpx.Client) -> None:
     path = "/v1/streams/main/bitstream"
     whole = client.get(path)

@@ -1,0 +1,50 @@
+/** What is going on, as one word that follows from what is known: the only place where it is decided. */
+
+/**
+ * - `connecting`, `waiting`: no picture yet; the server does not answer yet, or has nothing yet
+ * - `preview`: the first frame is still being trained, what is seen is unfinished
+ * - `live`: the newest frame of a live stream, less than `LIVE_SECONDS` old by frame numbers
+ * - `behind`: the same stream, further back; also when it is played from the past
+ * - `replay`: a recording plays
+ * - `stalled`: it should play, but no frame comes
+ * - `reconnecting`: the connection broke and is tried again
+ * - `ended`: nothing more will come; `deleted`: and nothing can be sought
+ * - `failed`, `version`, `denied`, `missing`: cannot be watched
+ * @typedef {"connecting" | "waiting" | "preview" | "live" | "behind" | "replay" | "paused" | "stalled" | "reconnecting" | "ended"
+ *   | "deleted" | "failed" | "version" | "denied" | "missing"} Phase
+ */
+
+/** @typedef {"cameras" | "data" | "recording"} Source - live cameras, pictures taken earlier that are trained now, a recorded bitstream */
+
+/**
+ * @typedef {object} Facts
+ * @property {"opening" | "open" | "broken"} link
+ * @property {Phase | null} verdict - why there will be no further attempt
+ * @property {string} stream - its state in the server's words, "" while unknown
+ * @property {Source} source
+ * @property {"live" | "replay" | "paused"} mode
+ * @property {boolean} hasFrame - whether a frame was decoded
+ * @property {boolean} hasWindow - whether there is anything to show
+ * @property {boolean} isOver - whether a recording has reached its end
+ * @property {number} lagSeconds - from what is shown to the newest frame
+ * @property {boolean} isQuiet - whether frames are overdue
+ */
+
+export const LIVE_SECONDS = 2; // the window is told once a second: less cannot be known
+
+const OVER = ["ended", "idle"]; // states of a stream to which no frame is added
+
+/** @type {(facts: Facts) => Phase} */
+export function phaseOf({ link, verdict, stream, source, mode, hasFrame, hasWindow, isOver, lagSeconds, isQuiet }) {
+  if (verdict) return verdict;
+  if (link === "opening") return "connecting";
+  if (link === "broken") return "reconnecting";
+  if (stream === "failed") return "failed";
+  if (!hasFrame) return stream === "ended" && !hasWindow ? "ended" : "waiting";
+  if (mode === "paused") return "paused";
+  if (isOver || (mode === "live" && OVER.includes(stream))) return "ended";
+  if (stream === "starting") return "preview";
+  if (isQuiet) return "stalled";
+  if (source === "recording") return "replay";
+  return mode === "live" && lagSeconds <= LIVE_SECONDS ? "live" : "behind";
+}

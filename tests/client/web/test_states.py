@@ -1,0 +1,129 @@
+"""What the page says about what is seen: live only when it is, and never a word that contradicts the picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from codec.container import SlodWriter
+from server.pipeline.spec import StreamSpec
+from server.settings import Settings
+from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
+from tests.client.web.scenes import make_scene
+from tests.client.web.test_browser import INSPECT, WAIT, page, shows
+from tests.server.conftest import running
+
+__all__ = ["page"]
+
+pytestmark = pytest.mark.browser
+
+OPACITY = "getComputedStyle(document.getElementById('{}')).opacity"
+COLOUR = "getComputedStyle(document.querySelector('#t-live')).color"
+RED = "rgb(255, 93, 93)"
+KEEP_TITLES = """
+window.titles = [];
+document.addEventListener("DOMContentLoaded", () => {
+  const card = document.getElementById("card"), title = document.getElementById("card-title");
+  const note = () => card.hidden || titles.push(title.textContent);
+  new MutationObserver(note).observe(card, { attributes: true, subtree: true, childList: true });
+});
+"""
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    """A minute at five frames a second."""
+    clip = make_clip(make_scene(300), 300)
+    clip.key()
+    clip.residual(0, 1)
+    return clip
+
+
+def chip(page: Any, text: str) -> None:
+    """Wait until the chip says `text`."""
+    page.locator("#status-text", has_text=text).wait_for(**WAIT)
+
+
+def test_live_is_red_only_while_it_is(page: Any, clip: Clip) -> None:
+    """Cameras at the newest frame: red. Paused, or far behind, or silent: not."""
+    page.emulate_media(color_scheme="dark", reduced_motion="reduce")
+    behaviour = Behaviour(fps=5)
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, f"s.version >= 1 && s.phase === 'live' && {COLOUR} === '{RED}'")
+        page.evaluate("streamlod.pause()")
+        chip(page, "Paused")
+        assert page.evaluate(COLOUR) != RED
+        page.evaluate("streamlod.seek(0); streamlod.play()")
+        chip(page, "behind live")
+        assert page.evaluate(COLOUR) != RED
+        page.keyboard.press("End")
+        shows(page, f"s.phase === 'live' && {COLOUR} === '{RED}'")
+        behaviour.newest = 1
+        chip(page, "No new frames")
+        assert page.evaluate(COLOUR) != RED
+        behaviour.newest, behaviour.leave = None, (1000, "the stream was deleted")
+        chip(page, "Deleted, this is its last picture")
+        assert page.evaluate("streamlod.state.phase") == "deleted"
+        assert page.locator("#card").is_hidden()
+
+
+def test_pictures_taken_earlier_are_not_called_live(page: Any, clip: Clip) -> None:
+    """A stream that is trained from a data set is at its newest frame, in green."""
+    page.emulate_media(color_scheme="dark", reduced_motion="reduce")
+    with serving(create_app(clip, Behaviour(source="data"))) as url:
+        page.goto(f"{url}/?quality=high")
+        chip(page, "Newest frame")
+        assert page.locator("#t-live").inner_text() == "NEWEST"
+        assert page.evaluate(COLOUR) != RED
+
+
+def test_the_chip_wakes_when_something_is_wrong(page: Any, clip: Clip) -> None:
+    """Controls hide from a hand that rests, but a picture that froze is said aloud."""
+    behaviour = Behaviour(fps=20)
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.phase === 'live'")
+        behaviour.newest = 1
+        page.wait_for_function("document.body.classList.contains('idle')", **WAIT)
+        chip(page, "No new frames")
+        assert page.evaluate(OPACITY.format("identity")) == "1"
+        assert page.evaluate(OPACITY.format("tools")) == "0"
+
+
+def test_latency_from_camera_to_screen(page: Any, clip: Clip) -> None:
+    """Frames are filmed 400 ms before the server has them: the chip says a little more than that."""
+    with serving(create_app(clip, Behaviour(fps=30, lead_ns=400_000_000))) as url:
+        page.goto(f"{url}/?quality=high")
+        page.wait_for_function("/^[0-9]+ ms$/.test(document.getElementById('status-latency').textContent)", **WAIT)
+        assert 350 <= page.evaluate("streamlod.state.latencyMs") < 5000
+
+
+def test_no_word_of_the_end_before_the_picture(page: Any, clip: Clip) -> None:
+    """Who joins a stream that has ended sees its last frame, without a card about the end in between."""
+    page.add_init_script(KEEP_TITLES)
+    with serving(create_app(clip, Behaviour(state="ended", newest=6))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 6 && s.phase === 'ended'")
+        chip(page, "Ended")
+        assert set(page.evaluate("titles")) <= {"Connecting", "Loading"}
+
+
+def test_a_played_file_is_a_replay_that_can_be_sought(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """`serve --play`: all of the file can be sought at once, it loops, and nobody calls it live."""
+    recording = tmp_path / "clip.slod"
+    with SlodWriter(recording) as writer:
+        writer.append(clip.key())
+        for version in range(1, 40):
+            writer.append(clip.residual(version - 1, version))
+    with running(Settings(), StreamSpec(play=recording, loop=True)) as server:
+        page.goto(f"{server.url}/?quality=high")
+        chip(page, "Replay")
+        shows(page, "s.phase === 'replay' && s.window.newest.version === 39 && s.version !== null")
+        assert not page.locator("#t-live").is_visible()
+        assert page.locator("#t-loop").get_attribute("aria-pressed") == "true"
+        page.evaluate("streamlod.pause(); streamlod.seek(33)")
+        shows(page, "s.phase === 'paused' && s.version === 33")
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[33].levels]
