@@ -11,6 +11,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 
 from codec.splice import size_of, splice
 from core.errors import StreamlodError
+from server.api.access import StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
 from server.http.problems import PROBLEMS, Problem
 from server.protocol.packets import Position, StreamPacket
