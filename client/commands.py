@@ -13,7 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from client.connection import Wishes
-from client.evaluation.file_scores import FrameScore, evaluate_file
+from client.evaluation.file_scores import DecodedScore, evaluate_file
 from client.inspection import describe_file
 from client.recording import decode_frames, decode_version, versions
 from client.viewing import record_stream
@@ -86,8 +86,8 @@ def evaluate(
         raise InputError("--test", "name at least one held-out camera, for example --test cam00")
     with tqdm(unit="frame", desc="evaluate", delay=0.5) as bar:
 
-        def tell(score: FrameScore) -> None:
-            bar.set_postfix_str(f"{score.psnr:.2f} dB", refresh=False)
+        def tell(score: DecodedScore) -> None:
+            bar.set_postfix_str(f"{score.picture.psnr:.2f} dB", refresh=False)
             bar.update()
 
         figures = evaluate_file(scene, data, test, images, layout, tell)

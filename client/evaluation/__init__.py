@@ -2,5 +2,5 @@
 
 `study` compares whole systems (`rows`); `tradeoff` sweeps one knob at a time (`design`) and draws the Pareto front.
 Both stand on `footage` (a split of a recording), `systems` (train and measure one configuration) and `scores`.
-Sizes of packets come in through a callback, since the codec stands above this package.
+`file_scores` measures a `.slod` file. All score pictures with `measure.scores` and count the bytes of real packets.
 """

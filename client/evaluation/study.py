@@ -13,9 +13,8 @@ from typing import Any
 from client.evaluation.measure.footage import Footage, chosen_split, open_footage
 from client.evaluation.measure.machine import machine
 from client.evaluation.measure.scores import Perception, load_perception
-from client.evaluation.measure.sizes import SizeOf
 from client.evaluation.measure.truth import read_spec
-from client.evaluation.report.output import result_folder, side_by_side, write_json, write_png, write_text
+from client.evaluation.report.output import result_folder, side_by_side, write_json, write_text
 from client.evaluation.report.plots import study_plots
 from client.evaluation.report.quoted import quoted_json
 from client.evaluation.report.report import study_report
@@ -23,6 +22,7 @@ from client.evaluation.resume import earlier_report
 from client.evaluation.rows import Row, study_rows
 from client.evaluation.summary import run_figures, spread
 from client.evaluation.systems import PERCEIVED, FirstFrames, run_system
+from client.recorder import write_png
 from core.synthetic import SyntheticSpec
 
 _log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ class StudyOptions:
     device: str = "auto"
 
 
-def run_study(data: Path, out: Path, options: StudyOptions, size_of: SizeOf, rows: tuple[Row, ...] = ()) -> str:
+def run_study(data: Path, out: Path, options: StudyOptions, rows: tuple[Row, ...] = ()) -> str:
     """Measure and write `study.json`, `study.md` and pictures into `out`; returns a sentence for people.
 
     The files are renewed after every run, all systems with one seed before the next seed, so that a study that is
@@ -89,7 +89,7 @@ def run_study(data: Path, out: Path, options: StudyOptions, size_of: SizeOf, row
             "plots": [],
         }
         study["splits"].append(entry)
-        runner = _Runner(footage, FirstFrames(options.device), size_of, perception, spec, out)
+        runner = _Runner(footage, FirstFrames(options.device), perception, spec, out)
         known = _known_runs(earlier, entry)
         runs: dict[str, list[dict[str, Any]]] = {row.name: [] for row in systems}
         for seed, row in itertools.product(range(options.seeds), systems):
@@ -156,7 +156,6 @@ class _Runner:
 
     footage: Footage
     first_frames: FirstFrames
-    size_of: SizeOf
     perception: Perception
     spec: SyntheticSpec | None
     out: Path
@@ -171,7 +170,6 @@ class _Runner:
             replace(row.config, seed=seed),
             self.footage,
             self.first_frames,
-            self.size_of,
             frozen=row.frozen,
             perception=self.perception,
             spec=self.spec,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from client.evaluation.measure.sizes import stream_bytes
-from client.evaluation.systems import FrameScore, Run
+from client.evaluation.systems import Run, TrainedScore
 
 # The figures of a run that tables show; means over its frames unless the name says otherwise. The rendering speed is a
 # median, so that another process of the machine spoils a few frames and not the figure.
@@ -106,7 +106,7 @@ def mean(values: Iterable[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _frame_figures(frame: FrameScore) -> dict[str, Any]:
+def _frame_figures(frame: TrainedScore) -> dict[str, Any]:
     return {
         "frame": frame.frame,
         "psnr": frame.picture.psnr,
@@ -124,10 +124,10 @@ def _frame_figures(frame: FrameScore) -> dict[str, Any]:
     }
 
 
-def _level_means(frames: Sequence[FrameScore]) -> list[float]:
+def _level_means(frames: Sequence[TrainedScore]) -> list[float]:
     return np.mean([frame.size.level_bytes for frame in frames], axis=0).tolist() if frames else []
 
 
-def _stage_means(frames: Sequence[FrameScore]) -> dict[str, float]:
+def _stage_means(frames: Sequence[TrainedScore]) -> dict[str, float]:
     names = dict.fromkeys(name for frame in frames for name in frame.report.seconds)
     return {name: mean(frame.report.seconds.get(name, 0.0) for frame in frames) or 0.0 for name in names}

@@ -12,7 +12,7 @@ import numpy as np
 from client.evaluation.measure.footage import Footage
 from client.evaluation.measure.memory import forget_peak, peak_bytes
 from client.evaluation.measure.scores import Perception, PictureScore, draw, score
-from client.evaluation.measure.sizes import PacketSize, SizeOf, shannon_keyframe_bytes, shannon_residual_bytes
+from client.evaluation.measure.sizes import PacketSize, packet_size, shannon_keyframe_bytes, shannon_residual_bytes
 from client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
 from core.arrays import UInt8
 from core.errors import ModelError
@@ -28,8 +28,8 @@ _NO_TRAINING = FrameReport({}, 0, 0, 0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class FrameScore:
-    """One frame of one run.
+class TrainedScore:
+    """One frame of one run: how it was trained, what it costs and how it looks.
 
     Attributes:
         frame: its number; 0 is the keyframe.
@@ -70,7 +70,7 @@ class Run:
 
     seed: int
     fps: float
-    frames: tuple[FrameScore, ...]
+    frames: tuple[TrainedScore, ...]
     caps: tuple[CapScore, ...]
     truth: UInt8
     drawn: UInt8
@@ -126,7 +126,6 @@ def run_system(
     config: TrainConfig,
     footage: Footage,
     first_frames: FirstFrames,
-    size_of: SizeOf,
     *,
     frozen: bool = False,
     perception: Perception | None = None,
@@ -144,7 +143,7 @@ def run_system(
     """
     by_distance = config.model.selection == "distance"
     perceived = set(np.linspace(0, footage.frames - 1, PERCEIVED).round().astype(int).tolist())
-    scores: list[FrameScore] = []
+    scores: list[TrainedScore] = []
     peak, scene, truth = 0, None, None
     for trained, before, testing, held, seconds in _trained_frames(config, footage, first_frames, frozen):
         peak, scene = max(peak, held), trained.scene
@@ -156,7 +155,7 @@ def run_system(
             draw(scene, cameras[0], by_distance=by_distance)  # compiling is not timed
         networks = perception if index in perceived else None
         picture, drawn = score(scene, cameras, truth, networks, by_distance=by_distance)
-        size = size_of(before, scene, trained.residual)
+        size = packet_size(before, scene, trained.residual)
         motion = None
         if before is None or trained.residual is None:
             shannon = shannon_keyframe_bytes(scene)
@@ -165,7 +164,7 @@ def run_system(
             if spec is not None:
                 dynamic = np.zeros(_rows(before), np.bool_) if trained.dynamic is None else trained.dynamic
                 motion = dynamic_precision_recall(spec, before, dynamic, index, footage.training.cameras)
-        scores.append(FrameScore(index, picture, size, shannon, trained.report, seconds, motion))
+        scores.append(TrainedScore(index, picture, size, shannon, trained.report, seconds, motion))
     if scene is None or truth is None:
         raise ModelError("no frame could be measured: the held-out cameras delivered nothing")
     caps = tuple(

@@ -15,7 +15,6 @@ import numpy as np
 from client.evaluation.design import BASE, Point, one_at_a_time
 from client.evaluation.measure.footage import Footage, chosen_split, footage_frames, open_footage
 from client.evaluation.measure.machine import machine
-from client.evaluation.measure.sizes import SizeOf
 from client.evaluation.report.output import result_folder, write_json, write_text
 from client.evaluation.report.pareto import pareto_front
 from client.evaluation.report.svg import Axis, Dot, scatter
@@ -73,7 +72,7 @@ class TradeoffOptions:
     seeds: int = 1
 
 
-def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeOf, points: Sequence[Point] = ()) -> str:
+def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, points: Sequence[Point] = ()) -> str:
     """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`; returns a sentence.
 
     All files are renewed after every run, all points with one seed before the next seed, so that a sweep that is
@@ -113,7 +112,7 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, size_of: SizeO
                     data, split, frames=options.frames, downscale=trained_at, test_downscale=options.downscale
                 )
                 footages[point.shrink] = footage, FirstFrames(options.device)
-            found = _figures(run_system(replace(point.config, seed=seed), *footages[point.shrink], size_of))
+            found = _figures(run_system(replace(point.config, seed=seed), *footages[point.shrink]))
             _log.info("%s, seed %d: %.2f dB", point.name, seed, found["psnr"])
         entry["runs"].append(found)
         value["points"] = [_means(measured) for measured in entries if measured["runs"]]

@@ -11,10 +11,9 @@ from torch import Tensor
 from torch.nn.functional import conv2d, max_pool2d, relu
 
 from core.arrays import Float32, UInt8
-from core.metrics.lpips_weights import Net, find_weights
+from core.metrics.lpips_weights import MIN_SIDE, Net, find_weights
 from core.metrics.pictures import unit_pair
 
-MIN_SIDE = 32  # below, AlexNet's last feature map is empty
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 _TINY = 1e-10

@@ -21,6 +21,7 @@ from core.arrays import Float32
 from core.errors import BackendUnavailable, InputError
 
 Net = Literal["alex", "vgg"]
+MIN_SIDE = 32  # pixels of a picture; below, AlexNet's last feature map is empty
 VARIABLE = "STREAMLOD_LPIPS"
 MAX_BYTES = 256 << 20
 

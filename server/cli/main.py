@@ -240,7 +240,7 @@ def study(
         preset=preset,
         device=device,
     )
-    _call("client.evaluation.packet_sizes:study", data, out, options)
+    _call("client.evaluation.study:run_study", data, out, options)
 
 
 @app.command()
@@ -266,7 +266,7 @@ def tradeoff(
         device=device,
         seeds=seeds,
     )
-    _call("client.evaluation.packet_sizes:tradeoff", data, out, options)
+    _call("client.evaluation.tradeoff:run_tradeoff", data, out, options)
 
 
 @app.command()

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from core.arrays import UInt8
+from core.arrays import Float32, UInt8
 from core.camera import Camera
 from core.errors import BackendUnavailable
 from core.metrics import psnr, ssim
-from core.metrics.lpips import MIN_SIDE, load_lpips
-from core.metrics.lpips_weights import Net
+from core.metrics.lpips_weights import MIN_SIDE, Net
 from core.render.cpu import render
 from core.scene.anchors import Scene
 from core.scene.expand import expand
@@ -40,20 +39,22 @@ class PictureScore:
 
     Attributes:
         psnr, ssim: of the pictures, 8 bits a channel.
+        psnr_fitted: PSNR after the gain and offset of each channel that fit best, which takes exposure out.
         lpips_alex, lpips_vgg: None where not measured.
         render_seconds: of one picture, expansion of the anchors included.
     """
 
     psnr: float
     ssim: float
+    psnr_fitted: float
     lpips_alex: float | None
     lpips_vgg: float | None
     render_seconds: float
 
 
-def load_perception() -> Perception:
-    """Whichever LPIPS networks have their weights here."""
-    return Perception(_distance("alex"), _distance("vgg"))
+def load_perception(*, vgg: bool = True) -> Perception:
+    """The LPIPS networks whose weights are installed; without `vgg`, only the fast one."""
+    return Perception(_distance("alex"), _distance("vgg") if vgg else None)
 
 
 def draw(scene: Scene, camera: Camera, *, highest_level: int | None = None, by_distance: bool = False) -> UInt8:
@@ -78,33 +79,57 @@ def score(
         cameras: C held-out cameras; truth: [C,H,W,3] what they saw.
         perception: networks to measure LPIPS with, None to leave it out.
     """
-    rows, drawn = [], []
+    scores, drawn = list[PictureScore](), list[UInt8]()
     for camera, picture in zip(cameras, truth, strict=True):
-        seconds = []
+        seconds = list[float]()
         for _ in range(_DRAWINGS):
             begin = time.perf_counter()
             image = draw(scene, camera, highest_level=highest_level, by_distance=by_distance)
             seconds.append(time.perf_counter() - begin)
         drawn.append(image)
-        pair = (drawn[-1], picture)
-        distances = [_measured(distance, *pair) for distance in _networks(perception)]
-        rows.append((psnr(*pair), ssim(*pair), *distances, min(seconds)))
-    mean = np.mean(rows, axis=0)
-    alex, vgg = (None if np.isnan(value) else float(value) for value in mean[2:4])
-    return PictureScore(float(mean[0]), float(mean[1]), alex, vgg, float(mean[4])), drawn
+        scores.append(score_picture(image, picture, perception or Perception(), min(seconds)))
+    return mean_score(scores), drawn
 
 
-def _networks(perception: Perception | None) -> tuple[Distance | None, Distance | None]:
-    return (None, None) if perception is None else (perception.alex, perception.vgg)
+def score_picture(drawn: UInt8, truth: UInt8, perception: Perception, render_seconds: float = 0.0) -> PictureScore:
+    """Scores of one picture [H,W,3] against the true one."""
+    return PictureScore(
+        psnr=psnr(drawn, truth),
+        ssim=ssim(drawn, truth),
+        psnr_fitted=_fitted_psnr(drawn, truth),
+        lpips_alex=_distance_of(perception.alex, drawn, truth),
+        lpips_vgg=_distance_of(perception.vgg, drawn, truth),
+        render_seconds=render_seconds,
+    )
 
 
-def _measured(distance: Distance | None, picture: UInt8, truth: UInt8) -> float:
-    return np.nan if distance is None or min(picture.shape[:2]) < MIN_SIDE else distance(picture, truth)
+def mean_score(scores: Sequence[PictureScore]) -> PictureScore:
+    """The mean of each figure, None where any of the scores lacks it."""
+    means: dict[str, float | None] = {}
+    for name in (part.name for part in fields(PictureScore)):
+        values = [getattr(score, name) for score in scores]
+        means[name] = None if None in values else float(np.mean(values))
+    return PictureScore(**means)  # type: ignore[arg-type]
+
+
+def _fitted_psnr(drawn: UInt8, truth: UInt8) -> float:
+    """PSNR after the gain and offset of each channel that fit best in the least squares sense."""
+    x, y = drawn.reshape(-1, 3) / 255.0, truth.reshape(-1, 3) / 255.0
+    centred = x - x.mean(axis=0)
+    gain = (centred * (y - y.mean(axis=0))).sum(axis=0) / np.maximum((centred**2).sum(axis=0), 1e-12)
+    fitted: Float32 = np.clip(y.mean(axis=0) + gain * centred, 0, 1).astype(np.float32)
+    return psnr(fitted.reshape(drawn.shape), (truth / 255.0).astype(np.float32))
+
+
+def _distance_of(distance: Distance | None, drawn: UInt8, truth: UInt8) -> float | None:
+    return None if distance is None or min(drawn.shape[:2]) < MIN_SIDE else distance(drawn, truth)
 
 
 def _distance(net: Net) -> Distance | None:
     try:
+        from core.metrics.lpips import load_lpips  # needs torch, which a client does without
+
         return load_lpips(net).distance
-    except BackendUnavailable as error:
+    except (BackendUnavailable, ImportError) as error:
         _log.warning("LPIPS is left out: %s", error)
         return None

@@ -1,15 +1,17 @@
-"""What a frame costs: real packets, measured by whoever has an encoder, and Shannon's estimate beside them."""
+"""What a frame costs: the bytes of its real packet, and the order-0 entropy that papers mostly report beside it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from codec.encoder import encode_keyframe, encode_residual
+from codec.packet.info import peek
+from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import Residual
 
@@ -24,8 +26,13 @@ class PacketSize:
     level_bytes: tuple[int, ...]
 
 
-SizeOf = Callable[[Scene | None, Scene, Residual | None], PacketSize]
-"""(state before, state after, residual) -> size; before and residual are None for a keyframe."""
+def packet_size(before: Scene | None, after: Scene, residual: Residual | None) -> PacketSize:
+    """Size of the packet that leads from `before` to `after`; a keyframe's where `before` or `residual` is None."""
+    if before is None or residual is None:
+        packet = encode_keyframe(after, time_ns=0)
+    else:
+        packet = encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=0)
+    return PacketSize(len(packet), peek(packet).level_bytes)
 
 
 def stream_bytes(keyframe_bytes: float, predicted_bytes: float, interval: int = KEYFRAME_INTERVAL) -> float:

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from core.arrays import UInt8
@@ -30,13 +29,6 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, value: Any) -> None:
     """Strict JSON: a number that is not finite is a fault of ours."""
     write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
-
-
-def write_png(path: Path, picture: UInt8) -> None:
-    """[H,W,3] RGB."""
-    done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
-    assert done, "OpenCV encodes any picture of bytes as PNG"
-    write_bytes(path, data.tobytes())
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from client.commands import evaluate, export
-from client.evaluation.file_scores import evaluate_file, side_by_side
+from client.evaluation.file_scores import evaluate_file
+from client.evaluation.report.output import side_by_side
 from core.errors import InputError
 from core.render.splatter import Splatter
 from core.scene.anchors import Scene

@@ -12,7 +12,6 @@ import pytest
 
 from client.evaluation.design import one_at_a_time
 from client.evaluation.measure.footage import chosen_split
-from client.evaluation.packet_sizes import packet_size
 from client.evaluation.report.quoted import MEET_ROOM, N3DV
 from client.evaluation.resume import earlier_report
 from client.evaluation.rows import Row, study_rows
@@ -28,7 +27,7 @@ def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) 
     (ours, *_) = study_rows("balanced", [])
     rows = [replace(ours, config=shortened(ours.config))]
     options = StudyOptions(views=(2, 3), frames=2, seeds=2, device="cpu")
-    text = run_study(clip, tmp_path / "out", options, packet_size, tuple(rows))
+    text = run_study(clip, tmp_path / "out", options, tuple(rows))
     assert "study.md" in text
     value = json.loads((tmp_path / "out" / "study.json").read_text())
     assert [split["name"] for split in value["splits"]] == [
@@ -65,7 +64,7 @@ def test_a_study_goes_on_where_it_stopped(clip: Path, tmp_path: Path) -> None:
 
     def measure(row: Row, seeds: int) -> list[dict[str, Any]]:
         options = StudyOptions(split=split, frames=1, seeds=seeds, device="cpu")
-        run_study(clip, out, options, packet_size, (row,))
+        run_study(clip, out, options, (row,))
         (entry,) = json.loads((out / "study.json").read_text())["splits"]
         assert (entry["name"], entry["train"], entry["test"]) == ("split.json", ["cam01", "cam03"], ["cam02"])
         runs: list[dict[str, Any]] = entry["rows"][0]["seeds"]
@@ -108,10 +107,10 @@ def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> N
     names = {"balanced", "paper", "rate weight 0.03", "downscale 2"}
     points = [replace(point, config=shortened(point.config)) for point in one_at_a_time() if point.name in names]
     options = TradeoffOptions(frames=2, views=2, device="cpu", seeds=2)
-    run_tradeoff(clip, tmp_path, replace(options, seeds=1), packet_size, points)
+    run_tradeoff(clip, tmp_path, replace(options, seeds=1), points)
     single = json.loads((tmp_path / "tradeoff.json").read_text())
     assert all(point["psnr_spread"] == 0 for point in single["points"])
-    run_tradeoff(clip, tmp_path, options, packet_size, points)
+    run_tradeoff(clip, tmp_path, options, points)
     value = json.loads((tmp_path / "tradeoff.json").read_text())
     assert {point["name"] for point in value["points"]} == names
     for point, before in zip(value["points"], single["points"], strict=True):
@@ -133,7 +132,7 @@ def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> N
     assert not any(name in beaten for name, beaten in better.items())
     report = (tmp_path / "tradeoff.md").read_text()
     assert all(name in report for name in names)
-    run_tradeoff(clip, tmp_path, options, packet_size, points)
+    run_tradeoff(clip, tmp_path, options, points)
     assert json.loads((tmp_path / "tradeoff.json").read_text()) == value  # nothing was measured again
 
 

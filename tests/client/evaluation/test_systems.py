@@ -9,7 +9,6 @@ import pytest
 
 from client.evaluation.measure.footage import Footage, open_footage
 from client.evaluation.measure.scores import draw
-from client.evaluation.packet_sizes import packet_size
 from client.evaluation.rows import unquantised
 from client.evaluation.summary import run_figures, spread
 from client.evaluation.systems import FirstFrames, run_system, with_steps
@@ -49,7 +48,7 @@ def test_other_steps_show_the_same_picture_and_finer_changes(footage: Footage, f
 
 
 def test_a_run_measures_every_frame_and_level(footage: Footage, first_frames: FirstFrames) -> None:
-    run = run_system(CONFIG, footage, first_frames, packet_size, spec=SPEC)
+    run = run_system(CONFIG, footage, first_frames, spec=SPEC)
     assert [frame.frame for frame in run.frames] == [0, 1, 2]
     assert all(0 < frame.size.total_bytes < run.frames[0].size.total_bytes for frame in run.frames[1:])
     assert [frame.motion is None for frame in run.frames] == [True, False, False]
@@ -62,7 +61,7 @@ def test_a_run_measures_every_frame_and_level(footage: Footage, first_frames: Fi
     assert figures["predicted_bytes_max"] >= figures["predicted_bytes_mean"]
     assert figures["predicted_bytes_mean"] < figures["stream_bytes"] < figures["keyframe_bytes"]
     assert figures["stream_kbps"] == pytest.approx(figures["stream_bytes"] * 8 * SPEC.fps / 1000)
-    again = run_figures(run_system(CONFIG, footage, FirstFrames("cpu"), packet_size))
+    again = run_figures(run_system(CONFIG, footage, FirstFrames("cpu")))
     assert again["psnr"] == pytest.approx(figures["psnr"], abs=0.05)  # threads add in any order
 
 
@@ -72,13 +71,13 @@ def test_the_first_frame_is_shown_as_it_was_trained_whatever_the_cue(
     """Cues that see the static error would otherwise train the first frame twice."""
     pictures = []
     for predict in (CONFIG.predict, replace(CONFIG.predict, cue="canonical"), replace(CONFIG.predict, everything=True)):
-        run = run_system(replace(CONFIG, predict=predict), footage, first_frames, packet_size)
+        run = run_system(replace(CONFIG, predict=predict), footage, first_frames)
         pictures.append(run.frames[0].picture.psnr)
     assert pictures[0] == pictures[1] == pictures[2]
 
 
 def test_frozen_costs_next_to_nothing_and_changes_nothing(footage: Footage, first_frames: FirstFrames) -> None:
-    run = run_system(CONFIG, footage, first_frames, packet_size, frozen=True, spec=SPEC)
+    run = run_system(CONFIG, footage, first_frames, frozen=True, spec=SPEC)
     assert all(frame.size.total_bytes <= 64 and frame.report.total_seconds == 0 for frame in run.frames[1:])
     motion = run.frames[1].motion
     assert motion is not None

@@ -11,11 +11,11 @@ from client.evaluation.measure.footage import Footage
 from client.evaluation.measure.sizes import (
     KEYFRAME_INTERVAL,
     entropy_bits,
+    packet_size,
     shannon_keyframe_bytes,
     shannon_residual_bytes,
     stream_bytes,
 )
-from client.evaluation.packet_sizes import packet_size
 from codec.renewal import RenewalRule
 from core.scene.residual import difference
 from core.train import TrainConfig, Trainer
