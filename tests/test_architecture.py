@@ -26,8 +26,8 @@ LAYERS = {
         "errors arrays files runtime", "camera", "frames", "scene", "render metrics data synthetic initialise", "train",
     ),
     "core.train": (
-        "config pictures kernels control", "optimise", "field", "growth motion", "keyframe residual", "refresh",
-        "progress", "trainer",
+        "config paper presets pictures kernels control", "optimise", "field", "growth motion", "keyframe residual",
+        "refresh", "progress", "trainer",
     ),
     "server": (
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer", "registry",

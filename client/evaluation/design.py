@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from core.train import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, preset
+from core.train import PRESETS, KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, preset
 
-PRESETS = ("live", "balanced", "quality", "paper")
 BASE = "balanced"
 
 

@@ -1,11 +1,9 @@
-"""Every choice of the method, typed, with the paper's value as the preset ``paper`` and ours as the default."""
+"""Every choice of the method, with our value as the default; `core.train.presets` names other sets of values."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
-
-from core.errors import InputError
 
 LevelSelection = Literal["all", "distance"]
 Heads = Literal["shared", "separate"]
@@ -138,69 +136,3 @@ class TrainConfig:
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     predict: PredictConfig = field(default_factory=PredictConfig)
     seed: int = 0
-
-
-def preset(name: str) -> TrainConfig:
-    """A named configuration.
-
-    Raises:
-        InputError: no such preset.
-    """
-    default = TrainConfig()
-    presets = {
-        "balanced": default,
-        "live": replace(
-            default,
-            model=replace(default.model, max_anchors=24_000),
-            keyframe=replace(default.keyframe, steps=500, growth_interval=25),
-            predict=replace(default.predict, epochs=10, minimum_steps=40),
-        ),
-        "quality": replace(
-            default,
-            model=replace(default.model, max_anchors=80_000),
-            keyframe=replace(default.keyframe, steps=1500, growth_interval=75, renewal_steps=400),
-            predict=replace(default.predict, epochs=40, rate_weight=0.003),
-        ),
-        "paper": TrainConfig(
-            model=replace(
-                default.model,
-                gaussians_per_anchor=10,
-                features=32,
-                view_dependent=True,
-                finer_levels=0,
-                selection="distance",
-                exposure=False,
-            ),
-            keyframe=replace(
-                default.keyframe,
-                steps=1500,
-                growth_threshold=2e-4,
-                half_size_until=0.0,
-                growth_interval=100,
-                dropout_base=0.1,
-                dropout_slope=0.05,
-                progressive_until=0.5,
-                level_cap_share=0.0,
-                renewal_steps=0,
-            ),
-            predict=replace(
-                default.predict,
-                epochs=10,
-                least_gain=0.0,
-                cue="canonical",
-                posterior=0.8,
-                changed_posterior=1.0,
-                growth_share=0.01,
-                rate_weight=0.0,
-                latent_rate=0.2,
-                position_rate=1.0,
-                position_steps_per_cell=16,
-                memory=0.9,
-                continuation=0.0,
-                minimum_steps=0,
-            ),
-        ),
-    }
-    if name not in presets:
-        raise InputError(f"preset {name!r}", f"unknown; choose one of {', '.join(presets)}")
-    return presets[name]

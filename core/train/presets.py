@@ -1,0 +1,33 @@
+"""Named configurations: our three, and the paper's."""
+
+from __future__ import annotations
+
+from core.errors import InputError
+from core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
+from core.train.paper import paper
+
+PRESETS = {
+    "live": TrainConfig(
+        ModelConfig(max_anchors=24_000),
+        KeyframeConfig(steps=500, growth_interval=25),
+        PredictConfig(epochs=10, minimum_steps=40),
+    ),
+    "balanced": TrainConfig(),
+    "quality": TrainConfig(
+        ModelConfig(max_anchors=80_000),
+        KeyframeConfig(steps=1500, growth_interval=75, renewal_steps=400),
+        PredictConfig(epochs=40, rate_weight=0.003),
+    ),
+    "paper": paper(),
+}
+
+
+def preset(name: str) -> TrainConfig:
+    """A named configuration.
+
+    Raises:
+        InputError: no such preset.
+    """
+    if name not in PRESETS:
+        raise InputError(f"preset {name!r}", f"unknown; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
