@@ -7,7 +7,7 @@ from typing import Any
 
 from client.events import Event, NewScene, Notice, Welcome
 from codec.decoder import SceneDecoder
-from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from core.errors import BitstreamError, SessionError
 
 PROTOCOL_VERSION = 1
@@ -29,7 +29,7 @@ class Playback:
         mode: "live", "replay" or "paused".
     """
 
-    def __init__(self, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
         self._decoder = SceneDecoder(limits)
         self._epoch = 0
         self._ack_every = 1

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import BinaryIO, Self
 
 from codec.packet.info import PacketInfo, peek
-from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError
 
@@ -128,7 +128,7 @@ class SlodReader:
         BitstreamError: `bad_file`, it is not a `.slod` file.
     """
 
-    def __init__(self, path: Path | str, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, path: Path | str, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
         self._path, self._limits = Path(path), limits
         try:
             self._file = self._path.open("rb")

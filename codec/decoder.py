@@ -12,7 +12,7 @@ from codec.chunks.change import Elapsed
 from codec.chunks.header import decode_header, decode_weights
 from codec.packet.bytes import parse
 from codec.packet.info import PacketInfo, describe
-from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from codec.packet.packet import ChunkKind, Packet, PacketKind
 from core.arrays import Int32, Int64
 from core.errors import BitstreamError
@@ -25,7 +25,7 @@ ABSENT = -1
 class SceneDecoder:
     """The state of one stream, fed with packets. FORMAT.md section 3 says what each does."""
 
-    def __init__(self, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
         self._limits = limits
         self._scene: Scene | None = None
         self._versions: tuple[int, ...] = ()

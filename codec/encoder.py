@@ -18,25 +18,27 @@ HASH_INTERVAL = 30  # frames between state hashes in predicted packets
 
 
 def encode_keyframe(scene: Scene, *, time_ns: int, profile: int = 1) -> bytes:
-    """The key packet of a scene; `codec.packet.levels.split_levels` makes it trickle.
+    """The key packet of a scene; `codec.packet.levels.split_levels` cuts it into one packet for each level.
 
     Args:
         time_ns: presentation time in nanoseconds.
         profile: 0 for deflate alone, 1 for the entropy coder.
 
     Raises:
-        ValueError: the scene is not a fresh keyframe (`core.scene.rekey` makes one), or holds numbers that the
-            format does not.
+        ValueError: the scene is not a keyframe (`core.scene.keyframe.as_keyframe` makes one), or holds numbers that
+            the format cannot hold.
     """
     if scene.version != scene.keyframe:
-        raise ValueError(f"version {scene.version} of keyframe {scene.keyframe} is not a keyframe; rekey it first")
+        raise ValueError(
+            f"version {scene.version} of keyframe {scene.keyframe} is no keyframe; make it one with as_keyframe"
+        )
     parts = [
         make_chunk(0, ChunkKind.HEADER, encode_header(scene.header)),
         make_chunk(0, ChunkKind.WEIGHTS, encode_weights(scene.weights)),
     ]
     for number, level in enumerate(scene.levels):
         if level.latent.any() or not level.alive.all():
-            raise ValueError(f"level {number} has latents or removed anchors; rekey the scene first")
+            raise ValueError(f"level {number} has latents or removed anchors; call as_keyframe first")
         if len(level):
             parts.append(make_chunk(number, ChunkKind.GEOMETRY, chunks.encode_geometry(level, profile)))
             parts.append(make_chunk(number, ChunkKind.BASE, chunks.encode_base(level, profile)))

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from codec.packet.limits import Limits
+from codec.packet.limits import DecoderLimits
 from core.arrays import Float32
 from core.camera import Camera
 from core.errors import BitstreamError, InputError
@@ -46,19 +46,19 @@ def encode_header(header: SceneHeader) -> bytes:
     parts += [_encode_camera(camera) for camera in header.cameras]
     data = b"".join(parts)
     try:
-        decode_header(data, Limits())
+        decode_header(data, DecoderLimits())
     except BitstreamError as error:
         raise ValueError(f"the scene header cannot be sent: {error.detail}") from error
     return data
 
 
-def decode_header(data: bytes, limits: Limits) -> SceneHeader:
+def decode_header(data: bytes, limits: DecoderLimits) -> SceneHeader:
     """The header in a HEADER chunk.
 
     Raises:
         BitstreamError: `bad_scene_header` or `limit_exceeded`.
     """
-    reader = _Reader(data)
+    reader = _HeaderReader(data)
     levels, slots, features, view_dependent, camera_count = _COUNTS.unpack(reader.take(_COUNTS.size))
     for name, count, most in (
         ("levels", levels, limits.levels),
@@ -138,7 +138,7 @@ def _encode_camera(camera: Camera) -> bytes:
     return bytes([len(name)]) + name + _SIZE.pack(camera.width, camera.height) + doubles.tobytes()
 
 
-def _decode_camera(reader: _Reader) -> Camera:
+def _decode_camera(reader: _HeaderReader) -> Camera:
     length = reader.take(1)[0]
     if length > _MAX_NAME_BYTES:
         raise ValueError(f"a camera name of {length} bytes is longer than {_MAX_NAME_BYTES}")
@@ -158,7 +158,7 @@ def _bad(detail: str) -> BitstreamError:
     return BitstreamError("bad_scene_header", detail)
 
 
-class _Reader:
+class _HeaderReader:
     """Bytes taken from the front, never more than there are."""
 
     def __init__(self, data: bytes) -> None:

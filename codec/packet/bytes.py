@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 
-from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from codec.packet.packet import Chunk, Packet, PacketKind
 from codec.packet.rules import check_directory, check_fields
 from core.errors import BitstreamError
@@ -45,7 +45,7 @@ def build(packet: Packet) -> bytes:
     return b"".join([fixed, checksum, directory, *(chunk.data for chunk in packet.chunks)])
 
 
-def parse(packet: bytes, limits: Limits = DEFAULT_LIMITS, *, verify: bool = True) -> Packet:
+def parse(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS, *, verify: bool = True) -> Packet:
     """Take a packet apart; with `verify`, every chunk checksum is compared.
 
     Raises:

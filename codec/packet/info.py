@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from codec.packet.bytes import ENTRY, HEADER_BYTES, parse
-from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketKind
 
 
@@ -34,7 +34,7 @@ class PacketInfo:
     has_header: bool
 
 
-def peek(packet: bytes, limits: Limits = DEFAULT_LIMITS) -> PacketInfo:
+def peek(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS) -> PacketInfo:
     """Describe a packet from its header and directory alone.
 
     Raises:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class DecoderLimits:
     """Upper bounds, checked before memory is taken; a stream that needs more is refused with `limit_exceeded`.
 
     Attributes:
@@ -25,4 +25,4 @@ class Limits:
     cameras: int = 255
 
 
-DEFAULT_LIMITS = Limits()
+DEFAULT_LIMITS = DecoderLimits()

@@ -6,7 +6,7 @@
     transforms   transforms.json + pictures or videos         transforms.py
     caliscope    camera_array.toml + videos + timestamps      caliscope.py
 
-A reader returns a `Recording`: cameras as calibrated, raw pictures. `open_dataset` makes a `Dataset` of it, which
+A reader returns a `RawRecording`: cameras as calibrated, raw pictures. `open_dataset` makes a `Dataset` of it, which
 selects cameras, undoes lens distortion and scales down.
 """
 

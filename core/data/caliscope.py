@@ -23,7 +23,7 @@ import numpy as np
 from core.arrays import UInt8
 from core.camera import Camera
 from core.data.colmap.reader import fitted
-from core.data.dataset import Recording
+from core.data.dataset import RawRecording
 from core.data.files import blaming, numbers, read_text
 from core.data.lens import opencv_camera
 from core.data.names import in_numeric_order
@@ -74,7 +74,7 @@ class TimedVideos:
         decoded.close()
 
 
-def read_caliscope(path: Path) -> Recording:
+def read_caliscope(path: Path) -> RawRecording:
     """The recording in `path`.
 
     Raises:
@@ -95,7 +95,7 @@ def read_caliscope(path: Path) -> Recording:
         cameras = [_camera(f"cam_{key}", tables[key], file) for key in used]
     infos = [probe_video(video) for video in files]
     fitting = [fitted(camera, (i.width, i.height), f) for camera, i, f in zip(cameras, infos, files, strict=True)]
-    return Recording(path, "caliscope", tuple(fitting), _paired(path / TIMES, used, files, infos))
+    return RawRecording(path, "caliscope", tuple(fitting), _paired(path / TIMES, used, files, infos))
 
 
 def _camera(name: str, table: dict[str, Any], file: Path) -> Camera:

@@ -42,7 +42,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+class RawRecording:
     """What a layout's reader found.
 
     Attributes:
@@ -93,7 +93,7 @@ class Dataset:
         cameras: pinholes that match the pictures of `frames`.
     """
 
-    recording: Recording
+    recording: RawRecording
     rows: tuple[int, ...]
     developments: tuple[Development, ...]
     cameras: tuple[Camera, ...] = field(init=False)
@@ -178,7 +178,7 @@ class Dataset:
                 yield FrameSet(index, source.time_ns(index), images, np.array(list(present), np.bool_))
 
 
-def dataset(recording: Recording, downscale: float = 1, cameras: Sequence[str] | None = None) -> Dataset:
+def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str] | None = None) -> Dataset:
     """The data set of `recording`, scaled down by `downscale`, with the cameras named, or all.
 
     Raises:

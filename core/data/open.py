@@ -9,14 +9,14 @@ from pathlib import Path
 from core.data import caliscope, transforms
 from core.data.caliscope import read_caliscope
 from core.data.colmap.reader import is_colmap, read_colmap
-from core.data.dataset import Dataset, Recording, dataset
+from core.data.dataset import Dataset, RawRecording, dataset
 from core.data.transforms import read_transforms
 from core.data.video_folder import read_video_folder, video_files
 from core.errors import InputError
 
 _log = logging.getLogger(__name__)
 
-_READERS: dict[str, Callable[[Path], Recording]] = {
+_READERS: dict[str, Callable[[Path], RawRecording]] = {
     "n3dv": lambda path: read_video_folder(path, "n3dv"),
     "meetroom": lambda path: read_video_folder(path, "meetroom"),
     "colmap": read_colmap,

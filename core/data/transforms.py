@@ -17,7 +17,7 @@ import numpy as np
 from core.arrays import Float64
 from core.camera import Camera
 from core.data.colmap.reader import fitted
-from core.data.dataset import Recording, Source
+from core.data.dataset import RawRecording, Source
 from core.data.files import blaming, number, numbers, read_json
 from core.data.names import listed, numeric_key
 from core.data.pictures import SUFFIXES as PICTURE_SUFFIXES
@@ -33,7 +33,7 @@ _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 
 
-def read_transforms(path: Path) -> Recording:
+def read_transforms(path: Path) -> RawRecording:
     """The recording in the folder `path`.
 
     Raises:
@@ -70,7 +70,7 @@ def read_transforms(path: Path) -> Recording:
             _camera(name, settings, size, picture, file)
             for name, (picture, settings), size in zip(names, entries, sizes, strict=True)
         ]
-    return Recording(path, "transforms", tuple(cameras), source, skipped=tuple(skipped))
+    return RawRecording(path, "transforms", tuple(cameras), source, skipped=tuple(skipped))
 
 
 def opengl_pose(matrix: Float64) -> Float64:

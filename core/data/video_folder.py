@@ -25,7 +25,7 @@ from core.arrays import Float64
 from core.camera import Camera
 from core.data.colmap.model import find_model, read_model, read_points
 from core.data.colmap.reader import fitted
-from core.data.dataset import Recording
+from core.data.dataset import RawRecording
 from core.data.files import blaming, number, read_array, read_json
 from core.data.names import files_in, listed
 from core.data.sources import videos
@@ -42,7 +42,7 @@ def video_files(path: Path, layout: str) -> list[Path]:
     return [file for file in files_in(path, SUFFIXES) if PATTERNS[layout].fullmatch(file.stem)]
 
 
-def read_video_folder(path: Path, layout: str) -> Recording:
+def read_video_folder(path: Path, layout: str) -> RawRecording:
     """The recording in `path`; `layout` is ``n3dv`` or ``meetroom``.
 
     Raises:
@@ -68,7 +68,7 @@ def read_video_folder(path: Path, layout: str) -> Recording:
     sizes = [(info.width, info.height) for info in infos]
     cameras = [fitted(camera, size, file) for camera, size, file in zip(cameras, sizes, files, strict=True)]
     points = None if poses.is_file() or model is None else lambda: read_points(model)
-    return Recording(path, layout, tuple(cameras), source, points, depth_bounds)
+    return RawRecording(path, layout, tuple(cameras), source, points, depth_bounds)
 
 
 def llff_pose(columns: Float64) -> Float64:

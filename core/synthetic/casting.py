@@ -21,7 +21,7 @@ from core.synthetic.shapes import (
     ROOM,
     SKY,
     SKY_DISTANCE,
-    Parts,
+    SolidParts,
     slab,
     to_local,
 )
@@ -102,7 +102,13 @@ def _normal(kind: int, sx: float, sy: float, sz: float, x: float, y: float, z: f
 
 @_jit
 def cast(
-    origins: Float64, directions: Float64, parts: Parts, distance: Float64, part: Int32, point: Float64, normal: Float64
+    origins: Float64,
+    directions: Float64,
+    parts: SolidParts,
+    distance: Float64,
+    part: Int32,
+    point: Float64,
+    normal: Float64,
 ) -> None:
     """Nearest hit of N rays (unit `directions` [N,3]): distance [N], part [N], local point and local normal [N,3].
 
@@ -141,7 +147,7 @@ def cast(
 
 
 @_jit
-def _sieve_cone(origins: Float64, directions: Float64, parts: Parts, near: Int32) -> int:
+def _sieve_cone(origins: Float64, directions: Float64, parts: SolidParts, near: Int32) -> int:
     """Parts that a packet of rays may meet: those whose bounding sphere reaches into the packet's cone."""
     count = len(origins)
     ax, ay, az, cx, cy, cz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from core.arrays import Float64, UInt8
 from core.camera import Camera
-from core.data.dataset import Dataset, Recording, dataset
+from core.data.dataset import Dataset, RawRecording, dataset
 from core.errors import InputError
 from core.synthetic.render import depth_bounds, render_frame, render_image
 from core.synthetic.spec import SyntheticSpec, cameras, exposures
@@ -56,7 +56,7 @@ def open_synthetic(spec: SyntheticSpec) -> Dataset:
     """The clip as a data set that renders each picture when it is read; nothing is written."""
     bounds = depth_bounds(spec)
     source = SyntheticSource(spec)
-    return dataset(Recording(Path("synthetic"), "synthetic", cameras(spec), source, depth_bounds=bounds))
+    return dataset(RawRecording(Path("synthetic"), "synthetic", cameras(spec), source, depth_bounds=bounds))
 
 
 def write_clip(spec: SyntheticSpec, folder: Path, progress: Callable[[float], None] | None = None) -> None:

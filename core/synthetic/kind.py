@@ -13,7 +13,7 @@ from core.synthetic.shapes import Lamps
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
+class CameraArc:
     """Cameras on a horizontal arc that all look at one point.
 
     Attributes:
@@ -49,6 +49,6 @@ class Kind:
     moving: Callable[[float, float, float], list[Part]]
     lamps: Lamps
     ambient: Float64
-    rig: Rig
+    rig: CameraArc
     brightness: float = 1.55
     metres_per_second: float = 1.0

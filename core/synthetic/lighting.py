@@ -17,7 +17,7 @@ from core.synthetic.shapes import (
     ROOM,
     SKY,
     Lamps,
-    Parts,
+    SolidParts,
     slab,
     to_local,
 )
@@ -59,7 +59,7 @@ def light(
     part: Int32,
     towards: Float64,
     albedo: Float64,
-    parts: Parts,
+    parts: SolidParts,
     lamps: Lamps,
     ambient: Float64,
     group: int,
@@ -148,7 +148,9 @@ def _shade(
 
 
 @_jit
-def _sieve_occluders(position: Float64, normal: Float64, parts: Parts, lamps: Lamps, near: Int32, found: Int64) -> None:
+def _sieve_occluders(
+    position: Float64, normal: Float64, parts: SolidParts, lamps: Lamps, near: Int32, found: Int64
+) -> None:
     """Parts that can shade a packet of points from each lamp, and (last row) those close enough to occlude."""
     count, lamp_count = len(position), len(lamps.radius)
     cx, cy, cz, reach, ax, ay, az, air = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -189,7 +191,7 @@ def _sieve_occluders(position: Float64, normal: Float64, parts: Parts, lamps: La
 
 
 @_jit
-def _openness(position: Float64, normal: Float64, own: int, parts: Parts, near: Int32, found: int) -> float:
+def _openness(position: Float64, normal: Float64, own: int, parts: SolidParts, near: Int32, found: int) -> float:
     """Ambient occlusion: the share of free space at three distances above the surface, 1 for an open one."""
     low, mid, high = _REACHES
     free_low, free_mid, free_high = _REACHES
@@ -241,7 +243,7 @@ def _extent(kind: int, size: Float64) -> tuple[float, float, float]:
 
 @_jit
 def _lamp_seen(
-    position: Float64, normal: Float64, own: int, parts: Parts, lamps: Lamps, k: int, near: Int32, found: int
+    position: Float64, normal: Float64, own: int, parts: SolidParts, lamps: Lamps, k: int, near: Int32, found: int
 ) -> float:
     """Share of a round lamp that a point sees, 0 to 1.
 
@@ -335,7 +337,7 @@ def touched(
     far: Float64,
     air: Float64,
     air_reach: Float64,
-    parts: Parts,
+    parts: SolidParts,
     first: int,
     lamps: Lamps,
     out: Bool,
@@ -369,7 +371,7 @@ def touched(
 
 
 @_jit
-def distances(points: Float64, parts: Parts, p: int, out: Float64) -> None:
+def distances(points: Float64, parts: SolidParts, p: int, out: Float64) -> None:
     """Signed distance [N] in metres from world `points` [N,3] to part `p`."""
     size = parts.size[p]
     for i in range(len(points)):

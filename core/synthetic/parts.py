@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.arrays import Float64, Int32
-from core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, SKY, Lamps, Parts
+from core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, SKY, Lamps, SolidParts
 from core.synthetic.textures import GLOW, PLAIN, SCREEN, VIEW
 
 Vector = tuple[float, float, float]
@@ -21,7 +21,7 @@ class Part:
     """One rigid shape.
 
     Attributes:
-        kind, size: as in `shapes.Parts`.
+        kind, size: as in `shapes.SolidParts`.
         place: [3] metres; rotation: [3,3] part to world.
         material: texture number of `textures`; tint: display colour; seed: of the texture.
         gloss: strength of highlights; mirror: share of light reflected like a mirror.
@@ -57,23 +57,23 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """All parts at one instant, as arrays: `solid` for casting; the rest for painting, one row a part.
+class SceneArrays:
+    """All parts at one instant, as arrays: `solid` for ray casting, the rest for shading; one row for each part.
 
     `material`, `seed` are [P] int32, `size` and `tint` [P,3], `mirror` [P].
     """
 
-    solid: Parts
+    solid: SolidParts
     material: Int32
     tint: Float64
     seed: Int32
     mirror: Float64
 
 
-def assemble(parts: list[Part]) -> Scene:
+def assemble(parts: list[Part]) -> SceneArrays:
     """The arrays of `parts`, in their order."""
     rotations = [part.rotation if part.rotation is not None else _IDENTITY for part in parts]
-    solid = Parts(
+    solid = SolidParts(
         kind=np.array([part.kind for part in parts], np.int32),
         size=np.array([part.size for part in parts], np.float64),
         rotation=np.array(rotations, np.float64),
@@ -82,7 +82,7 @@ def assemble(parts: list[Part]) -> Scene:
         casts=np.array([part.casts for part in parts]),
         gloss=np.array([part.gloss for part in parts], np.float64),
     )
-    return Scene(
+    return SceneArrays(
         solid,
         material=np.array([part.material for part in parts], np.int32),
         tint=np.array([part.tint for part in parts], np.float64),

@@ -17,7 +17,7 @@ from core.camera import Camera
 from core.synthetic.casting import balls_round, cast, cones_round
 from core.synthetic.kind import Kind
 from core.synthetic.lighting import AIR, distances, light, touched
-from core.synthetic.parts import Scene, assemble
+from core.synthetic.parts import SceneArrays, assemble
 from core.synthetic.shapes import FAR
 from core.synthetic.spec import SyntheticSpec, cameras, exposures
 from core.synthetic.textures import paint
@@ -79,7 +79,7 @@ class _Hits:
 
 
 @lru_cache(maxsize=8)
-def scene_at(spec: SyntheticSpec, index: int) -> Scene:
+def scene_at(spec: SyntheticSpec, index: int) -> SceneArrays:
     """All parts at frame `index`; the order of parts is the same at every frame."""
     generator = np.random.default_rng(spec.seed)
     phase = float(generator.uniform()) if spec.seed else 0.0
@@ -200,13 +200,13 @@ def _check(spec: SyntheticSpec, index: int) -> None:
         raise ValueError(f"frame {index} is outside the clip of {spec.frames}")
 
 
-def _changed(now: Scene, before: Scene) -> Bool:
+def _changed(now: SceneArrays, before: SceneArrays) -> Bool:
     """[P] which parts have another pose."""
     turned = (now.solid.rotation != before.solid.rotation).any(axis=(1, 2))
     return np.asarray(turned | (now.solid.translation != before.solid.translation).any(axis=1), np.bool_)
 
 
-def _carry(points: Float64, part: int, now: Scene, before: Scene) -> Float64:
+def _carry(points: Float64, part: int, now: SceneArrays, before: SceneArrays) -> Float64:
     """[N,3] how far world `points` that ride on `part` moved from `before` to `now`."""
     local = (points - now.solid.translation[part]) @ now.solid.rotation[part]
     return np.asarray(points - (local @ before.solid.rotation[part].T + before.solid.translation[part]), np.float64)
@@ -251,7 +251,7 @@ def _rays(camera: Camera, pixels: Int64, offsets: Float64) -> tuple[Float64, Flo
     return np.broadcast_to(camera.centre, directions.shape), directions
 
 
-def _hits(scene: Scene, origins: Float64, directions: Float64) -> _Hits:
+def _hits(scene: SceneArrays, origins: Float64, directions: Float64) -> _Hits:
     count = len(origins)
     distance, part = np.empty(count), np.empty(count, np.int32)
     point, normal = np.empty((count, 3)), np.empty((count, 3))
@@ -261,7 +261,9 @@ def _hits(scene: Scene, origins: Float64, directions: Float64) -> _Hits:
     return _Hits(distance, part, point, normal, origins + distance[:, None] * directions, world_normal)
 
 
-def _radiance(place: Kind, scene: Scene, hits: _Hits, directions: Float64, footprint: Float64, group: int) -> Float64:
+def _radiance(
+    place: Kind, scene: SceneArrays, hits: _Hits, directions: Float64, footprint: Float64, group: int
+) -> Float64:
     """[N,3] light from surfaces without their mirror reflections."""
     albedo, radiance = np.empty((len(directions), 4)), np.empty((len(directions), 3))
     paint(
@@ -282,7 +284,7 @@ def _radiance(place: Kind, scene: Scene, hits: _Hits, directions: Float64, footp
     return radiance
 
 
-def _colour(place: Kind, scene: Scene, camera: Camera, pixels: Int64) -> Float64:
+def _colour(place: Kind, scene: SceneArrays, camera: Camera, pixels: Int64) -> Float64:
     """[N,3] linear light of `pixels` [N], four samples a pixel and one mirror reflection."""
     origins, directions = _rays(camera, pixels, _SAMPLES)
     hits = _hits(scene, origins, directions)
@@ -303,7 +305,7 @@ def _colour(place: Kind, scene: Scene, camera: Camera, pixels: Int64) -> Float64
     return np.asarray(radiance.reshape(len(pixels), len(_SAMPLES), 3).mean(axis=1), np.float64)
 
 
-def _truth(scene: Scene, before: Scene, camera: Camera, pixels: Int64) -> Float32:
+def _truth(scene: SceneArrays, before: SceneArrays, camera: Camera, pixels: Int64) -> Float32:
     """[N,5] depth, motion and mirror of `pixels` [N], at their centres."""
     origins, directions = _rays(camera, pixels, _CENTRE)
     hits = _hits(scene, origins, directions)

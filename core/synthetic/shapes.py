@@ -18,7 +18,7 @@ FAR = 1e9
 SKY_DISTANCE = 1e8  # metres: no camera of a rig sees it shift
 
 
-class Parts(NamedTuple):
+class SolidParts(NamedTuple):
     """P rigid parts of the scene at one instant.
 
     Attributes:
@@ -59,7 +59,7 @@ _jit = numba.njit(cache=True, nogil=True, fastmath=True)
 
 
 @_jit
-def to_local(parts: Parts, i: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+def to_local(parts: SolidParts, i: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     rotation = parts.rotation[i]
     return (
         rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,

@@ -11,7 +11,7 @@ import numpy as np
 from core.arrays import Float64
 from core.camera import Camera, look_at, pinhole
 from core.errors import InputError
-from core.synthetic.kind import Kind, Rig
+from core.synthetic.kind import CameraArc, Kind
 from core.synthetic.kinds import KINDS
 
 _MAX_PIXELS = 4096 * 4096
@@ -107,7 +107,7 @@ def cameras(spec: SyntheticSpec) -> tuple[Camera, ...]:
     )
 
 
-def _eye(rig: Rig, turn: float, height: float) -> Float64:
+def _eye(rig: CameraArc, turn: float, height: float) -> Float64:
     angle = turn * rig.half_arc
     x, y = rig.radius * math.sin(angle), rig.target[1] - rig.radius * math.cos(angle)
     return np.array([rig.target[0] + x, y, height])

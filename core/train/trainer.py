@@ -15,7 +15,7 @@ from core.errors import ModelError
 from core.frames import FrameSet, PointCloud
 from core.render import select
 from core.scene.anchors import Scene
-from core.scene.rekey import rekey
+from core.scene.keyframe import as_keyframe
 from core.scene.residual import apply
 from core.train.config import PredictConfig, TrainConfig
 from core.train.control.frame_budget import FrameBudget, Pace, StepPace
@@ -154,7 +154,7 @@ class Trainer:
         """
         state, watch, successor = self._require(), Stopwatch(self._clock), self._upcoming.take()
         if not self._upcoming.learns(state) or (self._budget is not None and successor is None):
-            scene = rekey(state.scene, state.scene.version)
+            scene = as_keyframe(state.scene, state.scene.version)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
         if successor is not None:

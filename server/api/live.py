@@ -39,7 +39,7 @@ _GONE = (WebSocketDisconnect, ClientDisconnected, ConnectionError)
 router = APIRouter()
 
 
-class _Transport:
+class _SocketTransport:
     """A session's way out: frames made here, past the websocket library, so that viewers share them."""
 
     def __init__(self, websocket: WebSocket, stuck_seconds: float) -> None:
@@ -65,7 +65,7 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
     registry = registry_of(websocket)
     offers = websocket.scope.get("subprotocols", [])
     await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in offers else None)
-    transport = _Transport(websocket, registry.settings.limits.stuck_seconds)
+    transport = _SocketTransport(websocket, registry.settings.limits.stuck_seconds)
     try:
         await _admit(websocket, registry, stream_id)
         hello = await _hello(websocket, registry.settings.limits.hello_seconds)
@@ -124,7 +124,9 @@ async def _text(websocket: WebSocket) -> str:
     return text
 
 
-async def _watch(websocket: WebSocket, registry: Registry, stream_id: str, hello: Hello, transport: _Transport) -> None:
+async def _watch(
+    websocket: WebSocket, registry: Registry, stream_id: str, hello: Hello, transport: _SocketTransport
+) -> None:
     """Run the session and listen to the viewer, until either ends."""
     stream = registry.streams.get(stream_id)
     if stream is None:

@@ -28,9 +28,9 @@ from server.ingest.rig import Rig
 from server.ingest.statistics import Statistics
 from server.ingest.sync.grid import period_of
 from server.ingest.sync.picture import Picture
-from server.ingest.sync.synchroniser import Slot
+from server.ingest.sync.synchroniser import Instant
 
-_Developed = tuple[Slot, UInt8, Bool]  # an instant, its pictures' pixels [C,H,W,3], which cameras [C] have one
+_Developed = tuple[Instant, UInt8, Bool]  # an instant, its pictures' pixels [C,H,W,3], which cameras [C] have one
 
 
 @dataclass(eq=False)
@@ -138,31 +138,31 @@ class LiveDataset:
             if self.push_socket is not None and rig.pushed:
                 stack.enter_context(listening(self.push_socket, lambda: Intake(rig)))
             rig.start()
-            slots = rig.slots()
+            instants = rig.instants()
 
             def develop() -> _Developed | None:
-                developed = (self._developed(rig, slot, pool) for slot in slots)
+                developed = (self._developed(rig, instant, pool) for instant in instants)
                 return next((found for found in developed if found[2].any()), None)
 
             found: Iterator[_Developed] = iter(develop, None)
             if self.definition.realtime:
                 found = stack.enter_context(closing(just_in_time(develop, lambda _: rig.note_stale())))
-            first: Slot | None = None
+            first: Instant | None = None
             while index != stop:
                 rig.waiting = True
                 newest = next(found, None)
                 rig.waiting = False
                 if newest is None:
                     return
-                slot, images, present = newest
-                rig.note_delivery(slot)
-                first = slot if first is None else first
-                time_ns = first.capture_ns + round((slot.number - first.number) * period_of(self.fps))
+                instant, images, present = newest
+                rig.note_delivery(instant)
+                first = instant if first is None else first
+                time_ns = first.capture_ns + round((instant.number - first.number) * period_of(self.fps))
                 yield FrameSet(index, time_ns, images, present)
                 index += 1
 
-    def _developed(self, rig: Rig, slot: Slot, pool: ThreadPoolExecutor) -> _Developed:
-        """The slot with its pictures' pixels, and which cameras have one."""
+    def _developed(self, rig: Rig, instant: Instant, pool: ThreadPoolExecutor) -> _Developed:
+        """The instant with its pictures' pixels, and which cameras have one."""
         height, width = self.cameras[0].height, self.cameras[0].width
         images = np.zeros((len(self.cameras), height, width, 3), np.uint8)
 
@@ -177,8 +177,8 @@ class LiveDataset:
             rig.note_decoded(picture.camera)
             return True
 
-        present = list(pool.map(one, self.developments, slot.pictures, images))
-        return slot, images, np.array(present, np.bool_)
+        present = list(pool.map(one, self.developments, instant.pictures, images))
+        return instant, images, np.array(present, np.bool_)
 
     def _release(self) -> None:
         self._rig = None

@@ -19,7 +19,7 @@ from server.ingest.statistics import CameraStatistics, Statistics
 from server.ingest.sync.clock import ClockSource
 from server.ingest.sync.grid import period_of
 from server.ingest.sync.picture import Picture
-from server.ingest.sync.synchroniser import Slot, Synchroniser
+from server.ingest.sync.synchroniser import Instant, Synchroniser
 from server.ingest.sync.timeline import Timeline
 
 _LOG = logging.getLogger(__name__)
@@ -45,14 +45,14 @@ class _Last:
 
 
 class Rig:
-    """A rig in operation: its readers fill the synchroniser, `slots` gives out what is ready.
+    """A rig in operation: its readers fill the synchroniser, `instants` gives out what is ready.
 
     Args:
         definition: of the rig.
         chosen: names of the cameras to read.
 
     Attributes:
-        waiting: whether training waits; to be set by whoever takes slots.
+        waiting: whether training waits; to be set by whoever takes instants.
     """
 
     def __init__(self, definition: RigDefinition, chosen: Sequence[str]) -> None:
@@ -63,7 +63,7 @@ class Rig:
         self._change = threading.Condition()
         self._stopped = self.waiting = False
         self._last = {name: _Last() for name in self._names}
-        self._slots: deque[Slot] = deque()
+        self._instants: deque[Instant] = deque()
         self._virtual_ns = 0
         self._delivered = self._stale = self._latency_ns = 0
         quorum = max(1, definition.quorum - (len(definition.cameras) - len(self._names)))
@@ -106,7 +106,7 @@ class Rig:
             reader.start()
 
     def stop(self) -> None:
-        """End reading; `slots` ends too."""
+        """End reading; `instants` ends too."""
         with self._change:
             self._stopped = True
             self._change.notify_all()
@@ -142,33 +142,33 @@ class Rig:
                 self._queue(self._synchroniser.finish(self._clock_ns()))
             self._change.notify_all()
 
-    def slots(self) -> Iterator[Slot]:
+    def instants(self) -> Iterator[Instant]:
         """The newest instant each time, waiting for one; ends when all sources have ended, or by `stop`."""
         while True:
             with self._change:
-                while not self._slots and not self._stopped and not self._is_over():
+                while not self._instants and not self._stopped and not self._is_over():
                     self._change.wait(self._seconds_to_deadline())
                     if self._paced:
                         self._queue(self._synchroniser.poll(self._clock_ns()))
-                if self._stopped or not self._slots:
+                if self._stopped or not self._instants:
                     return
                 if self._paced:
-                    self._stale += len(self._slots) - 1
-                    slot = self._slots.pop()
-                    self._slots.clear()
+                    self._stale += len(self._instants) - 1
+                    instant = self._instants.pop()
+                    self._instants.clear()
                 else:
-                    slot = self._slots.popleft()
+                    instant = self._instants.popleft()
                     self._change.notify_all()
-            yield slot
+            yield instant
 
-    def note_delivery(self, slot: Slot) -> None:
-        """A slot goes to training now."""
+    def note_delivery(self, instant: Instant) -> None:
+        """An instant goes to training now."""
         with self._change:
             self._delivered += 1
-            self._latency_ns = max(0, self._timeline.now_ns() - slot.capture_ns)  # a sender's clock may be ahead
+            self._latency_ns = max(0, self._timeline.now_ns() - instant.capture_ns)  # a sender's clock may be ahead
 
     def note_stale(self) -> None:
-        """A slot that was given out is not used: there is a newer one."""
+        """An instant that was given out is not used: there is a newer one."""
         with self._change:
             self._stale += 1
 
@@ -229,20 +229,20 @@ class Rig:
                 cameras,
             )
 
-    def _queue(self, slots: list[Slot]) -> None:
-        self._slots.extend(slots)
-        if self._paced and len(self._slots) > 1:  # newest wins, and older pictures are let go at once
-            self._stale += len(self._slots) - 1
-            newest = self._slots.pop()
-            self._slots.clear()
-            self._slots.append(newest)
-        if slots:
+    def _queue(self, instants: list[Instant]) -> None:
+        self._instants.extend(instants)
+        if self._paced and len(self._instants) > 1:  # newest wins, and older pictures are let go at once
+            self._stale += len(self._instants) - 1
+            newest = self._instants.pop()
+            self._instants.clear()
+            self._instants.append(newest)
+        if instants:
             self._change.notify_all()
 
     def _has_room(self, last: _Last) -> bool:
         """Whether an unpaced reader may go on: not far ahead of the others, and not of training."""
         behind = min((other.put for other in self._last.values() if not other.ended), default=last.put)
-        return last.put - behind <= _LEAD and len(self._slots) <= _LEAD
+        return last.put - behind <= _LEAD and len(self._instants) <= _LEAD
 
     def _is_over(self) -> bool:
         return all(last.ended for last in self._last.values())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from core.frames import PointCloud
-from core.scene.rekey import rekey
+from core.scene.keyframe import as_keyframe
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import Trainer, preset
 
@@ -38,5 +38,5 @@ def rehearse(preset_name: str, device: str) -> None:
     trainer.keyframe(first, points)
     trained = trainer.predict(later)
     trainer = Trainer(clip.cameras, brief, clip.fps, device, label_motion=False)
-    trainer.resume(rekey(trained.scene, last.index))
+    trainer.resume(as_keyframe(trained.scene, last.index))
     trainer.predict(replace(last, index=last.index + 1))

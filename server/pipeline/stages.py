@@ -20,7 +20,7 @@ import numpy as np
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.packet import PacketKind
-from codec.renewal import Renewal, RenewalRule
+from codec.refresh import RefreshRule, RefreshSchedule
 from core.camera import Camera
 from core.data import Dataset, linspace_split, open_dataset, prefetch
 from core.errors import InputError
@@ -102,7 +102,7 @@ class _Trained:
         time_ns: its presentation time.
         change: the state before, and what leads from there; None where `scene` itself is to be sent.
         packet: of the change, where rate control had to know its size at once.
-        renewed: a keyframe of the same instant, to be sent after the change, or None.
+        refresh: a keyframe of the same instant, to be sent after the change, or None.
         preview, report, spans: as in `EncodedFrame`.
         captured: when the frame was filmed, in seconds of `time.perf_counter`; None for files.
     """
@@ -111,7 +111,7 @@ class _Trained:
     time_ns: int
     report: dict[str, Any]
     change: tuple[Scene, Residual] | None = None
-    renewed: Scene | None = None
+    refresh: Scene | None = None
     preview: bool = False
     spans: tuple[Span, ...] = ()
     captured: float | None = None
@@ -234,7 +234,7 @@ class _Training:
             target_kbps=job.target_kbps,
             label_motion=False,
         )
-        self._renewal = Renewal(RenewalRule(longest=job.keyframe_interval))
+        self._refresh = RefreshSchedule(RefreshRule(longest=job.keyframe_interval))
 
     def run(self, resume: Scene | None, start: int) -> None:
         """All frames from `start`, after the state to resume if there is one."""
@@ -293,7 +293,7 @@ class _Training:
         spans = (replace(found, name="points"), *_spans(trained))
         return _Trained(scene, frame.time_ns, _report(trained, spans, version), spans=spans)
 
-    def _renewing(self, progress: Progress) -> None:
+    def _report_refresh(self, progress: Progress) -> None:
         self._outlet.check()
         _LOG.debug("keyframe: %.0f %% of its training done", 100 * progress.fraction)
 
@@ -302,15 +302,15 @@ class _Training:
         before = self._trainer.scene
         trained = self._trainer.predict(frame)
         assert trained.residual is not None
-        scene, renewed, spans = trained.scene, None, _spans(trained)
-        if self._renewal.due(before, scene) is not None:
+        scene, refresh, spans = trained.scene, None, _spans(trained)
+        if self._refresh.due(before, scene) is not None:
             self._trainer.want_keyframe()
         if self._trainer.keyframe_is_ready:
             _LOG.info("version %d: a new keyframe", scene.version)
-            keyframe = self._trainer.renew(frame, self._renewing)
-            renewed, spans = keyframe.scene, (*spans, *_spans(keyframe))
+            keyframe = self._trainer.renew(frame, self._report_refresh)
+            refresh, spans = keyframe.scene, (*spans, *_spans(keyframe))
         report = _report(trained, spans, scene.version)
-        state = _Trained(scene, frame.time_ns, report, (before, trained.residual), renewed, spans=spans)
+        state = _Trained(scene, frame.time_ns, report, (before, trained.residual), refresh, spans=spans)
         if self._job.target_kbps is None:
             return state
         packet, span = timing("encode", state.changing)
@@ -332,8 +332,8 @@ def _encoded(state: _Trained) -> EncodedFrame:
             yield encode_keyframe(state.scene, time_ns=state.time_ns)
         else:
             yield state.packet or state.changing()
-        if state.renewed is not None:
-            yield encode_keyframe(state.renewed, time_ns=state.time_ns)
+        if state.refresh is not None:
+            yield encode_keyframe(state.refresh, time_ns=state.time_ns)
 
     packets, span = timing("encode", lambda: tuple(encode()))
     report, seconds = state.report, span.end - span.begin

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_residual
 from codec.packet.levels import select_levels, split_levels
-from codec.packet.limits import DEFAULT_LIMITS, Limits
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import difference
@@ -30,7 +30,7 @@ _RESIDUALS = 32  # encoded on demand and kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _State:
+class _Decoded:
     packet: StreamPacket
     scene: Scene
 
@@ -49,13 +49,13 @@ class Hub:
         listeners: called whenever something has changed; they must not raise.
     """
 
-    def __init__(self, window_bytes: int, counters: Counters, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, window_bytes: int, counters: Counters, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
         self.window = PacketWindow(window_bytes)
         self._decoder = SceneDecoder(limits)
         # a thread of its own, because viewers' requests may fill the shared pool
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="hub")
-        self._key: _State | None = None
-        self._states: OrderedDict[int, _State] = OrderedDict()
+        self._key: _Decoded | None = None
+        self._states: OrderedDict[int, _Decoded] = OrderedDict()
         self._state_bytes = 0
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
         self._parts: tuple[int, list[bytes]] | None = None
@@ -102,7 +102,7 @@ class Hub:
         self._framed.append(packet)
         while packet.arrived - self._framed[0].arrived > _FRAMES_SECONDS:
             self._framed.popleft().forget_frames()
-        state = _State(packet, scene)
+        state = _Decoded(packet, scene)
         if packet.is_key:
             self._key = state
         self._states[packet.sequence] = state
@@ -176,14 +176,14 @@ class Hub:
             packets.append(await self._encoded(self._key))
         return packets
 
-    async def _residual(self, before: _State, mask: int) -> tuple[StreamPacket, bytes]:
+    async def _residual(self, before: _Decoded, mask: int) -> tuple[StreamPacket, bytes]:
         newest = self.newest
         assert newest is not None
         packet = await self._encoded(before)
         whole = mask & newest.info.level_mask == newest.info.level_mask
         return newest, binary_frame(packet if whole else select_levels(packet, mask))
 
-    async def _encoded(self, before: _State) -> bytes:
+    async def _encoded(self, before: _Decoded) -> bytes:
         """The residual from `before` to the newest state, encoded once."""
         newest = self.newest
         assert newest is not None
@@ -196,13 +196,13 @@ class Hub:
         return await asyncio.shield(self._made[key])
 
 
-def _size_bytes(state: _State) -> int:
+def _size_bytes(state: _Decoded) -> int:
     """Memory of a state that it does not share with the state before it; a keyframe shares nothing."""
     own = AnchorLevel.__slots__ if state.packet.is_key else ("position", "latent", "alive")
     return sum(getattr(level, name).nbytes for level in state.scene.levels for name in own)
 
 
-def _encode(before: _State, after: _State) -> bytes:
+def _encode(before: _Decoded, after: _Decoded) -> bytes:
     residual = difference(before.scene, after.scene)
     kind = PacketKind.CATCH_UP if before.scene.version == before.scene.keyframe else PacketKind.SKIP
     info = after.packet.info

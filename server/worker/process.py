@@ -262,13 +262,13 @@ def show_again(resume: Resume, sender: Sender) -> Scene:
     from codec.decoder import SceneDecoder
     from codec.encoder import encode_keyframe
     from codec.packet.info import peek
-    from core.scene.rekey import rekey
+    from core.scene.keyframe import as_keyframe
 
     decoder = SceneDecoder()
     for packet in resume.packets:
         decoder.push(packet)
     assert decoder.scene is not None
-    scene = rekey(decoder.scene, decoder.scene.version + 1)
+    scene = as_keyframe(decoder.scene, decoder.scene.version + 1)
     sender.send(Tag.PACKET, encode_keyframe(scene, time_ns=peek(resume.packets[-1]).time_ns))
     sender.send(Tag.REPORT, {"version": scene.version, "done": resume.frames, "resumed": True})
     return scene

@@ -23,7 +23,7 @@ from client.evaluation.measure.truth import dynamic_precision_recall
 from client.evaluation.systems import with_steps
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.packet import PacketKind
-from codec.renewal import Renewal, RenewalRule
+from codec.refresh import RefreshRule, RefreshSchedule
 from core.arrays import Float32, UInt8
 from core.camera import Camera
 from core.data import linspace_split
@@ -44,12 +44,12 @@ class Keyframes:
     """Sends keyframes when the service would; their `sizes` in bytes and CPU `seconds`."""
 
     def __init__(self, interval: int) -> None:
-        self._renewal = Renewal(RenewalRule(longest=interval))
+        self._refresh = RefreshSchedule(RefreshRule(longest=interval))
         self.sizes, self.seconds = list[int](), 0.0
 
     def follow(self, trainer: Trainer, before: Scene, frame: FrameSet) -> None:
         """After `frame`, which led on from the state `before`."""
-        if self._renewal.due(before, trainer.scene) is not None:
+        if self._refresh.due(before, trainer.scene) is not None:
             trainer.want_keyframe()
         if not trainer.keyframe_is_ready:
             return
@@ -180,7 +180,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--size", default="240x136")
     parser.add_argument("--views", type=int, default=5)
     parser.add_argument("--steps", type=int, default=500)
-    parser.add_argument("--interval", type=int, default=RenewalRule().longest, help="most frames between keyframes")
+    parser.add_argument("--interval", type=int, default=RefreshRule().longest, help="most frames between keyframes")
     parser.add_argument("--renewal-steps", type=int, help="training of a keyframe in mid-stream")
     parser.add_argument("--budget-ms", type=float, help="frame budget, of CPU time, so that other work does not count")
     parser.add_argument("--seed", type=int, default=0)

@@ -15,7 +15,7 @@ from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.levels import split_levels
 from codec.packet.packet import PacketKind
 from core.errors import InputError
-from core.scene.rekey import rekey
+from core.scene.keyframe import as_keyframe
 from core.scene.residual import difference
 from tests.client.clips import FRAME_NS, packets, plain_scene, states, write_clip
 from tests.codec.scenes import assert_same_state
@@ -39,7 +39,7 @@ def test_an_early_keyframe_is_replaced_and_a_new_one_counted_apart(tmp_path: Pat
     early = plain_scene(seed=3)
     first = replace(plain_scene(), keyframe=1, version=1)
     second = replace(states(2)[1], keyframe=1, version=2)
-    fresh = rekey(second, 2)
+    fresh = as_keyframe(second, 2)
     parts = [
         encode_keyframe(early, time_ns=0, profile=0),
         *split_levels(encode_keyframe(first, time_ns=0, profile=0)),

@@ -6,7 +6,7 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.packet.info import peek
-from codec.packet.limits import Limits
+from codec.packet.limits import DecoderLimits
 from core.errors import BitstreamError
 from tests.codec.scenes import grow, make_scene, move
 from tests.fuzz.corpus import SEEDS, kept, mutants
@@ -70,23 +70,23 @@ def test_many_more_mutants(name: str) -> None:
 @pytest.mark.parametrize(
     ("limits", "code"),
     [
-        (Limits(packet_bytes=500), "too_large"),
-        (Limits(levels=1), "limit_exceeded"),
-        (Limits(anchors=20), "limit_exceeded"),
-        (Limits(features=31), "limit_exceeded"),
-        (Limits(gaussians_per_anchor=3), "limit_exceeded"),
-        (Limits(cameras=1), "limit_exceeded"),
+        (DecoderLimits(packet_bytes=500), "too_large"),
+        (DecoderLimits(levels=1), "limit_exceeded"),
+        (DecoderLimits(anchors=20), "limit_exceeded"),
+        (DecoderLimits(features=31), "limit_exceeded"),
+        (DecoderLimits(gaussians_per_anchor=3), "limit_exceeded"),
+        (DecoderLimits(cameras=1), "limit_exceeded"),
     ],
 )
 @pytest.mark.parametrize("profile", [0, 1])
-def test_limits_are_kept(limits: Limits, code: str, profile: int) -> None:
+def test_limits_are_kept(limits: DecoderLimits, code: str, profile: int) -> None:
     assert _refused(SceneDecoder(limits), key(make_scene((5, 30)), profile)) == code
 
 
 def test_added_anchors_count_towards_the_limit() -> None:
     scene = small()
     count = sum(map(len, scene.levels))
-    decoder = SceneDecoder(Limits(anchors=count + 4))
+    decoder = SceneDecoder(DecoderLimits(anchors=count + 4))
     decoder.push(key(scene))
     first = grow(scene, added=2)
     second = grow(first, added=2)

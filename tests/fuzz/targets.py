@@ -18,14 +18,14 @@ from codec.chunks import level as chunks
 from codec.chunks.change import Elapsed
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
-from codec.packet.limits import Limits
+from codec.packet.limits import DecoderLimits
 from core.errors import BitstreamError, InputError, SessionError
 from core.scene.anchors import AnchorLevel, empty_level
 from server.protocol.messages import parse_control, parse_hello
 from tests.codec.scenes import make_header
 from tests.vectors.make import FOLDER, read_stream
 
-LIMITS = Limits(packet_bytes=1 << 16, anchors=4096)
+LIMITS = DecoderLimits(packet_bytes=1 << 16, anchors=4096)
 _HEADER_BYTES = 36
 _MESSAGE = struct.Struct("<BH")  # of a session: who says it, and how many bytes
 TEXT_TO_VIEWER, PACKET_TO_VIEWER, TEXT_TO_SERVER = range(3)

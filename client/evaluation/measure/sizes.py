@@ -15,7 +15,7 @@ from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import Residual
 
-KEYFRAME_INTERVAL = 100  # predicted frames to a keyframe, where nothing calls for one sooner (`codec.renewal`)
+KEYFRAME_INTERVAL = 100  # predicted frames to a keyframe, where nothing calls for one sooner (`codec.refresh`)
 
 
 @dataclass(frozen=True, slots=True)

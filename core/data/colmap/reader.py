@@ -14,7 +14,7 @@ from pathlib import Path
 
 from core.camera import Camera
 from core.data.colmap.model import ColmapModel, find_model, read_model, read_points
-from core.data.dataset import Recording
+from core.data.dataset import RawRecording
 from core.data.files import blaming
 from core.data.names import listed, numeric_key
 from core.data.pictures import SUFFIXES, picture_size
@@ -30,7 +30,7 @@ def is_colmap(path: Path) -> bool:
     return _model_home(path) is not None
 
 
-def read_colmap(path: Path) -> Recording:
+def read_colmap(path: Path) -> RawRecording:
     """The recording in `path`.
 
     Raises:
@@ -59,7 +59,7 @@ def read_colmap(path: Path) -> Recording:
                 (fitted(camera, picture_size(files[name]), files[name]), files[name].relative_to(instants[0]))
             )
     source = Pictures(tuple(tuple(folder / relative for _, relative in cameras) for folder in instants))
-    return Recording(
+    return RawRecording(
         path,
         "colmap",
         tuple(camera for camera, _ in cameras),

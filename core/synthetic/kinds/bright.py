@@ -11,7 +11,7 @@ import numpy as np
 
 from core.synthetic import movers as M
 from core.synthetic import textures as T
-from core.synthetic.kind import Kind, Rig
+from core.synthetic.kind import CameraArc, Kind
 from core.synthetic.parts import Lamp, Part, Vector, ball, box, lamps, limb, tube, turn
 from core.synthetic.shapes import ROOM
 
@@ -157,6 +157,6 @@ KIND = Kind(
         Lamp((-1.0, 2.0, 2.20), 0.26, (1.6, 1.5, 1.3)),
     ),
     ambient=np.array([0.42, 0.43, 0.44]),
-    rig=Rig(target=(-0.1, 2.4, 1.0), radius=3.7, half_arc=math.radians(42.0), heights=(1.15, 1.85), focal=0.70),
+    rig=CameraArc(target=(-0.1, 2.4, 1.0), radius=3.7, half_arc=math.radians(42.0), heights=(1.15, 1.85), focal=0.70),
     brightness=1.25,
 )

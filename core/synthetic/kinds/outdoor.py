@@ -8,7 +8,7 @@ import numpy as np
 
 from core.synthetic import movers as M
 from core.synthetic import textures as T
-from core.synthetic.kind import Kind, Rig
+from core.synthetic.kind import CameraArc, Kind
 from core.synthetic.parts import Lamp, Part, Vector, ball, box, lamps, shifted, tube, turn
 from core.synthetic.shapes import SKY
 
@@ -102,6 +102,6 @@ KIND = Kind(
     moving=_moving,
     lamps=lamps(Lamp((float(_SUN[0]), float(_SUN[1]), float(_SUN[2])), 9.0, (2.1e6, 2.0e6, 1.75e6))),
     ambient=np.array([0.30, 0.34, 0.42]),
-    rig=Rig(target=(0.0, 7.0, 1.5), radius=6.2, half_arc=math.radians(30.0), heights=(1.35, 2.1), focal=0.78),
+    rig=CameraArc(target=(0.0, 7.0, 1.5), radius=6.2, half_arc=math.radians(30.0), heights=(1.35, 2.1), focal=0.78),
     brightness=1.15,
 )

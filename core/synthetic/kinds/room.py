@@ -8,7 +8,7 @@ import numpy as np
 
 from core.synthetic import movers as M
 from core.synthetic import textures as T
-from core.synthetic.kind import Kind, Rig
+from core.synthetic.kind import CameraArc, Kind
 from core.synthetic.parts import Lamp, Part, ball, box, lamps, limb, tube, turn
 from core.synthetic.shapes import ROOM
 
@@ -164,5 +164,5 @@ KIND = Kind(
         Lamp((-2.75, 1.75, 1.65), 0.30, (0.85, 1.0, 1.2)),
     ),
     ambient=np.array([0.115, 0.12, 0.14]),
-    rig=Rig(target=(0.0, 2.5, 0.95), radius=4.0, half_arc=math.radians(19.0), heights=(1.25, 1.75), focal=0.78),
+    rig=CameraArc(target=(0.0, 2.5, 0.95), radius=4.0, half_arc=math.radians(19.0), heights=(1.25, 1.75), focal=0.78),
 )

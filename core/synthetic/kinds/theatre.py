@@ -8,7 +8,7 @@ import numpy as np
 
 from core.synthetic import movers as M
 from core.synthetic import textures as T
-from core.synthetic.kind import Kind, Rig
+from core.synthetic.kind import CameraArc, Kind
 from core.synthetic.parts import Lamp, Part, ball, box, lamps, limb, shifted, tube, turn
 from core.synthetic.shapes import ROOM
 
@@ -80,5 +80,5 @@ KIND = Kind(
         Lamp((0.0, 1.0, 4.4), 0.30, (0.9, 0.8, 0.9)),
     ),
     ambient=np.array([0.018, 0.018, 0.024]),
-    rig=Rig(target=(0.0, 2.9, 1.0), radius=4.6, half_arc=math.radians(38.0), heights=(1.2, 2.1), focal=0.75),
+    rig=CameraArc(target=(0.0, 2.9, 1.0), radius=4.6, half_arc=math.radians(38.0), heights=(1.2, 2.1), focal=0.75),
 )

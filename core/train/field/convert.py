@@ -10,8 +10,8 @@ from core.arrays import Float32, Int64
 from core.camera import Camera
 from core.scene.anchors import FEATURE_LATENTS, LATENTS, OFFSET_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
 from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, dequantise
+from core.scene.keyframe import coarseness
 from core.scene.octree import morton_key
-from core.scene.rekey import coarseness
 from core.train.config import PredictConfig
 from core.train.field.decode import Network
 from core.train.field.field import Field

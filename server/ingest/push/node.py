@@ -65,7 +65,7 @@ class _Node:
     token: str | None
     pushed: Pushed = field(default_factory=Pushed)
     failure: StreamlodError | None = None
-    _line: _Line | None = None
+    _connection: _Connection | None = None
     _told: str = ""
     _retry_at: float = 0.0
     _delay: float = _FIRST_DELAY
@@ -75,8 +75,8 @@ class _Node:
         try:
             for sequence, taken in enumerate(self.camera.pictures(start_ns)):
                 self._send(sequence, taken)
-            if self._line is not None:
-                self._line.finish(self.pushed)
+            if self._connection is not None:
+                self._connection.finish(self.pushed)
         except StreamlodError as error:
             self.failure = error
         except (WebSocketException, OSError) as error:
@@ -84,13 +84,13 @@ class _Node:
 
     def _send(self, sequence: int, taken: Taken) -> None:
         try:
-            if self._line is None:
+            if self._connection is None:
                 if time.monotonic() < self._retry_at:
                     self.pushed.dropped += 1
                     return
-                self._line = _Line(self.url, self.token)
+                self._connection = _Connection(self.url, self.token)
             message = PushMessage(self.camera.name, sequence, taken.capture_ns, taken.codec, taken.body)
-            if self._line.send(message, self.pushed):
+            if self._connection.send(message, self.pushed):
                 self._delay, self._told = _FIRST_DELAY, ""
         except (WebSocketException, OSError) as error:
             self._break(error)
@@ -102,14 +102,14 @@ class _Node:
         if reason != self._told:
             self._told = reason
             _LOG.warning("camera %s: no connection (%s); trying again", self.camera.name, reason)
-        self.pushed.dropped += 1 if self._line is None else self._line.waiting
-        if self._line is not None:
-            self._line.close()
-        self._line, self._retry_at = None, time.monotonic() + self._delay
+        self.pushed.dropped += 1 if self._connection is None else self._connection.waiting
+        if self._connection is not None:
+            self._connection.close()
+        self._connection, self._retry_at = None, time.monotonic() + self._delay
         self._delay = min(2 * self._delay, _LONGEST_DELAY)
 
 
-class _Line:
+class _Connection:
     """A connection with pictures on their way."""
 
     def __init__(self, url: str, token: str | None) -> None:

@@ -1,4 +1,4 @@
-"""The instants at which a rig takes pictures: a grid of slots, one period apart."""
+"""The instants at which a rig takes pictures: a grid in time, one period apart."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Grid:
     """Slots numbered along a line of time.
 
     Attributes:
-        period_ns: between slots.
-        anchor: number of a slot.
+        period_ns: between instants.
+        anchor: number of an instant.
         anchor_ns: its capture time.
     """
 
@@ -32,16 +32,16 @@ class Grid:
     anchor: int
     anchor_ns: int
 
-    def slot_of(self, capture_ns: int) -> int:
-        """Number of the nearest slot."""
+    def instant_of(self, capture_ns: int) -> int:
+        """Number of the nearest instant."""
         return self.anchor + math.floor((capture_ns - self.anchor_ns) / self.period_ns + Fraction(1, 2))
 
     def time_of(self, number: int) -> int:
-        """Capture time of a slot, to the nanosecond."""
+        """Capture time of an instant, to the nanosecond."""
         return self.anchor_ns + round((number - self.anchor) * self.period_ns)
 
     def turn_of(self, capture_ns: int) -> complex:
-        """Where between two slots a time lies, as a point on the unit circle; 1 is on a slot."""
+        """Where between two instants a time lies, as a point on the unit circle; 1 is on an instant."""
         return cmath.rect(1, 2 * math.pi * float((capture_ns - self.anchor_ns) % self.period_ns / self.period_ns))
 
 
@@ -51,9 +51,9 @@ def phase_of(turn: complex) -> float:
 
 
 def best_phase(phases: Sequence[float]) -> float:
-    """Where slots should lie, as a part of a period in (-0.5, 0.5], so that cameras of these phases are paired best.
+    """Where instants should lie, as a part of a period in (-0.5, 0.5], so that cameras of these phases are paired best.
 
-    Slot boundaries go into the middle of the widest gap between the cameras' phases, so that jitter moves no picture
+    Instant boundaries go into the middle of the widest gap between the cameras' phases, so that jitter moves no picture
     over one.
     """
     ordered = sorted(phases)

@@ -1,7 +1,7 @@
-"""Pictures of many cameras -> instants. No clock and no I/O in here: the caller says what time it is.
+"""Pairs the pictures of many cameras by time. No clock and no I/O here: the caller passes the time.
 
-Two times run through this: the capture time of pictures, and `now_ns`, which never goes back and has any origin. Only
-differences of `now_ns` are used, so that a step of anybody's wall clock shows as a jump of capture times alone.
+There are two kinds of time: the capture time of pictures, and `now_ns`, which is monotonic with any origin. Only
+differences of `now_ns` are used, so a step of a wall clock shows as a jump of capture times alone.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _BEHIND_NS = 10 * _SECOND_NS
 _STRAYS = 3  # wrong times in a row of most cameras: the clock they share was stepped
 _HELD = 8  # pictures of a camera kept until all cameras have come
 _SMOOTHING = 0.1
-_MOST_PATIENCE = 8  # times the deadline that slow cameras are waited for
-_SETTLED = 0.8  # length of a smoothed phase that is worth acting on
+_MAX_PATIENCE = 8  # times the deadline that slow cameras are waited for
+_SETTLED = 0.8  # length of the smoothed phase vector from which it is acted on
 _OFF_CENTRE, _GAIN = 0.35, 0.1  # parts of a period: when the grid is moved, and what it must be good for
 
 
 class CameraState(StrEnum):
-    """ok; late: it delivers, but not in time or with wrong times; lost: it delivers nothing."""
+    """ok; late (delivers too late, or with wrong times); lost (delivers nothing)."""
 
     OK = "ok"
     LATE = "late"
@@ -40,11 +40,11 @@ class Counts:
 
     Attributes:
         received: that came.
-        late: that came after their slot had closed.
-        duplicate: that shared a slot with a nearer one.
-        stray: whose capture time cannot be.
-        missing: slots that closed without one.
-        skew_ns: smoothed difference between capture and slot time.
+        late: that came after their instant had closed.
+        duplicate: that shared an instant with a nearer one.
+        stray: whose capture time is impossible.
+        missing: instants that closed without one.
+        skew_ns: smoothed difference between capture and instant time.
     """
 
     received: int = 0
@@ -56,13 +56,13 @@ class Counts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Slot:
+class Instant:
     """One instant.
 
     Attributes:
-        number: increases by one a period, across gaps and clock steps too.
+        number: increases by one each period, across gaps and clock steps too.
         capture_ns: its place on the grid, in the cameras' time.
-        pictures: one a camera, in their order; None where one is missing.
+        pictures: one for each camera, in their order; None where one is missing.
     """
 
     number: int
@@ -72,11 +72,11 @@ class Slot:
 
 @dataclass(slots=True)
 class _Track:
-    """What is remembered of one camera."""
+    """State of one camera."""
 
     counts: Counts = field(default_factory=Counts)
     arrived_ns: int | None = None  # None: lost
-    newest: int | None = None  # slot
+    newest: int | None = None  # instant
     delay_ns: int = 0
     lag_ns: float = 0.0  # smoothed delay beyond the cameras' median
     strays: int = 0
@@ -94,15 +94,15 @@ class _Open:
 class Synchroniser:
     """Pairs pictures by capture time on a grid of instants.
 
-    A slot is given out, in order, as soon as every camera that delivers has been heard (with a picture of it, or a
-    later one), at the latest `deadline_ns` after its first picture; with less than `quorum` pictures, it is dropped.
-    Every picture goes into the slot nearest to it or nowhere. Memory is bounded: a picture is accepted at most a second
-    ahead, and slots close at their deadline.
+    A jitter buffer: an instant is given out, in order, as soon as every camera that delivers has sent its picture or a
+    later one, at the latest `deadline_ns` after its first picture; with less than `quorum` pictures, it is dropped. A
+    picture goes into the nearest instant or nowhere. Memory is bounded: a picture is accepted at most a second ahead,
+    and instants close at their deadline.
 
     Args:
-        cameras: names, in the order of a slot's pictures.
-        fps: slots a second.
-        quorum: pictures that a slot needs; all by default.
+        cameras: names, in the order of an instant's pictures.
+        fps: instants a second.
+        quorum: pictures that an instant needs; all by default.
         deadline_ns: two periods by default; up to eight times that where a camera's pictures usually come so late.
         lost_ns: silence after which a camera isn't waited for any more.
         gather_ns: how long to wait at first for all cameras to deliver.
@@ -132,11 +132,11 @@ class Synchroniser:
         self._open: dict[int, _Open] = {}
         self._closed, self._closed_ns = -1, 0
         self._delay_ns = self._followed_ns = self._now_ns = 0
-        self.dropped = self.steps = self.shifts = 0  # slots below quorum, clock steps of all, moves of the grid
+        self.dropped = self.steps = self.shifts = 0  # instants below quorum, clock steps of all, moves of the grid
 
     @property
     def pending(self) -> int:
-        """Number of slots in memory."""
+        """Number of instants in memory."""
         return len(self._open)
 
     def counts(self) -> dict[str, Counts]:
@@ -152,14 +152,14 @@ class Synchroniser:
         return CameraState.LOST in self.states(now_ns).values()
 
     def deadline_ns(self) -> int | None:
-        """When `poll` is due if no picture comes, or None while no slot is open."""
+        """When `poll` is due if no picture comes, or None while no instant is open."""
         if self._grid is None:
             return None if self._began_ns is None else self._began_ns + self._gather_ns
-        first = min((slot.first_ns for slot in self._open.values()), default=None)
+        first = min((instant.first_ns for instant in self._open.values()), default=None)
         return None if first is None else first + self._patience(self._alive())
 
-    def push(self, picture: Picture, now_ns: int) -> list[Slot]:
-        """Take a picture; returns the slots that are ready.
+    def push(self, picture: Picture, now_ns: int) -> list[Instant]:
+        """Take a picture; returns the instants that are ready.
 
         Raises:
             KeyError: no such camera.
@@ -179,20 +179,20 @@ class Synchroniser:
         self._place(picture, now_ns)
         return ready + self._close_due(now_ns)
 
-    def poll(self, now_ns: int) -> list[Slot]:
-        """The slots whose deadline has passed."""
+    def poll(self, now_ns: int) -> list[Instant]:
+        """The instants whose deadline has passed."""
         self._now_ns = now_ns
         if self._grid is None and self._began_ns is not None:
             return self._begin(now_ns)
         return self._close_due(now_ns)
 
-    def leave(self, camera: str, now_ns: int) -> list[Slot]:
+    def leave(self, camera: str, now_ns: int) -> list[Instant]:
         """A camera has gone; it is not waited for until it delivers again."""
         self._tracks[camera].arrived_ns = None
         return self.poll(now_ns)
 
-    def finish(self, now_ns: int) -> list[Slot]:
-        """The slots still open, at the end."""
+    def finish(self, now_ns: int) -> list[Instant]:
+        """The instants still open, at the end."""
         ready = [] if self._grid or self._began_ns is None else self._begin(self._began_ns + self._gather_ns)
         return ready + self._flush(now_ns)
 
@@ -202,7 +202,7 @@ class Synchroniser:
         return CameraState.LATE if track.is_late else CameraState.OK
 
     def _alive(self) -> list[_Track]:
-        """Cameras that are waited for: they delivered lately, with times that can be."""
+        """Cameras that are waited for: they delivered lately, with plausible times."""
         return [
             track
             for track in self._tracks.values()
@@ -210,13 +210,13 @@ class Synchroniser:
         ]
 
     def _patience(self, alive: list[_Track]) -> int:
-        """How long after its first picture a slot stays open: cameras that are always late still belong to the rig."""
+        """How long an instant stays open after its first picture; longer where a camera is always late."""
         lags = [track.lag_ns for track in alive]
         wanted = max(lags) - min(lags) + self._deadline_ns / 2 if lags else 0
-        return round(min(max(self._deadline_ns, wanted), _MOST_PATIENCE * self._deadline_ns))
+        return round(min(max(self._deadline_ns, wanted), _MAX_PATIENCE * self._deadline_ns))
 
-    def _begin(self, now_ns: int) -> list[Slot]:
-        """Lay the grid once all cameras have delivered, or have been waited for."""
+    def _begin(self, now_ns: int) -> list[Instant]:
+        """Start the grid once all cameras have delivered, or have been waited for long enough."""
         assert self._began_ns is not None
         seen = [track for track in self._tracks.values() if track.held]
         if not seen or (len(seen) < len(self._tracks) and now_ns - self._began_ns < self._gather_ns):
@@ -226,17 +226,20 @@ class Synchroniser:
         self._lay(self._closed + 1, [track.held[-1].capture_ns for track in seen])
         assert self._grid is not None
         begin = max(track.held[0].capture_ns for track in seen if not self._is_off(track))
-        self._grid = replace(self._grid, anchor_ns=self._grid.time_of(self._grid.slot_of(begin)))
+        self._grid = replace(self._grid, anchor_ns=self._grid.time_of(self._grid.instant_of(begin)))
         self._closed_ns = now_ns
         for track in self._tracks.values():
             track.held.clear()
         for picture in held:
-            if not self._is_off(self._tracks[picture.camera]) and self._grid.slot_of(picture.capture_ns) > self._closed:
+            if (
+                not self._is_off(self._tracks[picture.camera])
+                and self._grid.instant_of(picture.capture_ns) > self._closed
+            ):
                 self._place(picture, now_ns)
         return self._close_due(now_ns)
 
     def _lay(self, number: int, captures: list[int]) -> None:
-        """A grid for cameras whose latest capture times are these; the first slot is about the first of them."""
+        """A grid for cameras whose latest capture times are these; the first instant is about the first of them."""
         grid = Grid(self._period, number, captures[0])
         shift = best_phase([phase_of(grid.turn_of(capture)) for capture in captures])
         self._grid = replace(grid, anchor_ns=grid.anchor_ns + round(shift * self._period))
@@ -247,8 +250,8 @@ class Synchroniser:
         return not self._delay_ns - _AHEAD_NS <= track.delay_ns <= self._delay_ns + _BEHIND_NS
 
     def _is_stray(self, track: _Track, now_ns: int) -> bool:
-        """Whether the newest picture's time cannot be, seen from what all cameras do; follow slow changes of that."""
-        most = (now_ns - self._followed_ns) // 10  # delays change slowly; a clock that runs away doesn't take us along
+        """Whether the newest picture's time is impossible, compared with all cameras; follows slow changes of delay."""
+        most = (now_ns - self._followed_ns) // 10  # delays change slowly; do not follow a clock that runs away
         self._followed_ns = now_ns
         if self._is_off(track):
             track.counts.stray += 1
@@ -256,14 +259,14 @@ class Synchroniser:
             track.is_late = True
             return True
         track.strays = 0
-        lag = min(track.delay_ns - self._delay_ns, _MOST_PATIENCE * self._deadline_ns)
+        lag = min(track.delay_ns - self._delay_ns, _MAX_PATIENCE * self._deadline_ns)
         track.lag_ns += _SMOOTHING * (lag - track.lag_ns)
         usual = [other.delay_ns for other in self._tracks.values() if other.arrived_ns is not None and not other.strays]
         self._delay_ns += min(max(median_low(usual) - self._delay_ns, -most), most)
         return False
 
-    def _restart_if_all_strayed(self, now_ns: int) -> list[Slot]:
-        """Lay the grid anew when most of the cameras agree that their clock was stepped."""
+    def _restart_if_all_strayed(self, now_ns: int) -> list[Instant]:
+        """Start a new grid when most cameras agree that their common clock was stepped."""
         alive = [t for t in self._tracks.values() if self._state(t, now_ns) is not CameraState.LOST]
         strayed = [track for track in alive if track.strays >= _STRAYS]
         if 2 * len(strayed) <= len(alive):
@@ -282,7 +285,7 @@ class Synchroniser:
     def _place(self, picture: Picture, now_ns: int) -> None:
         assert self._grid is not None
         track = self._tracks[picture.camera]
-        number = self._grid.slot_of(picture.capture_ns)
+        number = self._grid.instant_of(picture.capture_ns)
         if number <= self._closed:
             track.counts.late += 1
             track.is_late = True
@@ -290,32 +293,32 @@ class Synchroniser:
         track.is_late = False
         track.turn += _SMOOTHING * (self._grid.turn_of(picture.capture_ns) - track.turn)
         track.counts.skew_ns = round(phase_of(track.turn) * self._period)
-        slot = self._open.setdefault(number, _Open(now_ns))
-        other = slot.pictures.get(picture.camera)
+        instant = self._open.setdefault(number, _Open(now_ns))
+        other = instant.pictures.get(picture.camera)
         if other is not None:
             track.counts.duplicate += 1
             place = self._grid.time_of(number)
             if abs(other.capture_ns - place) <= abs(picture.capture_ns - place):
                 return
-        slot.pictures[picture.camera] = picture
+        instant.pictures[picture.camera] = picture
         track.newest = number if track.newest is None else max(track.newest, number)
 
-    def _close_due(self, now_ns: int) -> list[Slot]:
-        """Close slots in order, up to the last one that is complete or past its deadline."""
+    def _close_due(self, now_ns: int) -> list[Instant]:
+        """Close instants in order, up to the last one that is complete or past its deadline."""
         if not self._open:
             return []
         alive = self._alive()
         heard = min((-1 if track.newest is None else track.newest for track in alive), default=max(self._open))
         patience = self._patience(alive)
-        due = [n for n, slot in self._open.items() if n <= heard or now_ns >= slot.first_ns + patience]
+        due = [n for n, instant in self._open.items() if n <= heard or now_ns >= instant.first_ns + patience]
         if not due:
             return []
         last = max(due)
         ready = [self._close(number, now_ns) for number in sorted(self._open) if number <= last]
         ready += self._shift_if_off_centre(alive, now_ns)
-        return [slot for slot in ready if slot is not None]
+        return [instant for instant in ready if instant is not None]
 
-    def _close(self, number: int, now_ns: int) -> Slot | None:
+    def _close(self, number: int, now_ns: int) -> Instant | None:
         assert self._grid is not None
         pictures = self._open.pop(number).pictures
         self._closed, self._closed_ns = number, now_ns
@@ -327,16 +330,16 @@ class Synchroniser:
             self.dropped += 1
             return None
         chosen = tuple(pictures.get(name) for name in self._tracks)
-        return Slot(number, self._grid.time_of(number), chosen)
+        return Instant(number, self._grid.time_of(number), chosen)
 
-    def _flush(self, now_ns: int) -> list[Slot]:
-        slots = [self._close(number, now_ns) for number in sorted(self._open)]
-        return [slot for slot in slots if slot is not None]
+    def _flush(self, now_ns: int) -> list[Instant]:
+        instants = [self._close(number, now_ns) for number in sorted(self._open)]
+        return [instant for instant in instants if instant is not None]
 
-    def _shift_if_off_centre(self, alive: list[_Track], now_ns: int) -> list[Slot]:
-        """Move the grid by part of a period when a camera's pictures lie near a slot boundary and need not.
+    def _shift_if_off_centre(self, alive: list[_Track], now_ns: int) -> list[Instant]:
+        """Move the grid by part of a period when a camera's pictures lie near a boundary and need not.
 
-        Slots that are open close first, so that every picture stays in the slot nearest to it.
+        Open instants close first, so that every picture stays in the instant nearest to it.
         """
         assert self._grid is not None
         turns = [track.turn for track in alive if abs(track.turn) > _SETTLED]

@@ -19,7 +19,7 @@ from core.metrics import psnr
 from core.render.cpu import render
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.expand import expand
-from core.scene.rekey import rekey
+from core.scene.keyframe import as_keyframe
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
 
@@ -180,7 +180,7 @@ def test_a_new_keyframe_changes_nothing_for_training(clip: Dataset, images: list
     """Rekeying in the middle: what was known stays known, so a still frame after it stays empty."""
     trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
     loop(trainer, first, [images[0], images[1]])
-    trainer.resume(rekey(trainer.scene, trainer.scene.version), keep_references=True)
+    trainer.resume(as_keyframe(trainer.scene, trainer.scene.version), keep_references=True)
     assert trainer.predict(frame_set(3, images[1])).report.steps == 0
 
 

@@ -43,7 +43,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Seen:
     """One instant: its place on the grid in periods, the number each camera's picture carries (-1: missing)."""
 
-    slot: int
+    instant: int
     time_ns: int
     numbers: list[int]
 
@@ -105,15 +105,15 @@ def watch() -> Iterator[Callable[..., Watch]]:
 def misaligned(seen: list[Seen], cameras: int) -> int:
     """Instants in which a camera's picture isn't the one of that time.
 
-    Fake cameras count from their own start in real time, so that number minus slot is one constant a camera.
+    Fake cameras count from their own start in real time, so that number minus instant is one constant a camera.
     """
     count = 0
     constants = []
     for row in range(cameras):
-        differences = [entry.numbers[row] - entry.slot for entry in seen if entry.numbers[row] >= 0]
+        differences = [entry.numbers[row] - entry.instant for entry in seen if entry.numbers[row] >= 0]
         constants.append(int(np.median(differences)))
     for entry in seen:
-        count += any(n >= 0 and n - entry.slot != constants[row] for row, n in enumerate(entry.numbers))
+        count += any(n >= 0 and n - entry.instant != constants[row] for row, n in enumerate(entry.numbers))
     return count
 
 
@@ -221,7 +221,7 @@ def test_a_slow_consumer_gets_the_newest_and_drops_are_counted(tmp_path: Path, w
     statistics = rig.now()
     assert statistics.dropped_stale >= 4 * 4
     assert statistics.latency_ns < 800_000_000  # a queue would be more than a second behind by now
-    assert [entry.numbers for entry in rig.seen] == [[entry.slot + rig.seen[0].numbers[0]] * 2 for entry in rig.seen]
+    assert [entry.numbers for entry in rig.seen] == [[entry.instant + rig.seen[0].numbers[0]] * 2 for entry in rig.seen]
 
 
 def test_frames_can_be_chosen_counted_and_read_again(tmp_path: Path) -> None:

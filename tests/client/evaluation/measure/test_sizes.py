@@ -16,7 +16,7 @@ from client.evaluation.measure.sizes import (
     shannon_residual_bytes,
     stream_bytes,
 )
-from codec.renewal import RenewalRule
+from codec.refresh import RefreshRule
 from core.scene.residual import difference
 from core.train import TrainConfig, Trainer
 from server.pipeline.job import TrainJob
@@ -35,7 +35,7 @@ def test_a_stream_pays_for_its_keyframes() -> None:
     packets = [6000 + 20] + [20] * 99
     assert stream_bytes(6000, 20, interval=100) == pytest.approx(np.mean(packets * 3))
     assert stream_bytes(KEYFRAME_INTERVAL, 0) == 1
-    defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RenewalRule().longest
+    defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RefreshRule().longest
     assert defaults == (KEYFRAME_INTERVAL, KEYFRAME_INTERVAL)
 
 

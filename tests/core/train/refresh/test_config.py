@@ -18,7 +18,7 @@ from core.metrics import psnr
 from core.render.cpu import render
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.expand import expand
-from core.scene.rekey import coarseness, rekey
+from core.scene.keyframe import as_keyframe, coarseness
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import TrainConfig, Trainer, preset
 from core.train.field.convert import field_of, scene_of
@@ -97,7 +97,7 @@ def test_catches_up_and_goes_on(clip: Dataset, frames: list[FrameSet], first: Sc
 def test_a_still_scene_trains_nothing(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
     """What has not changed is sent again as it is, and the still frame after it is empty too."""
     trainer = trainer_at(clip, first, [replace(frames[0], index=1)])  # which trains: it has not seen the cameras yet
-    keyframe = rekey(trainer.scene, 1)
+    keyframe = as_keyframe(trainer.scene, 1)
     trainer.resume(keyframe, keep_references=True)
     trainer.predict(replace(frames[0], index=2))
     renewed = trainer.renew(replace(frames[0], index=2))
@@ -140,7 +140,7 @@ def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: lis
     assert (renewed.scene.keyframe, renewed.scene.version) == (before.version, before.version)
     assert renewed.scene.anchor_count == before.anchor_count
     assert quality(renewed.scene, clip, pictures[last]) > quality(before, clip, pictures[last]) + 0.3
-    for mine, known in zip(renewed.scene.levels, rekey(before, before.version).levels, strict=True):
+    for mine, known in zip(renewed.scene.levels, as_keyframe(before, before.version).levels, strict=True):
         every = np.arange(len(mine))
         coarser = coarseness(mine, every) >= coarseness(known, every)
         assert coarser.mean() > 0.99  # rounded as the keyframe before was
@@ -168,7 +168,7 @@ def test_no_time_at_all_sends_the_state_as_it_is(clip: Dataset, pictures: list[F
     known = trainer.scene
     renewed = trainer.renew(pictures[3])
     assert renewed.report.steps == 0
-    expected = rekey(known, known.version)
+    expected = as_keyframe(known, known.version)
     shown, as_it_is = (quality(scene, clip, pictures[3]) for scene in (renewed.scene, expected))
     assert shown == pytest.approx(as_it_is, abs=0.02)
 
@@ -180,7 +180,7 @@ def test_asked_for_before_its_time_it_is_the_state_as_it_is(
     trainer.want_keyframe()
     trainer.predict(pictures[3])
     trainer.predict(pictures[4])
-    expected = rekey(trainer.scene, trainer.scene.version)
+    expected = as_keyframe(trainer.scene, trainer.scene.version)
     renewed = trainer.renew(pictures[4])
     assert renewed.report.steps == 0
     assert [level.digest() for level in renewed.scene.levels] == [level.digest() for level in expected.levels]

@@ -129,7 +129,7 @@ def test_the_grid_lies_where_cameras_are_told_apart() -> None:
     for number in (-7, 5, 10**6):
         time = grid.time_of(number)
         half = int(grid.period_ns / 2)
-        assert {grid.slot_of(time + off) for off in (-half + 1, 0, half - 1)} == {number}
+        assert {grid.instant_of(time + off) for off in (-half + 1, 0, half - 1)} == {number}
     assert best_phase([0.0, 0.01, -0.01]) == pytest.approx(0, abs=1e-5)
     for phases in ([0.0, 0.5, 0.02], [0.49, -0.49, 0.3], [0.1]):
         centre = best_phase(phases)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from server.ingest.sync.clock import ClockSource
 from server.ingest.sync.picture import Picture
-from server.ingest.sync.synchroniser import CameraState, Slot, Synchroniser
+from server.ingest.sync.synchroniser import CameraState, Instant, Synchroniser
 
 MS = 1_000_000
 PERIOD = 33_333_333  # 30 fps
@@ -30,17 +30,17 @@ class Film:
     cameras: tuple[str, ...]
     arrivals: list[tuple[int, str, int]]
 
-    def run(self, **options: int) -> tuple[Synchroniser, list[Slot], int]:
+    def run(self, **options: int) -> tuple[Synchroniser, list[Instant], int]:
         synchroniser = Synchroniser(self.cameras, 30, **options)
-        slots: list[Slot] = []
+        instants: list[Instant] = []
         now = 0
         for number, (arrival, camera, capture) in enumerate(sorted(self.arrivals)):
             while (due := synchroniser.deadline_ns()) is not None and due < arrival:
                 now = max(now, due)
-                slots += synchroniser.poll(now)
+                instants += synchroniser.poll(now)
             now = max(now, arrival)
-            slots += synchroniser.push(picture(camera, capture, number), now)
-        return synchroniser, slots, now
+            instants += synchroniser.push(picture(camera, capture, number), now)
+        return synchroniser, instants, now
 
 
 def filmed(cameras: int, frames: int, delays: tuple[int, ...] = (), start: int = 0) -> list[tuple[int, str, int]]:
@@ -56,64 +56,64 @@ def filmed(cameras: int, frames: int, delays: tuple[int, ...] = (), start: int =
 NAMES = ("c0", "c1", "c2", "c3")
 
 
-def check(slots: list[Slot]) -> None:
+def check(instants: list[Instant]) -> None:
     """What holds whatever happens: order, nearness, each picture once."""
-    numbers = [slot.number for slot in slots]
+    numbers = [instant.number for instant in instants]
     assert numbers == sorted(set(numbers))
     seen: set[int] = set()
-    for slot in slots:
-        for taken in slot.pictures:
+    for instant in instants:
+        for taken in instant.pictures:
             if taken is not None:
-                assert abs(taken.capture_ns - slot.capture_ns) <= PERIOD // 2 + 1
+                assert abs(taken.capture_ns - instant.capture_ns) <= PERIOD // 2 + 1
                 assert taken.sequence not in seen
                 seen.add(taken.sequence)
 
 
 def test_pairs_all_pictures_of_a_regular_rig() -> None:
-    synchroniser, slots, now = Film(NAMES, filmed(4, 60, (5 * MS, 20 * MS, 40 * MS, 55 * MS))).run()
-    check(slots)
-    assert len(slots) >= 58
-    for slot in slots:
-        captures = [taken.capture_ns for taken in slot.pictures if taken is not None]
+    synchroniser, instants, now = Film(NAMES, filmed(4, 60, (5 * MS, 20 * MS, 40 * MS, 55 * MS))).run()
+    check(instants)
+    assert len(instants) >= 58
+    for instant in instants:
+        captures = [taken.capture_ns for taken in instant.pictures if taken is not None]
         assert len(captures) == 4
         assert len(set(captures)) == 1
     assert [count.missing for count in synchroniser.counts().values()] == [0] * 4
     assert not synchroniser.is_degraded(now)
-    assert [slot.number for slot in slots] == list(range(len(slots)))
+    assert [instant.number for instant in instants] == list(range(len(instants)))
 
 
 def test_gives_a_slot_out_once_complete_or_at_its_deadline() -> None:
     synchroniser = Synchroniser(("c0", "c1"), 30, quorum=1)
     synchroniser.push(picture("c0", UTC), 0)
-    slots = synchroniser.push(picture("c1", UTC), MS)
-    assert [slot.capture_ns for slot in slots] == [UTC]
+    instants = synchroniser.push(picture("c1", UTC), MS)
+    assert [instant.capture_ns for instant in instants] == [UTC]
     assert synchroniser.push(picture("c0", UTC + PERIOD), PERIOD) == []
     due = synchroniser.deadline_ns()
     assert due is not None
     assert PERIOD < due <= 3 * PERIOD + 1
     assert synchroniser.poll(due - 1) == []
-    (slot,) = synchroniser.poll(due)
-    assert slot.pictures[0] is not None
-    assert slot.pictures[1] is None
+    (instant,) = synchroniser.poll(due)
+    assert instant.pictures[0] is not None
+    assert instant.pictures[1] is None
     assert synchroniser.states(due)["c1"] is CameraState.LATE
 
 
 def test_a_later_picture_settles_a_missing_one_before_the_deadline() -> None:
     arrivals = [entry for entry in filmed(2, 10) if entry[1:] != ("c1", UTC + 4 * PERIOD)]
-    synchroniser, slots, _ = Film(("c0", "c1"), arrivals).run(quorum=1, deadline_ns=HOUR)
-    assert [slot.number for slot in slots if slot.pictures[1] is None] == [4]
-    assert len(slots) == 10
+    synchroniser, instants, _ = Film(("c0", "c1"), arrivals).run(quorum=1, deadline_ns=HOUR)
+    assert [instant.number for instant in instants if instant.pictures[1] is None] == [4]
+    assert len(instants) == 10
     assert synchroniser.counts()["c1"].missing == 1
 
 
 @pytest.mark.parametrize(("quorum", "expected"), [(4, 0), (3, 30), (1, 30)])
 def test_policies_decide_over_incomplete_slots(quorum: int, expected: int) -> None:
     arrivals = filmed(4, 30) + [entry for entry in filmed(4, 60, start=30) if entry[1] != "c2"]
-    synchroniser, slots, now = Film(NAMES, arrivals).run(quorum=quorum)
-    later = [slot for slot in slots if slot.capture_ns >= UTC + 30 * PERIOD and slot.capture_ns < UTC + 60 * PERIOD]
+    synchroniser, instants, now = Film(NAMES, arrivals).run(quorum=quorum)
+    later = [instant for instant in instants if UTC + 30 * PERIOD <= instant.capture_ns < UTC + 60 * PERIOD]
     assert len(later) == expected
-    assert all(slot.pictures[2] is None for slot in later)
-    assert len(slots) + synchroniser.dropped + synchroniser.pending == 90
+    assert all(instant.pictures[2] is None for instant in later)
+    assert len(instants) + synchroniser.dropped + synchroniser.pending == 90
     assert (synchroniser.dropped > 50) == (expected == 0)
     assert synchroniser.is_degraded(now)
     assert synchroniser.states(now)["c2"] is CameraState.LOST
@@ -125,16 +125,16 @@ def test_a_stopped_camera_is_masked_counted_and_joins_again() -> None:
     for arrival, camera, capture in filmed(4, 240):
         stopped = camera == "c1" and 60 * PERIOD <= capture - UTC < 120 * PERIOD
         arrivals.append((max(arrival, 120 * PERIOD + capture % 1000) if stopped else arrival, camera, capture))
-    synchroniser, slots, now = Film(NAMES, arrivals).run(quorum=3)
-    check(slots)
-    missing = [slot.number for slot in slots if slot.pictures[1] is None]
+    synchroniser, instants, now = Film(NAMES, arrivals).run(quorum=3)
+    check(instants)
+    missing = [instant.number for instant in instants if instant.pictures[1] is None]
     assert 55 <= len(missing) <= 62
-    assert all(slot.pictures[1] is not None for slot in slots[-60:])
+    assert all(instant.pictures[1] is not None for instant in instants[-60:])
     count = synchroniser.counts()["c1"]
     assert count.late >= 55
     assert count.missing == len(missing)
     assert set(synchroniser.states(now).values()) == {CameraState.OK}
-    assert len(slots) >= 238
+    assert len(instants) >= 238
 
 
 def test_a_skewed_camera_is_paired_with_what_it_saw_and_its_skew_is_told() -> None:
@@ -144,11 +144,11 @@ def test_a_skewed_camera_is_paired_with_what_it_saw_and_its_skew_is_told() -> No
         (arrival, camera, capture + int(generator.normal(0, MS)) + (50 * MS if camera == "c3" else 0))
         for arrival, camera, capture in filmed(4, 150, (60 * MS,) * 4)
     ]
-    synchroniser, slots, _ = Film(NAMES, arrivals).run(quorum=3)
-    check(slots)
+    synchroniser, instants, _ = Film(NAMES, arrivals).run(quorum=3)
+    check(instants)
     counts = synchroniser.counts()
-    settled = slots[30:-4]
-    assert all(None not in slot.pictures for slot in settled)
+    settled = instants[30:-4]
+    assert all(None not in instant.pictures for instant in settled)
     assert abs(abs(counts["c3"].skew_ns - counts["c0"].skew_ns) - PERIOD // 2) < 3 * MS
     assert counts["c3"].late == 0
 
@@ -158,12 +158,12 @@ def test_one_clock_stepped_by_an_hour_is_kept_out_and_the_others_go_on() -> None
         (arrival, camera, capture + (HOUR if camera == "c0" and 60 <= (capture - UTC) // PERIOD < 120 else 0))
         for arrival, camera, capture in filmed(4, 180)
     ]
-    synchroniser, slots, _ = Film(NAMES, arrivals).run(quorum=3)
-    check(slots)
-    assert len(slots) >= 178
+    synchroniser, instants, _ = Film(NAMES, arrivals).run(quorum=3)
+    check(instants)
+    assert len(instants) >= 178
     assert synchroniser.counts()["c0"].stray == 60
     assert synchroniser.steps == 0
-    assert all(None not in slot.pictures for slot in slots[-50:])
+    assert all(None not in instant.pictures for instant in instants[-50:])
 
 
 @pytest.mark.parametrize("step", [HOUR, -HOUR])
@@ -172,18 +172,18 @@ def test_all_clocks_stepped_by_an_hour_lay_the_grid_anew(step: int) -> None:
         (arrival, camera, capture + (step if capture - UTC >= 60 * PERIOD else 0))
         for arrival, camera, capture in filmed(4, 180)
     ]
-    synchroniser, slots, _ = Film(NAMES, arrivals).run()
-    check(slots)
+    synchroniser, instants, _ = Film(NAMES, arrivals).run()
+    check(instants)
     assert synchroniser.steps == 1
-    after = [slot for slot in slots if (slot.capture_ns - UTC - step) > 0] if step > 0 else slots[60:]
+    after = [instant for instant in instants if (instant.capture_ns - UTC - step) > 0] if step > 0 else instants[60:]
     assert len(after) >= 110
-    assert slots[-1].number == pytest.approx(179, abs=3)
+    assert instants[-1].number == pytest.approx(179, abs=3)
 
 
 def test_begins_without_a_camera_that_never_comes() -> None:
     arrivals = [entry for entry in filmed(4, 90) if entry[1] != "c3"]
-    synchroniser, slots, now = Film(NAMES, arrivals).run(quorum=2, gather_ns=1_000 * MS)
-    assert 60 <= len(slots) <= 72
+    synchroniser, instants, now = Film(NAMES, arrivals).run(quorum=2, gather_ns=1_000 * MS)
+    assert 60 <= len(instants) <= 72
     assert synchroniser.is_degraded(now)
 
 
@@ -222,17 +222,17 @@ def test_whatever_comes_slots_are_ordered_near_and_without_repeats(
     arrivals: list[tuple[int, str, int]], quorum: int
 ) -> None:
     cameras = tuple(sorted({camera for _, camera, _ in arrivals}))
-    synchroniser, slots, now = Film(cameras, arrivals).run(quorum=min(quorum, len(cameras)))
-    slots += synchroniser.finish(now)
-    check(slots)
+    synchroniser, instants, now = Film(cameras, arrivals).run(quorum=min(quorum, len(cameras)))
+    instants += synchroniser.finish(now)
+    check(instants)
     counts = synchroniser.counts()
     for row, name in enumerate(cameras):
-        used = sum(slot.pictures[row] is not None for slot in slots)
+        used = sum(instant.pictures[row] is not None for instant in instants)
         count = counts[name]
         assert used + count.late + count.duplicate + count.stray <= count.received
         assert count.received == sum(camera == name for _, camera, _ in arrivals)
-    for slot in slots:
-        assert sum(taken is not None for taken in slot.pictures) >= min(quorum, len(cameras))
+    for instant in instants:
+        assert sum(taken is not None for taken in instant.pictures) >= min(quorum, len(cameras))
 
 
 def test_memory_stays_bounded_while_a_camera_runs_ahead() -> None:
@@ -252,8 +252,8 @@ def test_refuses_a_rig_that_cannot_be() -> None:
 
 
 def test_a_camera_that_is_always_late_is_waited_for_and_a_stalled_one_is_not() -> None:
-    synchroniser, slots, _ = Film(NAMES, filmed(4, 150, (20 * MS, 20 * MS, 25 * MS, 220 * MS))).run(quorum=2)
-    check(slots)
-    assert all(None not in slot.pictures for slot in slots[-90:])
+    synchroniser, instants, _ = Film(NAMES, filmed(4, 150, (20 * MS, 20 * MS, 25 * MS, 220 * MS))).run(quorum=2)
+    check(instants)
+    assert all(None not in instant.pictures for instant in instants[-90:])
     assert synchroniser.counts()["c3"].late < 40
-    assert len(slots) >= 140
+    assert len(instants) >= 140

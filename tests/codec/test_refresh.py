@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 
 from codec.encoder import encode_keyframe
-from codec.renewal import Renewal, RenewalRule, catch_up_bytes, churn
+from codec.refresh import RefreshRule, RefreshSchedule, catch_up_bytes, churn
 from core.scene.anchors import Scene
-from core.scene.rekey import rekey
+from core.scene.keyframe import as_keyframe
 from tests.codec.scenes import grow, make_scene, move
 
 KEY = make_scene((100, 1500), slots=2, features=4)
 KEY_BYTES = len(encode_keyframe(KEY, time_ns=0))
-RULE = RenewalRule(longest=50, shortest=3, checked_every=1)
+RULE = RefreshRule(longest=50, shortest=3, checked_every=1)
 
 
 def _still(version: int) -> Scene:
@@ -62,16 +62,16 @@ def test_states_of_another_keyframe_are_refused() -> None:
 
 
 def test_a_watch_follows_a_stream_over_its_keyframes() -> None:
-    watch, state, keyframes = Renewal(replace(RULE, longest=6)), KEY, list[tuple[int, str]]()
+    watch, state, keyframes = RefreshSchedule(replace(RULE, longest=6)), KEY, list[tuple[int, str]]()
     for seed in range(12):
         before, state = state, move(state, seed, share=0.02 if seed < 6 else 0.7)
         reason = watch.due(before, state)
         if reason is not None:
             keyframes.append((state.version, reason))
-            state = rekey(state, state.version)
+            state = as_keyframe(state, state.version)
     assert keyframes == [(6, "time"), (9, "catch-up"), (12, "catch-up")]
 
 
 def test_a_watch_must_see_the_keyframe() -> None:
     with pytest.raises(ValueError, match="never shown"):
-        Renewal(RULE).due(_still(4), _still(5))
+        RefreshSchedule(RULE).due(_still(4), _still(5))

@@ -1,4 +1,4 @@
-"""When a new keyframe is worth its bytes: the older one gets, the more a viewer who joins must be sent beside it."""
+"""When a refresh keyframe is worth its bytes: catch-up packets grow with its age."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Reason = Literal["time", "churn", "catch-up"]
 
 
 @dataclass(frozen=True, slots=True)
-class RenewalRule:
-    """When to send a new keyframe.
+class RefreshRule:
+    """When to send a refresh keyframe.
 
     Attributes:
-        longest: versions after which one comes in any case.
-        shortest: versions before which none comes, so that no scene is sent over and over.
-        catch_up_share: a catch-up packet of this share of the keyframe's bytes calls for a new one.
-        churn_share: anchors added and removed, of those that the keyframe had.
-        checked_every: versions between looks at the catch-up packet, which has to be encoded for it.
+        longest: most versions from one keyframe to the next.
+        shortest: fewest versions from one keyframe to the next.
+        catch_up_share: a keyframe is due when the catch-up packet reaches this share of the old keyframe's bytes.
+        churn_share: or when so many anchors were added and removed, as a share of those that the keyframe had.
+        checked_every: versions between checks of the catch-up packet, which has to be encoded to know its size.
     """
 
     longest: int = 100
@@ -53,20 +53,20 @@ class RenewalRule:
         return None
 
 
-class Renewal:
-    """Watches a stream's states and says when a keyframe is due."""
+class RefreshSchedule:
+    """Follows a stream's states and says when a refresh keyframe is due."""
 
-    def __init__(self, rule: RenewalRule) -> None:
+    def __init__(self, rule: RefreshRule) -> None:
         self._rule = rule
         self._key: Scene | None = None
         self._key_bytes = 0
 
     def due(self, before: Scene, now: Scene) -> Reason | None:
-        """Why a keyframe should follow `now`, whose predecessor was `before`; every state has to pass by here."""
+        """Why a keyframe should follow the state `now`, or None. Call it for every state, with the one `before`."""
         if before.version == before.keyframe:
             self._key, self._key_bytes = before, len(encode_keyframe(before, time_ns=0))
         if self._key is None or self._key.keyframe != now.keyframe:
-            raise ValueError(f"keyframe {now.keyframe} was never shown to this watch")
+            raise ValueError(f"keyframe {now.keyframe} is unknown here; call due for every state")
         return self._rule.reason(self._key, self._key_bytes, now)
 
 

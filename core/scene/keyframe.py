@@ -1,4 +1,4 @@
-"""A fresh keyframe from any state: the same picture, a clean slate for the packets that follow."""
+"""Any state as a keyframe: it shows the same picture, without removed anchors and accumulated latents."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from core.scene.octree import morton_key
 from core.scene.quantise import trailing_zeros
 
 _INT16 = np.iinfo(np.int16)
-_COARSEST = 7  # doublings of a step that are recognised
+_COARSEST = 7  # exponent of two; coarser rows count as this
 
 
-def rekey(scene: Scene, version: int) -> Scene:
+def as_keyframe(scene: Scene, version: int) -> Scene:
     """`scene` as keyframe `version`.
 
-    Removed anchors go, the others come in Morton order, and latents are folded into base features and offsets by
-    rounding to multiples of the header's steps, as coarse as the anchor's numbers were before; positions, scalings,
-    header and weights stay. `rekey_error` says what rounding did.
+    Removed anchors are left out and the others sorted in Morton order. Latents are added to the base features and
+    offsets, which are rounded to multiples of the header's steps, as coarse as the anchor's numbers were before.
+    Positions, scalings, header and weights stay. `keyframe_error` measures the rounding.
     """
     levels = tuple(_fresh(scene.header, scene.weights, level) for level in scene.levels)
     return replace(scene, levels=levels, keyframe=version, version=version)
 
 
-def rekey_error(before: Scene, after: Scene) -> tuple[float, float]:
-    """Largest change of a feature and of an offset between a scene and its rekeyed form, in their steps.
+def keyframe_error(before: Scene, after: Scene) -> tuple[float, float]:
+    """Largest change of a feature and of an offset between a scene and the same scene as a keyframe, in their steps.
 
-    At most 0.5 of the multiple that their anchor takes, unless a value left the range of int16.
+    At most half of the multiple that the anchor is rounded to, unless a value left the range of int16.
     """
     feature_error = offset_error = 0.0
     for old, new in zip(before.levels, after.levels, strict=True):
@@ -69,7 +69,7 @@ def _order(level: AnchorLevel) -> Int64:
 
 
 def coarseness(level: AnchorLevel, rows: Int64) -> Int64:
-    """[n] exponent of the power of two that all numbers of each row's base are multiples of."""
+    """[n] exponent of the largest power of two that divides all base numbers of a row."""
     numbers = np.concatenate([level.feature[rows], level.offset[rows], level.scaling[rows]], axis=1)
     return np.asarray(np.where(numbers.any(axis=1), trailing_zeros(numbers, _COARSEST), 0), np.int64)
 

@@ -9,20 +9,20 @@ import numpy as np
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe
 from core.scene.expand import expand
+from core.scene.keyframe import as_keyframe, keyframe_error
 from core.scene.octree import morton_key
-from core.scene.rekey import rekey, rekey_error
 from tests.codec.scenes import assert_same_state, grow, make_scene, move
 
 
 def test_a_late_state_becomes_a_keyframe() -> None:
     late = grow(move(grow(move(make_scene(), share=0.5)), share=0.5))
-    fresh = rekey(late, 17)
+    fresh = as_keyframe(late, 17)
     assert (fresh.keyframe, fresh.version) == (17, 17)
     assert fresh.anchor_count == late.anchor_count == sum(map(len, fresh.levels))
     for level in fresh.levels:
         assert (np.diff(morton_key(level.voxel)) >= 0).all()
         assert not level.latent.any()
-    feature, offset = rekey_error(late, fresh)
+    feature, offset = keyframe_error(late, fresh)
     assert 0 < feature <= 0.5001
     assert 0 < offset <= 0.5001
     decoder = SceneDecoder()
@@ -32,9 +32,9 @@ def test_a_late_state_becomes_a_keyframe() -> None:
 
 def test_a_keyframe_stays_as_it_is() -> None:
     scene = make_scene()
-    again = rekey(scene, 0)
+    again = as_keyframe(scene, 0)
     assert_same_state(scene, again)
-    assert max(rekey_error(scene, again)) < 1e-3
+    assert max(keyframe_error(scene, again)) < 1e-3
 
 
 def test_what_is_shown_stays_within_rounding() -> None:
@@ -42,7 +42,7 @@ def test_what_is_shown_stays_within_rounding() -> None:
     weights = replace(scene.weights, **{n: getattr(scene.weights, n) * 0.125 for n in scene.weights.__slots__})
     late = move(replace(scene, weights=weights), share=0.5)
     eye = np.array([0.3, 0.1, -4.0])
-    before, after = expand(late, eye), expand(rekey(late, 1), eye)
+    before, after = expand(late, eye), expand(as_keyframe(late, 1), eye)
     assert abs(len(before) - len(after)) <= 0.02 * len(before)
     np.testing.assert_allclose(before.means.mean(axis=0), after.means.mean(axis=0), atol=0.01)
     np.testing.assert_allclose(before.colours.mean(axis=0), after.colours.mean(axis=0), atol=0.01)
@@ -53,6 +53,6 @@ def test_an_anchor_stays_as_coarse_as_it_was() -> None:
     level = scene.levels[0]
     coarse = {name: getattr(level, name) * np.int16(8) for name in ("feature", "offset", "scaling")}
     scene = replace(scene, levels=(replace(level, **coarse),))
-    after = rekey(move(scene, share=1.0), 1).levels[0]
+    after = as_keyframe(move(scene, share=1.0), 1).levels[0]
     assert not any((getattr(after, name) % 8).any() for name in coarse)
     assert (after.feature != coarse["feature"]).any()
