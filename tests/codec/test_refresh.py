@@ -72,6 +72,6 @@ def test_a_watch_follows_a_stream_over_its_keyframes() -> None:
     assert keyframes == [(6, "time"), (9, "catch-up"), (12, "catch-up")]
 
 
-def test_a_watch_must_see_the_keyframe() -> None:
-    with pytest.raises(ValueError, match="never shown"):
+def test_the_schedule_must_see_the_keyframe() -> None:
+    with pytest.raises(ValueError, match="call due for every state"):
         RefreshSchedule(RULE).due(_still(4), _still(5))
