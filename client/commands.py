@@ -21,6 +21,7 @@ from client.viewpoints import Path3D, camera_named, orbit, read_poses
 from codec.export import FORMATS, bake, write_snapshot
 from core.arrays import Float64
 from core.errors import InputError
+from core.files import write_text
 from core.scene.anchors import Scene, SceneHeader
 
 AVERAGE = "average"
@@ -170,12 +171,8 @@ def _summary(mean: dict[str, Any], frames: int) -> str:
 
 
 def _write_text(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text + "\n", encoding="utf-8")
-        temporary.replace(path)
     except OSError as error:
         raise InputError(path, f"cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_text(path, text + "\n")

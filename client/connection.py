@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, W
 from client.events import Disconnected, Event, NewScene
 from client.playback import Playback
 from codec.packet.limits import DEFAULT_LIMITS
+from core.close_codes import REFUSALS, CloseCode
 from core.errors import InputError, SessionError
 
 _log = logging.getLogger(__name__)
@@ -26,8 +27,6 @@ _FIRST_DELAY = 0.5
 _LONGEST_DELAY = 15.0
 _OPEN_SECONDS = 10.0
 _CLOSE_SECONDS = 0.5  # packets on their way may stand before the server's answer, and nobody reads them any more
-_DONE = 1000
-_FINAL_CODES = frozenset({1009, 4400, 4401, 4403, 4404, 4415})
 _REFUSED = {401: "it needs a token", 403: "the token lacks the right", 404: "there is no such stream"}
 
 
@@ -72,7 +71,7 @@ async def watch(url: str, wishes: Wishes = Wishes(), attempts: int = 8) -> Async
                     yield event
             return
         except (OSError, WebSocketException, SessionError) as error:
-            if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == _DONE:
+            if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == CloseCode.DONE:
                 return
             reason = _reason(url, error, repeated=failures > 0 or not ever)
         failures += 1
@@ -97,7 +96,7 @@ def _reason(url: str, error: Exception, repeated: bool) -> str:
             raise InputError(url, "is not a websocket address") from error
         case ConnectionClosed(rcvd=close) if close is not None:
             text = f"{close.reason or 'the connection broke'} [{close.code}]"
-            if close.code in _FINAL_CODES:
+            if close.code in REFUSALS:
                 raise SessionError(close.code, f"{url} closed the connection: {close.reason}") from error
             return text
         case SessionError() if repeated:

@@ -8,10 +8,10 @@ from typing import Any
 from client.events import Event, NewScene, Notice, Welcome
 from codec.decoder import SceneDecoder
 from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from core.close_codes import CloseCode
 from core.errors import BitstreamError, SessionError
 
 PROTOCOL_VERSION = 1
-BAD_MESSAGE = 4400
 _ACK_SECONDS = 1.0
 _TEXT_BYTES = 65536  # of a control message from the server
 _MOST_FPS = 10_000
@@ -78,7 +78,7 @@ class Playback:
             SessionError: a packet before the welcome, or one that the decoder refuses: something was lost.
         """
         if not self._welcomed:
-            raise SessionError(BAD_MESSAGE, "a packet came before the welcome")
+            raise SessionError(CloseCode.BAD_MESSAGE, "a packet came before the welcome")
         if self._unacknowledged == 0:
             self._acknowledged_at = max(self._acknowledged_at, now - _ACK_SECONDS / 2)
         self._bytes += len(packet)
@@ -86,7 +86,7 @@ class Playback:
         try:
             info = self._decoder.push(packet)
         except BitstreamError as error:
-            raise SessionError(BAD_MESSAGE, f"packet refused: {error}"[:120]) from error
+            raise SessionError(CloseCode.BAD_MESSAGE, f"packet refused: {error}"[:120]) from error
         scene = self._decoder.scene
         if scene is None:
             return []
@@ -106,7 +106,9 @@ class Playback:
 
     def _welcome(self, message: dict[str, Any]) -> Welcome:
         if message.get("version") != PROTOCOL_VERSION:
-            raise SessionError(4415, f"the server speaks protocol version {message.get('version')!r}, not 1")
+            raise SessionError(
+                CloseCode.BAD_VERSION, f"the server speaks protocol version {message.get('version')!r}, not 1"
+            )
         self._welcomed = True
         if message.get("epoch") is not None:  # there is none before the first keyframe; an event tells it then
             self._epoch = _whole(message, "epoch")
@@ -128,18 +130,18 @@ class Playback:
 
 def _object(text: str) -> dict[str, Any]:
     if len(text) > _TEXT_BYTES:
-        raise SessionError(1009, f"a control message of {len(text)} characters is too long")
+        raise SessionError(CloseCode.TOO_BIG, f"a control message of {len(text)} characters is too long")
     try:
         message = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise SessionError(BAD_MESSAGE, "a text message is not JSON") from error
+        raise SessionError(CloseCode.BAD_MESSAGE, "a text message is not JSON") from error
     if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-        raise SessionError(BAD_MESSAGE, "a text message is not an object with a type")
+        raise SessionError(CloseCode.BAD_MESSAGE, "a text message is not an object with a type")
     return message
 
 
 def _whole(message: dict[str, Any], key: str) -> int:
     value = message.get(key)
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise SessionError(BAD_MESSAGE, f"{key} of a {message['type']} message is not a whole number")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"{key} of a {message['type']} message is not a whole number")
     return value

@@ -12,6 +12,7 @@ import numpy as np
 
 from core.arrays import UInt8
 from core.errors import InputError
+from core.files import put_in_place, temporary_beside, write_bytes
 
 _QUALITY = "18"  # x264's constant rate factor: visually near lossless
 
@@ -45,20 +46,13 @@ def open_recorder(out: Path, fps: float) -> Recorder:
 
 
 def write_png(path: Path, picture: UInt8) -> None:
-    """One picture [H,W,3] RGB, under a temporary name first."""
+    """One picture [H,W,3] RGB as a whole file."""
     import cv2
 
     done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
     if not done:
         raise InputError(path, "the picture could not be encoded as PNG")
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(data.tobytes())
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(path, f"cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_bytes(path, data.tobytes())
 
 
 class _PngFolder(AbstractContextManager["_PngFolder"]):
@@ -81,7 +75,7 @@ class _Mp4(AbstractContextManager["_Mp4"]):
 
     def __init__(self, path: Path, fps: float) -> None:
         self._path, self._rate = path, Fraction(fps).limit_denominator(1001)
-        self._temporary = path.with_name(f".{path.stem}.part.mp4")
+        self._temporary = temporary_beside(path)
         self._container: Any = None
         self._stream: Any = None
         self.count = 0
@@ -91,7 +85,7 @@ class _Mp4(AbstractContextManager["_Mp4"]):
 
         height, width = picture.shape[0] & ~1, picture.shape[1] & ~1
         if self._container is None:
-            self._container = av.open(str(self._temporary), "w", options={"movflags": "faststart"})
+            self._container = av.open(str(self._temporary), "w", format="mp4", options={"movflags": "faststart"})
             self._stream = self._container.add_stream("libx264", rate=self._rate, options={"crf": _QUALITY})
             self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
         if (height, width) != (self._stream.height, self._stream.width):
@@ -111,5 +105,5 @@ class _Mp4(AbstractContextManager["_Mp4"]):
         finally:
             self._container.close()
             if kind is None:
-                self._temporary.replace(self._path)
+                put_in_place(self._temporary, self._path)
             self._temporary.unlink(missing_ok=True)

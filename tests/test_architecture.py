@@ -23,7 +23,8 @@ ALLOWED = {
 # stands on the server and the client, and nothing imports it.
 LAYERS = {
     "core": (
-        "errors arrays files runtime", "camera", "frames", "scene", "render metrics data synthetic initialise", "train",
+        "close_codes errors arrays files runtime",
+        "camera", "frames", "scene", "render metrics data synthetic initialise", "train",
     ),
     "core.train": (
         "config paper presets pictures kernels control", "optimise", "field", "growth motion", "keyframe residual",

@@ -8,19 +8,20 @@ from pathlib import Path
 from codec.export.ply import encode_ply
 from codec.export.spz import encode_spz
 from core.errors import InputError
+from core.files import write_bytes
 from core.scene.gaussians import GaussianCloud
 
 FORMATS = ("ply", "spz")
 
 
 def write_snapshot(path: Path, cloud: GaussianCloud, file_format: str, comment: str) -> int:
-    """Write `cloud` to `path` under a temporary name and rename it; returns the file's size in bytes.
+    """Write `cloud` to the file `path`; returns its size in bytes.
 
     Args:
         file_format: "ply" or "spz"; SPZ has no room for the comment.
 
     Raises:
-        InputError: unknown format, or positions that the format cannot hold.
+        InputError: unknown format, positions that the format cannot hold, or a place that cannot be written.
     """
     encoders: dict[str, Callable[[], bytes]] = {
         "ply": lambda: encode_ply(cloud, comment),
@@ -32,10 +33,5 @@ def write_snapshot(path: Path, cloud: GaussianCloud, file_format: str, comment: 
         data = encoders[file_format]()
     except ValueError as error:
         raise InputError(path, str(error)) from error
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_bytes(path, data)
     return len(data)

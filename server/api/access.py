@@ -12,11 +12,11 @@ from fastapi import Depends, Request
 from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocket
 
+from core.close_codes import CloseCode
 from core.errors import SessionError
 from server.auth.gate import Gate, Grant, Right
 from server.http.problems import Problem
 from server.http.site_policy import is_own_host
-from server.protocol.messages import FORBIDDEN, NO_STREAM, STOPPING, UNAUTHORISED
 from server.registry import Registry
 from server.stream.stream import Stream
 
@@ -94,14 +94,14 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
     """
     registry = registry_of(websocket)
     if is_foreign(websocket):
-        raise SessionError(FORBIDDEN, "pages of this origin may not connect")
+        raise SessionError(CloseCode.FORBIDDEN, "pages of this origin may not connect")
     problem = await refusal(registry.gate, websocket, right, stream_id)
     if problem is not None:
-        raise SessionError(FORBIDDEN if problem.status == 403 else UNAUTHORISED, problem.detail)
+        raise SessionError(CloseCode.FORBIDDEN if problem.status == 403 else CloseCode.UNAUTHORISED, problem.detail)
     if registry.draining:
-        raise SessionError(STOPPING, "the server is stopping; connect again")
+        raise SessionError(CloseCode.STOPPING, "the server is stopping; connect again")
     if stream_id not in registry.streams:
-        raise SessionError(NO_STREAM, "there is no such stream")
+        raise SessionError(CloseCode.NO_STREAM, "there is no such stream")
     return registry.streams[stream_id]
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from codec.splice import size_of, splice
+from codec.container import size_of, splice
 from core.errors import StreamlodError
 from server.api.access import StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond

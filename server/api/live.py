@@ -11,22 +11,12 @@ from fastapi import APIRouter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
 
+from core.close_codes import CloseCode
 from core.errors import SessionError
 from server.api.access import address_of, admit, registry_of, until_withdrawn
 from server.auth.gate import Right
 from server.http.websocket import CONNECTION, Connection
-from server.protocol.messages import (
-    BAD_MESSAGE,
-    BAD_VERSION,
-    BUSY,
-    FAULT,
-    HELLO_TIMEOUT,
-    NO_STREAM,
-    SUBPROTOCOL,
-    Hello,
-    parse_control,
-    parse_hello,
-)
+from server.protocol.messages import SUBPROTOCOL, Hello, parse_control, parse_hello
 from server.protocol.packets import text_frame
 from server.registry import Registry
 from server.viewer.session import ViewerSession
@@ -79,21 +69,21 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
                      address_of(websocket), limit)  # fmt: skip
         if (stream := registry.streams.get(stream_id)) is not None:
             stream.counters.stuck += 1
-        registry.turned_away[str(BUSY)] += 1
+        registry.turned_away[str(CloseCode.BUSY)] += 1
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.5):
-                await _close(websocket, BUSY, f"no progress for {limit:g} s")
+                await _close(websocket, CloseCode.BUSY, f"no progress for {limit:g} s")
         transport.connection.abort()
     except _GONE:
         return
     except Exception:
         _LOG.exception("stream %s: a viewer's session broke", stream_id)
-        await _close(websocket, FAULT, "a fault inside the server")
+        await _close(websocket, CloseCode.FAULT, "a fault inside the server")
 
 
 async def _admit(websocket: WebSocket, registry: Registry, stream_id: str) -> None:
     if SUBPROTOCOL not in websocket.scope.get("subprotocols", []):
-        raise SessionError(BAD_VERSION, f"offer the sub-protocol {SUBPROTOCOL}")
+        raise SessionError(CloseCode.BAD_VERSION, f"offer the sub-protocol {SUBPROTOCOL}")
     await admit(websocket, Right.READ, stream_id)
     _find_room(registry, address_of(websocket))
 
@@ -101,9 +91,9 @@ async def _admit(websocket: WebSocket, registry: Registry, stream_id: str) -> No
 def _find_room(registry: Registry, address: str) -> None:
     limits = registry.settings.limits
     if len(registry.sessions) >= limits.viewers:
-        raise SessionError(BUSY, "the server is full; try again later")
+        raise SessionError(CloseCode.BUSY, "the server is full; try again later")
     if list(registry.sessions.values()).count(address) >= limits.viewers_per_address:
-        raise SessionError(BUSY, "too many viewers from this address")
+        raise SessionError(CloseCode.BUSY, "too many viewers from this address")
 
 
 async def _hello(websocket: WebSocket, seconds: float) -> Hello:
@@ -111,7 +101,7 @@ async def _hello(websocket: WebSocket, seconds: float) -> Hello:
         async with asyncio.timeout(seconds):
             return parse_hello(await _text(websocket))
     except TimeoutError:
-        raise SessionError(HELLO_TIMEOUT, f"no hello within {seconds:g} s") from None
+        raise SessionError(CloseCode.HELLO_TIMEOUT, f"no hello within {seconds:g} s") from None
 
 
 async def _text(websocket: WebSocket) -> str:
@@ -120,7 +110,7 @@ async def _text(websocket: WebSocket) -> str:
         raise WebSocketDisconnect(message.get("code", 1005))
     text = message.get("text")
     if not isinstance(text, str):
-        raise SessionError(BAD_MESSAGE, "control messages are text")
+        raise SessionError(CloseCode.BAD_MESSAGE, "control messages are text")
     return text
 
 
@@ -130,7 +120,7 @@ async def _watch(
     """Run the session and listen to the viewer, until either ends."""
     stream = registry.streams.get(stream_id)
     if stream is None:
-        raise SessionError(NO_STREAM, "there is no such stream")
+        raise SessionError(CloseCode.NO_STREAM, "there is no such stream")
     limits, address = registry.settings.limits, address_of(websocket)
     _find_room(registry, address)  # once more: many may have been let in before the first of them said hello
     if hello.pictures:

@@ -6,6 +6,7 @@ import asyncio
 
 from starlette.websockets import WebSocket
 
+from core.close_codes import CloseCode
 from core.errors import InputError, SessionError
 from server.api.access import admit, until_withdrawn
 from server.auth.gate import Right
@@ -13,7 +14,6 @@ from server.http.websocket import CONNECTION, Connection
 from server.ingest.push.message import MAX_MESSAGE_BYTES
 from server.ingest.push.relay import RelayedIntake
 from server.ingest.push.router import push_router
-from server.protocol.messages import BUSY, FORBIDDEN
 
 
 async def open_intake(websocket: WebSocket, stream_id: str) -> RelayedIntake:
@@ -24,11 +24,11 @@ async def open_intake(websocket: WebSocket, stream_id: str) -> RelayedIntake:
     """
     stream = await admit(websocket, Right.PUBLISH, stream_id)
     if stream.push_socket is None:
-        raise SessionError(FORBIDDEN, "this stream takes no pictures: it is not made from live cameras")
+        raise SessionError(CloseCode.FORBIDDEN, "this stream takes no pictures: it is not made from live cameras")
     try:
         intake = await asyncio.to_thread(RelayedIntake, stream.push_socket)
     except InputError as error:
-        raise SessionError(BUSY, "the stream takes no pictures at present; try again later") from error
+        raise SessionError(CloseCode.BUSY, "the stream takes no pictures at present; try again later") from error
     connection: Connection = websocket.scope[CONNECTION]
     connection.allow_messages_of(MAX_MESSAGE_BYTES)
     return intake

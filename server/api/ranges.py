@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
-from codec.splice import FilePart, Piece, size_of
+from codec.container import FilePart, Piece, size_of
 from server.api.access import registry_of
 from server.http.problems import Problem
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from core.errors import BackendUnavailable, InputError, StreamlodError
+from core.files import write_text
 from server.pipeline.trace import chrome_trace
 
 if TYPE_CHECKING:
@@ -97,9 +98,10 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
         train_clip(opened, out, on_frame, on_progress)
     sidecar = json.loads(out.with_name(out.name + ".json").read_text(encoding="utf-8"))
     if figures is not None:
-        _write_json(figures, sidecar)
+        write_text(figures, json.dumps(sidecar, indent=1) + "\n")
     if trace is not None:
-        _write_json(trace, chrome_trace((frame.version, frame.spans) for frame in encoded))
+        spans = chrome_trace((frame.version, frame.spans) for frame in encoded)
+        write_text(trace, json.dumps(spans, indent=1) + "\n")
     first_frame, later_frames = sidecar.get("first_frame_seconds"), sidecar.get("train_seconds")
     spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
     spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""
@@ -199,17 +201,6 @@ def check_outputs(*paths: Path | None) -> None:
             raise InputError(path, "is a folder; name a file")
         if not os.access(path.parent, os.W_OK):
             raise InputError(path, "cannot be written (no permission for the folder)")
-
-
-def _write_json(path: Path, value: Any) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(path, f"cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _set(bar: tqdm[Any], value: float) -> None:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from core.errors import InputError
+from core.files import write_bytes
 
 _LOG = logging.getLogger(__name__)
 _POLL_SECONDS = 0.5
@@ -236,10 +237,8 @@ def _wait(base: str, what: str, done: Callable[[dict[str, Any]], bool]) -> dict[
 
 
 def _download(url: str, path: Path) -> None:
-    temporary = path.with_name(path.name + ".part")
     with urllib.request.urlopen(url, timeout=60) as answer:
-        temporary.write_bytes(answer.read())
-    temporary.replace(path)
+        write_bytes(path, answer.read())
 
 
 def _sleep_until_interrupted() -> None:

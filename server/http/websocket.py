@@ -17,11 +17,11 @@ from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
 
+from core.close_codes import CloseCode
 from server.http.stall_watch import StallWatch
 from server.settings import Limits
 
 _MOST_FRAGMENTS = 1024  # of a message; empty ones would cost memory without end
-_POLICY = 1008  # RFC 6455 section 7.4.1
 _TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 CONNECTION = "streamlod.connection"  # where an endpoint finds its connection in the ASGI scope
 
@@ -83,7 +83,7 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
         if len(self.frames) < _MOST_FRAGMENTS:
             super().handle_cont(event)
         elif not self.close_sent:
-            self.conn.send_close(_POLICY, f"more than {_MOST_FRAGMENTS} parts in a message")
+            self.conn.send_close(CloseCode.POLICY, f"more than {_MOST_FRAGMENTS} parts in a message")
             self.handle_parser_exception()
 
     def handle_ping(self) -> None:

@@ -24,6 +24,7 @@ from codec.refresh import RefreshRule, RefreshSchedule
 from core.camera import Camera
 from core.data import Dataset, linspace_split, open_dataset, prefetch
 from core.errors import InputError
+from core.files import write_text
 from core.frames import FrameSet
 from core.initialise import first_points
 from core.scene.anchors import Scene
@@ -205,10 +206,7 @@ def train_clip(
         "job": {name: str(value) for name, value in opened.job.to_json().items()},
         "per_frame": reports,
     }
-    sidecar = out.with_name(out.name + ".json")
-    temporary = sidecar.with_name(sidecar.name + ".part")
-    temporary.write_text(json.dumps(figures, indent=1))
-    temporary.replace(sidecar)
+    write_text(out.with_name(out.name + ".json"), json.dumps(figures, indent=1))
 
 
 class _Training:

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from core.close_codes import CloseCode
 from core.errors import SessionError
 from server.protocol.packets import Position
 from server.protocol.thin_messages import Pick, Shown, ViewMessage, parse_view_message
@@ -16,10 +17,6 @@ SUBPROTOCOL = "streamlod.v1"
 PROTOCOL_VERSION = 1
 LIVE = "live"
 ACK_EVERY = 32  # packets
-
-BAD_MESSAGE, UNAUTHORISED, FORBIDDEN, NO_STREAM = 4400, 4401, 4403, 4404
-HELLO_TIMEOUT, BAD_VERSION, FLOOD = 4408, 4415, 4429
-DONE, STOPPING, FAULT, BUSY = 1000, 1001, 1011, 1013
 
 _MOST = 2**53  # integers that every JSON reader keeps
 
@@ -83,15 +80,15 @@ def parse_hello(text: str) -> Hello:
     """
     message = _object(text)
     if message.get("type") != "hello":
-        raise SessionError(BAD_MESSAGE, "the first message must be a hello")
+        raise SessionError(CloseCode.BAD_MESSAGE, "the first message must be a hello")
     versions = message.get("versions")
     if not isinstance(versions, list) or len(versions) > 64:
-        raise SessionError(BAD_MESSAGE, "hello needs a list of versions")
+        raise SessionError(CloseCode.BAD_MESSAGE, "hello needs a list of versions")
     if PROTOCOL_VERSION not in [v for v in versions if type(v) is int]:
-        raise SessionError(BAD_VERSION, f"this server speaks version {PROTOCOL_VERSION}")
+        raise SessionError(CloseCode.BAD_VERSION, f"this server speaks version {PROTOCOL_VERSION}")
     client = message.get("client", "")
     if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # it is logged
-        raise SessionError(BAD_MESSAGE, "client must be a string of at most 200 printable characters")
+        raise SessionError(CloseCode.BAD_MESSAGE, "client must be a string of at most 200 printable characters")
     start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
     return Hello(client, start, _levels(message), _rate(message), pictures)
 
@@ -117,7 +114,7 @@ def parse_control(text: str) -> Control:
             return Play()
         case "ack" | "view" | "pick":
             return parse_view_message(message)
-    raise SessionError(BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play, view, pick")
+    raise SessionError(CloseCode.BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play, view, pick")
 
 
 def welcome(stream: dict[str, Any], window: dict[str, Any] | None, session: str) -> dict[str, Any]:
@@ -139,9 +136,9 @@ def _object(text: str) -> dict[str, Any]:
     try:
         message = _READER.decode(text)
     except (ValueError, RecursionError) as error:
-        raise SessionError(BAD_MESSAGE, "message is not JSON") from error
+        raise SessionError(CloseCode.BAD_MESSAGE, "message is not JSON") from error
     if not isinstance(message, dict):
-        raise SessionError(BAD_MESSAGE, "message is not a JSON object")
+        raise SessionError(CloseCode.BAD_MESSAGE, "message is not a JSON object")
     return message
 
 
@@ -154,14 +151,14 @@ _READER = json.JSONDecoder(parse_constant=_refuse_constant)
 
 def _integer(value: object, name: str) -> int:
     if type(value) is not int or not 0 <= value <= _MOST:
-        raise SessionError(BAD_MESSAGE, f"{name} must be an integer of at least 0")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer of at least 0")
     return value
 
 
 def _flag(message: dict[str, Any], name: str) -> bool:
     value = message.get(name, False)
     if not isinstance(value, bool):
-        raise SessionError(BAD_MESSAGE, f"{name} must be true or false")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be true or false")
     return value
 
 
@@ -169,7 +166,7 @@ def _target(value: object, name: str) -> Position | None:
     if value == LIVE:
         return None
     if not isinstance(value, dict):
-        raise SessionError(BAD_MESSAGE, f'{name} must be "live" or a position')
+        raise SessionError(CloseCode.BAD_MESSAGE, f'{name} must be "live" or a position')
     return Position(_integer(value.get("epoch"), "epoch"), _integer(value.get("version"), "version"))
 
 
@@ -178,7 +175,7 @@ def _levels(message: dict[str, Any]) -> int | None:
     if value is None:
         return None
     if type(value) is not int or not 1 <= value <= 64:
-        raise SessionError(BAD_MESSAGE, "levels must be an integer from 1 to 64")
+        raise SessionError(CloseCode.BAD_MESSAGE, "levels must be an integer from 1 to 64")
     return value
 
 
@@ -187,5 +184,5 @@ def _rate(message: dict[str, Any]) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1 <= value <= 1e9 or math.isnan(value):
-        raise SessionError(BAD_MESSAGE, "kilobytes_per_second must be a number from 1 to 1e9")
+        raise SessionError(CloseCode.BAD_MESSAGE, "kilobytes_per_second must be a number from 1 to 1e9")
     return float(value)

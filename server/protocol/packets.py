@@ -177,22 +177,10 @@ class PacketWindow:
         while self.size_bytes > self._limit and self._drop_oldest_group():
             pass
 
-    def trim(self, before: Position) -> None:
-        """Drop whole groups that end before `before`; the newest group stays."""
-        while (end := self._group_end()) is not None and self._packets[end].position <= before:
-            self._drop_oldest_group()
-
     def after(self, sequence: int) -> StreamPacket | None:
         """The packet that comes next after packet `sequence`, if both ends of that step are still here."""
         index = self._index(sequence) + 1
         return self._packets[index] if 0 <= index < len(self._packets) else None
-
-    def bytes_after(self, sequence: int) -> int:
-        """Bytes of all packets after packet `sequence`."""
-        if not self._packets:
-            return 0
-        index = max(self._index(sequence), -1)
-        return self._ends[-1] - (self._ends[index] if index >= 0 else self._dropped_bytes)
 
     def read(self, first: Position, last: Position) -> list[StreamPacket]:
         """Packets of positions `first` to `last`, both included."""

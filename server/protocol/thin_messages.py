@@ -13,9 +13,8 @@ import numpy as np
 
 from core.arrays import Float64
 from core.camera import Camera, pinhole
+from core.close_codes import CloseCode
 from core.errors import InputError, SessionError
-
-BAD_MESSAGE = 4400  # close code of docs/protocol.md
 
 _LARGEST_SIDE = 8192  # pixels
 _FARTHEST = 1e9  # world units
@@ -64,14 +63,14 @@ def _view(message: dict[str, Any]) -> ViewMessage:
     size = _side(message.get("width"), "width"), _side(message.get("height"), "height")
     focal, principal = _numbers(message, "focal", 2, 1e6), _numbers(message, "principal", 2, 1e6)
     if not all(_FOCAL[0] <= value / max(size) <= _FOCAL[1] for value in focal):
-        raise SessionError(BAD_MESSAGE, f"focal must be {_FOCAL[0]:g} to {_FOCAL[1]:g} times the longer side")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"focal must be {_FOCAL[0]:g} to {_FOCAL[1]:g} times the longer side")
     rotation = np.array(_numbers(message, "rotation", 9, 1.01)).reshape(3, 3)
     position = np.array(_numbers(message, "position", 3, _FARTHEST))
     pose = np.concatenate([rotation, -rotation @ position[:, None]], axis=1)
     try:
         return ViewMessage(pinhole("viewer", (focal[0], focal[1]), (principal[0], principal[1]), size, pose))
     except InputError as error:
-        raise SessionError(BAD_MESSAGE, error.fault) from error
+        raise SessionError(CloseCode.BAD_MESSAGE, error.fault) from error
 
 
 def _pick(message: dict[str, Any]) -> Pick:
@@ -79,28 +78,28 @@ def _pick(message: dict[str, Any]) -> Pick:
     direction = np.array(_numbers(message, "direction", 3, 2.0))
     length = float(np.linalg.norm(direction))
     if length < 1e-3:
-        raise SessionError(BAD_MESSAGE, "direction must not be zero")
+        raise SessionError(CloseCode.BAD_MESSAGE, "direction must not be zero")
     return Pick(_whole(message.get("id"), "id"), origin, direction / length)
 
 
 def _numbers(message: dict[str, Any], name: str, count: int, largest: float) -> list[float]:
     values = message.get(name)
     if not isinstance(values, list) or len(values) != count:
-        raise SessionError(BAD_MESSAGE, f"{name} must be a list of {count} numbers")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be a list of {count} numbers")
     for value in values:
         good = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not good or not abs(value) <= largest or math.isnan(value):
-            raise SessionError(BAD_MESSAGE, f"{name} must hold numbers of at most {largest:g}")
+            raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must hold numbers of at most {largest:g}")
     return [float(value) for value in values]
 
 
 def _side(value: object, name: str) -> int:
     if type(value) is not int or not 1 <= value <= _LARGEST_SIDE:
-        raise SessionError(BAD_MESSAGE, f"{name} must be an integer from 1 to {_LARGEST_SIDE}")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer from 1 to {_LARGEST_SIDE}")
     return value
 
 
 def _whole(value: object, name: str) -> int:
     if type(value) is not int or not 0 <= value <= _MOST:
-        raise SessionError(BAD_MESSAGE, f"{name} must be an integer of at least 0")
+        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer of at least 0")
     return value

@@ -1,36 +1,20 @@
-"""The interface between the producer of packets and their consumers. A network could lie behind it.
+"""The packets of one stream, from the newest back to the oldest that is retained: in memory, and on disk before that.
 
-`LocalBus` is the implementation for one machine: a window in memory in front of the recording on disk.
+This is where a network would come between a worker and several servers: a bus that spans machines has to offer what
+`Bus` does and nothing more: publish a packet, read a range of positions, and say what is retained. Viewers at the
+live edge do not subscribe here; the hub of their server writes to them.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from typing import Protocol
 
 from codec.container import SlodReader
 from server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
 from server.stream.store import Recording, Segment
 
 
-class Bus(Protocol):
-    """Packets of one stream."""
-
-    def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
-        """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""
-
-    def subscribe(self, after: int) -> AsyncIterator[StreamPacket]:
-        """Packets numbered above `after` as they come; one that left the window before it was taken is skipped."""
-
-    async def read(self, first: Position, last: Position) -> list[StreamPacket]:
-        """Packets of positions `first` to `last`, as far as they are retained, in order."""
-
-    async def trim(self, before: Position) -> None:
-        """Forget whole groups of pictures that end before `before`."""
-
-
-class LocalBus:
+class Bus:
     """A bus inside one process.
 
     Args:
@@ -41,39 +25,20 @@ class LocalBus:
     def __init__(self, memory_bytes: int, recording: Recording | None = None) -> None:
         self.window = PacketWindow(memory_bytes)
         self.recording = recording
-        self._published = asyncio.Event()
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
+        """Add the newest packet; never waits. What is not to be recorded is lost when memory forgets it."""
         self.window.append(packet.without_frames())
         if self.recording is not None and record:
             self.recording.append(packet)
-        self._published.set()
-        self._published = asyncio.Event()
-
-    async def subscribe(self, after: int) -> AsyncIterator[StreamPacket]:
-        while True:
-            published = self._published
-            packet = self.window.after(after)
-            oldest = self.window.oldest
-            if packet is None and oldest is not None and oldest.sequence > after:
-                packet = oldest
-            if packet is None:
-                await published.wait()
-                continue
-            after = packet.sequence
-            yield packet
 
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:
+        """Packets of positions `first` to `last`, as far as they are retained, in order."""
         oldest = self.window.oldest
         if self.recording is None or (oldest is not None and first >= oldest.position):
             return self.window.read(first, last)
         segments = [s for s in self.recording.segments if s.first <= last and s.last >= first]
         return await asyncio.to_thread(_read_segments, segments, first, last)
-
-    async def trim(self, before: Position) -> None:
-        self.window.trim(before)
-        if self.recording is not None:
-            await self.recording.trim(before)
 
     @property
     def oldest(self) -> Position | None:

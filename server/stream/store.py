@@ -162,10 +162,6 @@ class Recording:
         """Finish the open segment."""
         await self._store.run(self.finish)
 
-    async def trim(self, before: Position) -> None:
-        """Delete closed segments that end before `before`."""
-        await self._store.run(lambda: self._delete([s for s in self.segments if s.closed and s.last < before]))
-
     async def erase(self) -> None:
         """Delete everything."""
 

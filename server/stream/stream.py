@@ -15,7 +15,7 @@ from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
 from server.protocol.packets import Position, stream_packet, text_frame
 from server.settings import Settings
-from server.stream.bus import LocalBus
+from server.stream.bus import Bus
 from server.stream.counters import Counters
 from server.stream.hub import Hub
 from server.stream.store import Recording
@@ -45,7 +45,7 @@ class Stream:
         push_socket: Path | None = None,
     ) -> None:
         self.spec, self._settings, self.push_socket = spec, settings, push_socket
-        self.bus = LocalBus(settings.retention.memory_bytes, recording)
+        self.bus = Bus(settings.retention.memory_bytes, recording)
         self.counters = Counters()
         self.hub = Hub(_HUB_BYTES, self.counters)
         self.viewers = self.thin_viewers = 0

@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from core.close_codes import CloseCode
 from core.errors import SessionError
-from server.protocol.messages import BUSY
 from server.protocol.packets import Position, StreamPacket, payload_bytes
 from server.settings import Limits
 from server.stream.broadcast import Receiver
@@ -124,7 +124,7 @@ class Delivery:
         if not self.is_full:
             return False
         if self._acked_at is not None and now - self._acked_at > self._limits.stuck_seconds:
-            raise SessionError(BUSY, f"nothing was acknowledged for {self._limits.stuck_seconds:g} s")
+            raise SessionError(CloseCode.BUSY, f"nothing was acknowledged for {self._limits.stuck_seconds:g} s")
         return True
 
     async def frame(self, frame: bytes, packet: StreamPacket | None = None) -> None:

@@ -6,7 +6,7 @@ import time
 from collections import deque
 
 from server.protocol.packets import Position, StreamPacket, binary_frame
-from server.stream.bus import LocalBus
+from server.stream.bus import Bus
 from server.viewer.delivery import Delivery
 from server.viewer.pacing import LevelControl
 
@@ -26,7 +26,7 @@ class Replay:
         is_over: whether nothing more is retained.
     """
 
-    def __init__(self, bus: LocalBus, delivery: Delivery, levels: LevelControl) -> None:
+    def __init__(self, bus: Bus, delivery: Delivery, levels: LevelControl) -> None:
         self._bus, self._delivery, self._levels = bus, delivery, levels
         self._ahead: deque[StreamPacket] = deque()
         self._clock = 0.0  # monotonic time of presentation time 0

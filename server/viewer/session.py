@@ -12,8 +12,9 @@ import logging
 import secrets
 import time
 
+from core.close_codes import CloseCode
 from core.errors import SessionError
-from server.protocol.messages import DONE, FLOOD, STOPPING, Ack, Control, Hello, Pause, Play, Seek, Set, event, welcome
+from server.protocol.messages import Ack, Control, Hello, Pause, Play, Seek, Set, event, welcome
 from server.protocol.packets import Position
 from server.settings import Limits
 from server.stream.stream import Stream
@@ -66,7 +67,7 @@ class ViewerSession:
         """
         now = time.monotonic()
         if not self._allowance.take(now):
-            raise SessionError(FLOOD, f"more than {self._allowance.per_second:g} messages a second")
+            raise SessionError(CloseCode.FLOOD, f"more than {self._allowance.per_second:g} messages a second")
         if isinstance(message, Ack):
             waiting = self._delivery.is_full
             self._delivery.acknowledge(message.received_bytes, now)
@@ -112,9 +113,9 @@ class ViewerSession:
                 while not events.empty():
                     await self._delivery.event(events.get_nowait())
                 if stream.deleted:
-                    raise SessionError(DONE, "the stream was deleted")
+                    raise SessionError(CloseCode.DONE, "the stream was deleted")
                 if self.draining:
-                    raise SessionError(STOPPING, "the server is stopping; connect again")
+                    raise SessionError(CloseCode.STOPPING, "the server is stopping; connect again")
                 if not await self._step():
                     await self._idle()
         finally:

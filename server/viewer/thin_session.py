@@ -18,10 +18,11 @@ import numpy as np
 
 from codec.decoder import SceneDecoder
 from core.camera import Camera, pinhole
+from core.close_codes import CloseCode
 from core.errors import SessionError
 from core.render.splatter import Splatter
 from core.scene.anchors import Scene
-from server.protocol.messages import BUSY, FORBIDDEN, Control, Hello, Pause, Play, Seek, event
+from server.protocol.messages import Control, Hello, Pause, Play, Seek, event
 from server.protocol.packets import Position, binary_frame
 from server.protocol.thin_messages import Pick, Shown, ViewMessage
 from server.settings import Limits
@@ -113,8 +114,9 @@ class ThinSession(ViewerSession):
         if self._renderer.is_full:
             self._stream.counters.thin_refused += 1
             if self._renderer.seats == 0:
-                raise SessionError(FORBIDDEN, "this server draws no pictures")
-            raise SessionError(BUSY, f"the server draws for {self._renderer.seats} viewers already; try again later")
+                raise SessionError(CloseCode.FORBIDDEN, "this server draws no pictures")
+            fault = f"the server draws for {self._renderer.seats} viewers already; try again later"
+            raise SessionError(CloseCode.BUSY, fault)
         tasks: list[asyncio.Task[None]] = []
         with self._renderer.seat():
             self._stream.thin_viewers += 1
@@ -205,7 +207,7 @@ class ThinSession(ViewerSession):
                     await self._changed.wait()
                 return
         self._stream.counters.stuck += 1
-        raise SessionError(BUSY, f"no picture was acknowledged for {limit:g} s")
+        raise SessionError(CloseCode.BUSY, f"no picture was acknowledged for {limit:g} s")
 
     async def _introduce(self, scene: Scene) -> None:
         """Send a scene event for each new scene."""

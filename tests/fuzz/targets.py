@@ -139,7 +139,7 @@ def container(data: bytes) -> None:
                     with suppress(BitstreamError):
                         SceneDecoder(LIMITS).push(content)
                 with suppress(InputError):
-                    reader.plan(reader.version_at(1 << 40))
+                    reader.plan(max((entry.to_version for entry in reader.entries), default=0))
         except BitstreamError:
             pass
 

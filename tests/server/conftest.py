@@ -25,6 +25,7 @@ from core.scene.anchors import Scene
 from core.scene.residual import difference
 from server.app import create_app
 from server.pipeline.spec import StreamSpec
+from server.protocol.packets import PacketWindow, Position
 from server.registry import Registry
 from server.run import Server, server_config
 from server.settings import Settings
@@ -60,6 +61,15 @@ def make_clip(path: Path, frames: int, counts: tuple[int, ...] = (10, 40, 120), 
         for packet in packets:
             writer.append(packet)
     return Clip(path, states, packets)
+
+
+def kept_from(window: PacketWindow, first: Position) -> PacketWindow:
+    """The same window after memory has forgotten the groups of pictures before `first`."""
+    kept = PacketWindow(10**9)
+    for group in window.groups():
+        for packet in group if group[-1].position >= first else ():
+            kept.append(packet)
+    return kept
 
 
 def _as_keyframe(scene: Scene, version: int) -> Scene:

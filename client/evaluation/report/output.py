@@ -10,6 +10,7 @@ import numpy as np
 
 from core.arrays import UInt8
 from core.errors import InputError
+from core.files import write_text
 
 
 def result_folder(path: Path) -> Path:
@@ -21,26 +22,9 @@ def result_folder(path: Path) -> Path:
     return path
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write through a temporary name."""
-    write_bytes(path, text.encode("utf-8"))
-
-
 def write_json(path: Path, value: Any) -> None:
     """Strict JSON: a number that is not finite is a fault of ours."""
     write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write through a temporary name; InputError where that fails."""
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(path, f"cannot be written ({error.strerror})") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def side_by_side(truth: UInt8, drawn: UInt8) -> UInt8:

@@ -39,7 +39,7 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  */
 
 /** Close codes after which another attempt cannot help. @type {Record<number, Phase>} */
-const FINAL = { 1000: "deleted", 1009: "failed", 4400: "failed", 4401: "denied", 4403: "denied", 4404: "missing", 4415: "version" };
+const FINAL = { 1000: "deleted", 1008: "failed", 1009: "failed", 4400: "failed", 4401: "denied", 4403: "denied", 4404: "missing", 4415: "version" };
 
 export class Session {
   /** @param {number} now - ms */

@@ -17,12 +17,11 @@ from typing import Any
 
 import msgpack
 
+from core.close_codes import CloseCode
 from core.errors import SessionError
-from server.protocol.messages import BAD_MESSAGE
 
 PUSH_SUBPROTOCOL = "streamlod.push.v1"
 MAX_MESSAGE_BYTES = 16 << 20
-_TOO_BIG = 1009  # RFC 6455 section 7.4.1
 _MAX_HEADER_BYTES = 512
 _FIELDS = {"camera", "sequence", "capture_ns", "codec"}
 _MOST_NUMBER, _MOST_TIME = 2**53, 2**62
@@ -54,33 +53,35 @@ def parse_push(message: bytes) -> PushMessage:
         SessionError: longer than 16 MiB, or not of the form described in the module.
     """
     if len(message) > MAX_MESSAGE_BYTES:
-        raise SessionError(_TOO_BIG, f"a picture may have {MAX_MESSAGE_BYTES} bytes at most")
+        raise SessionError(CloseCode.TOO_BIG, f"a picture may have {MAX_MESSAGE_BYTES} bytes at most")
     if len(message) < 2:
-        raise SessionError(BAD_MESSAGE, "the message ends before its header")
+        raise SessionError(CloseCode.BAD_MESSAGE, "the message ends before its header")
     (length,) = struct.unpack_from(">H", message)
     if not 1 <= length <= _MAX_HEADER_BYTES or 2 + length >= len(message):
-        raise SessionError(BAD_MESSAGE, f"a header has 1 to {_MAX_HEADER_BYTES} bytes, and a picture follows it")
+        raise SessionError(
+            CloseCode.BAD_MESSAGE, f"a header has 1 to {_MAX_HEADER_BYTES} bytes, and a picture follows it"
+        )
     try:
         fields = msgpack.unpackb(
             message[2 : 2 + length], max_str_len=128, max_map_len=8, max_array_len=0, max_bin_len=0, max_ext_len=0
         )
     except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
-        raise SessionError(BAD_MESSAGE, "the header is not a msgpack map") from error
+        raise SessionError(CloseCode.BAD_MESSAGE, "the header is not a msgpack map") from error
     return _checked(fields, message[2 + length :])
 
 
 def _checked(fields: Any, body: bytes) -> PushMessage:
     if not isinstance(fields, dict) or set(fields) != _FIELDS:
-        raise SessionError(BAD_MESSAGE, "a header holds camera, sequence, capture_ns and codec")
+        raise SessionError(CloseCode.BAD_MESSAGE, "a header holds camera, sequence, capture_ns and codec")
     camera, sequence, capture, codec = (fields[name] for name in ("camera", "sequence", "capture_ns", "codec"))
     if not isinstance(camera, str):
-        raise SessionError(BAD_MESSAGE, "camera must be a name")
+        raise SessionError(CloseCode.BAD_MESSAGE, "camera must be a name")
     if not _is_number(sequence, _MOST_NUMBER):
-        raise SessionError(BAD_MESSAGE, "sequence must be a number from 0 to 2^53")
+        raise SessionError(CloseCode.BAD_MESSAGE, "sequence must be a number from 0 to 2^53")
     if capture is not None and not _is_number(capture, _MOST_TIME):
-        raise SessionError(BAD_MESSAGE, "capture_ns must be null or nanoseconds since 1970")
+        raise SessionError(CloseCode.BAD_MESSAGE, "capture_ns must be null or nanoseconds since 1970")
     if codec not in set(Codec):
-        raise SessionError(BAD_MESSAGE, "codec must be jpeg, png or h264")
+        raise SessionError(CloseCode.BAD_MESSAGE, "codec must be jpeg, png or h264")
     return PushMessage(camera, sequence, capture, Codec(codec), body)
 
 

@@ -14,6 +14,7 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
+from core.close_codes import REFUSALS
 from core.errors import InputError, StreamlodError
 from server.ingest.push.capture import CaptureCamera, Taken
 from server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, PushMessage, pack_push
@@ -23,7 +24,6 @@ _ON_THEIR_WAY = 4  # pictures not acknowledged yet; a further one is dropped, as
 _START_SECONDS = 0.5  # until all cameras are open
 _FIRST_DELAY, _LONGEST_DELAY = 0.25, 5.0  # seconds between attempts to connect
 _ANSWER_SECONDS = 10.0
-_REFUSALS = range(4400, 4500)  # close codes that another attempt does not change
 
 
 @dataclass(slots=True)
@@ -96,7 +96,7 @@ class _Node:
             self._break(error)
 
     def _break(self, error: Exception) -> None:
-        if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in _REFUSALS:
+        if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in REFUSALS:
             raise InputError(self.url, f"refuses camera {self.camera.name}: {error.rcvd.reason}") from error
         reason = _reason(error)
         if reason != self._told:

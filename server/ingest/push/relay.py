@@ -14,9 +14,9 @@ from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from core.close_codes import CloseCode
 from core.errors import InputError, SessionError
 from server.ingest.push.message import MAX_MESSAGE_BYTES, PushMessage, pack_push, parse_push
-from server.protocol.messages import BUSY
 
 if TYPE_CHECKING:
     from server.ingest.push.intake import Intake
@@ -53,7 +53,7 @@ class RelayedIntake:
             self._pipe.send_bytes(pack_push(message))
             answer = self._pipe.recv_bytes(_LONGEST_ANSWER)
         except (OSError, EOFError) as error:
-            raise SessionError(BUSY, "the stream takes no pictures at present; try again later") from error
+            raise SessionError(CloseCode.BUSY, "the stream takes no pictures at present; try again later") from error
         if answer:
             raise InputError(f"camera {message.camera}", answer.decode(errors="replace"))
 

@@ -14,9 +14,9 @@ from fastapi import APIRouter
 from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from core.close_codes import CloseCode
 from core.errors import InputError, SessionError
 from server.ingest.push.message import PUSH_SUBPROTOCOL, PushMessage, parse_push
-from server.protocol.messages import BAD_MESSAGE, BAD_VERSION, BUSY, FAULT
 
 _LOG = logging.getLogger(__name__)
 _LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5
@@ -59,7 +59,7 @@ def push_router(
         try:
             try:
                 if PUSH_SUBPROTOCOL not in offers:
-                    raise SessionError(BAD_VERSION, f"offer the sub-protocol {PUSH_SUBPROTOCOL}")
+                    raise SessionError(CloseCode.BAD_VERSION, f"offer the sub-protocol {PUSH_SUBPROTOCOL}")
                 intake = await open_intake(websocket, stream_id)
             finally:  # also to be refused: close codes and reasons need a connection
                 await websocket.accept(PUSH_SUBPROTOCOL if PUSH_SUBPROTOCOL in offers else None)
@@ -70,7 +70,7 @@ def push_router(
             return
         except Exception:
             _LOG.exception("stream %s: a capture node's session broke", stream_id)
-            await _close(websocket, FAULT, "a fault inside the server")
+            await _close(websocket, CloseCode.FAULT, "a fault inside the server")
 
     return router
 
@@ -99,7 +99,7 @@ async def _take(websocket: WebSocket, intake: AnyIntake, silence_seconds: float)
                 return
             data = received.get("bytes")
             if not isinstance(data, bytes):
-                raise SessionError(BAD_MESSAGE, "pictures are binary messages")
+                raise SessionError(CloseCode.BAD_MESSAGE, "pictures are binary messages")
             message = parse_push(data)
             answer = {"type": "ack", "camera": message.camera, "sequence": message.sequence}
             try:
@@ -117,7 +117,9 @@ async def _receive(websocket: WebSocket, silence_seconds: float) -> Message:
         async with asyncio.timeout(silence_seconds):
             return await websocket.receive()
     except TimeoutError:
-        raise SessionError(BUSY, f"no picture for {silence_seconds:g} s; connect again to send some") from None
+        raise SessionError(
+            CloseCode.BUSY, f"no picture for {silence_seconds:g} s; connect again to send some"
+        ) from None
 
 
 async def _close(websocket: WebSocket, code: int, reason: str) -> None:

@@ -19,7 +19,7 @@ from server.auth.gate import hash_token
 from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Settings, load_settings
 from tests.codec.scenes import assert_same_state
-from tests.server.conftest import Clip, Running, running, viewing
+from tests.server.conftest import Clip, Running, kept_from, running, viewing
 
 
 @pytest.fixture(scope="module")
@@ -211,7 +211,7 @@ def test_a_window_that_moved_on_is_gone_not_unknown(clip: Clip) -> None:
         bus = server.registry.streams["main"].bus
         newest = bus.window.newest
         assert newest is not None
-        bus.window.trim(newest.position)
+        bus.window = kept_from(bus.window, newest.position)
         assert client.get("/v1/streams/main/packets/1/0").status_code == 410
         assert client.get("/v1/streams/main/packets/9/0").status_code == 404
 

@@ -1,0 +1,91 @@
+"""The layout of `.slod` files: records of packets, then an index and a footer. FORMAT.md section 15."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from codec.packet.info import PacketInfo
+from codec.packet.packet import PacketKind
+
+FILE_HEAD = b"SLOD\x01\x00\x00\x00"
+SIZE = struct.Struct("<I")  # before each packet
+INDEX_MARK = 0xFFFFFFFF  # in place of a packet's size
+FOOTER = struct.Struct("<QI4s")
+FOOTER_MAGIC = b"SLIX"
+_INDEX_HEAD = struct.Struct("<II")
+_ENTRY = struct.Struct("<QIIIIQBBHI")
+_COARSE_LEVELS = 3  # levels that make the first picture
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One packet of a file.
+
+    Attributes:
+        offset: where the packet begins, bytes from the file's start.
+        size_bytes: its length.
+        kind, keyframe, from_version, to_version, time_ns, level_mask: as in the packet header.
+        coarse_bytes: chunk bytes of levels 0 to 2.
+    """
+
+    offset: int
+    size_bytes: int
+    kind: PacketKind
+    keyframe: int
+    from_version: int
+    to_version: int
+    time_ns: int
+    level_mask: int
+    coarse_bytes: int
+
+
+def entry_of(info: PacketInfo, offset: int) -> Entry:
+    """The entry of a packet that begins at `offset`."""
+    return Entry(
+        offset,
+        info.size_bytes,
+        info.kind,
+        info.keyframe,
+        info.from_version,
+        info.to_version,
+        info.time_ns,
+        info.level_mask,
+        sum(info.level_bytes[:_COARSE_LEVELS]),
+    )
+
+
+def record(packet: bytes) -> bytes:
+    """A packet with its size before it."""
+    return SIZE.pack(len(packet)) + packet
+
+
+def file_end(entries: Sequence[Entry], at: int) -> bytes:
+    """Index and footer of a file whose records end at byte `at`."""
+    index = _INDEX_HEAD.pack(INDEX_MARK, len(entries)) + b"".join(map(_pack, entries))
+    return index + FOOTER.pack(at, zlib.crc32(index), FOOTER_MAGIC)
+
+
+def entries_in(index: bytes, checksum: int) -> tuple[Entry, ...] | None:
+    """The entries of an index; None if it is damaged."""
+    if len(index) < _INDEX_HEAD.size or zlib.crc32(index) != checksum:
+        return None
+    mark, count = _INDEX_HEAD.unpack_from(index)
+    if mark != INDEX_MARK or len(index) != _INDEX_HEAD.size + _ENTRY.size * count:
+        return None
+    try:
+        return tuple(_unpack(fields) for fields in _ENTRY.iter_unpack(index[_INDEX_HEAD.size :]))
+    except ValueError:  # a kind of packet that there is not
+        return None
+
+
+def _pack(e: Entry) -> bytes:
+    versions = (e.keyframe, e.from_version, e.to_version)
+    return _ENTRY.pack(e.offset, e.size_bytes, *versions, e.time_ns, e.kind, 0, e.level_mask, e.coarse_bytes)
+
+
+def _unpack(fields: tuple[int, ...]) -> Entry:
+    offset, size, keyframe, start, end, time_ns, kind, _, mask, coarse = fields
+    return Entry(offset, size, PacketKind(kind), keyframe, start, end, time_ns, mask, coarse)

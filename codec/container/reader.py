@@ -1,0 +1,126 @@
+"""Reading `.slod` files.
+
+A file that is still being written has no index yet; one whose writer was killed lost it. Both are read by walking
+their records.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Self
+
+from codec.container.layout import FILE_HEAD, FOOTER, FOOTER_MAGIC, INDEX_MARK, SIZE, Entry, entries_in, entry_of
+from codec.packet.info import peek
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from codec.packet.packet import PacketKind
+from core.errors import BitstreamError, InputError
+
+
+class SlodReader:
+    """Reads a file, finished, live or torn.
+
+    Attributes:
+        entries: the packets, in the order in which they were written.
+        records_end: where the last complete packet ends, bytes from the file's start.
+        torn: whether bytes follow that are neither a complete packet nor an index.
+
+    Raises:
+        InputError: the file cannot be opened.
+        BitstreamError: `bad_file`, it is not a `.slod` file.
+    """
+
+    def __init__(self, path: Path | str, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
+        self._path, self._limits = Path(path), limits
+        try:
+            self._file = self._path.open("rb")
+        except OSError as error:
+            raise InputError(path, f"it cannot be opened ({error.strerror})") from error
+        try:
+            self._size = self._file.seek(0, os.SEEK_END)
+            if self._at(0, len(FILE_HEAD)) != FILE_HEAD:
+                raise BitstreamError("bad_file", f"{self._path.name} does not begin like a .slod file")
+            self.entries, self.records_end, self.torn = self._read_index() or self._walk()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def read(self, number: int) -> bytes:
+        """Packet `number`; BitstreamError `bad_file` if the file became shorter."""
+        entry = self.entries[number]
+        packet = self._at(entry.offset, entry.size_bytes)
+        if len(packet) != entry.size_bytes:
+            raise BitstreamError("bad_file", f"{self._path.name} ends inside packet {number}")
+        return packet
+
+    def packets(self) -> Iterator[bytes]:
+        """All packets in order."""
+        return (self.read(number) for number in range(len(self.entries)))
+
+    def plan(self, version: int) -> tuple[int, ...]:
+        """Numbers of the packets that, decoded in this order from nothing, show `version` at the fewest bytes.
+
+        Raises:
+            InputError: no packets of the file lead there.
+        """
+        keys = [n for n, e in enumerate(self.entries) if e.kind is PacketKind.KEY and e.to_version <= version]
+        keyframe = max((self.entries[n].keyframe for n in keys), default=-1)
+        keys = [n for n in keys if self.entries[n].keyframe == keyframe]
+        mask = 0
+        for n in keys:
+            mask |= self.entries[n].level_mask
+        best: dict[int, tuple[int, tuple[int, ...]]] = {keyframe: (0, ())}
+        edges = [n for n, e in enumerate(self.entries) if e.kind is not PacketKind.KEY and e.keyframe == keyframe]
+        for n in sorted(edges, key=lambda n: self.entries[n].to_version):
+            entry = self.entries[n]
+            if entry.from_version in best and entry.level_mask & mask == mask:
+                cost, path = best[entry.from_version]
+                candidate = (cost + entry.size_bytes, (*path, n))
+                best[entry.to_version] = min(best.get(entry.to_version, candidate), candidate)
+        if not keys or version not in best:
+            raise InputError(self._path, f"no packets lead to version {version}")
+        return (*keys, *best[version][1])
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _at(self, offset: int, count: int) -> bytes:
+        self._file.seek(offset)
+        return self._file.read(count)
+
+    def _read_index(self) -> tuple[tuple[Entry, ...], int, bool] | None:
+        """The index at the file's end; None unless it is whole and every entry lies inside the file."""
+        footer = self._at(max(0, self._size - FOOTER.size), FOOTER.size)
+        if len(footer) < FOOTER.size or footer[-4:] != FOOTER_MAGIC:
+            return None
+        at, checksum, _ = FOOTER.unpack(footer)
+        length = self._size - FOOTER.size - at
+        entries = entries_in(self._at(at, length), checksum) if at >= len(FILE_HEAD) and length > 0 else None
+        if entries is None:
+            return None
+        inside = all(e.offset + e.size_bytes <= at and e.size_bytes <= self._limits.packet_bytes for e in entries)
+        return (entries, at, False) if inside else None
+
+    def _walk(self) -> tuple[tuple[Entry, ...], int, bool]:
+        """The entries of all complete packets from the file's start."""
+        entries: list[Entry] = []
+        at = len(FILE_HEAD)
+        while True:
+            head = self._at(at, SIZE.size)
+            size = SIZE.unpack(head)[0] if len(head) == SIZE.size else INDEX_MARK
+            if size > min(self._limits.packet_bytes, self._size - at - SIZE.size):
+                return tuple(entries), at, at != self._size
+            try:
+                info = peek(self._at(at + SIZE.size, size), self._limits)
+            except BitstreamError:
+                return tuple(entries), at, True
+            entries.append(entry_of(info, at + SIZE.size))
+            at += SIZE.size + size

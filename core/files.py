@@ -1,0 +1,50 @@
+"""Files that appear whole or not at all, whenever the process, or the machine, ends.
+
+The bytes go to a temporary file in the same folder, are flushed to the disk, and only then take the name of the file,
+in one step of the file system. What is interrupted leaves the earlier file as it was.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from pathlib import Path
+
+from core.errors import InputError
+
+
+def temporary_beside(path: Path) -> Path:
+    """A name in the folder of `path` that nobody else uses, hidden, to be given to `put_in_place`."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+
+
+def put_in_place(temporary: Path, path: Path) -> None:
+    """Let a complete file, flushed to the disk first, take the name `path` and the place of what had it.
+
+    Raises:
+        OSError: it could not be flushed or renamed.
+    """
+    with temporary.open("r+b") as file:
+        os.fsync(file.fileno())
+    temporary.replace(path)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a whole file, in a folder that is there.
+
+    Raises:
+        InputError: it cannot be written; what was there before stays.
+    """
+    temporary = temporary_beside(path)
+    try:
+        temporary.write_bytes(data)
+        put_in_place(temporary, path)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole file of UTF-8 text; errors are those of `write_bytes`."""
+    write_bytes(path, text.encode())
