@@ -116,9 +116,9 @@ async def until_withdrawn(connection: HTTPConnection, right: Right, stream_id: s
         await asyncio.sleep(RECHECK_SECONDS)
         grant = await gate.admit(token)
         if grant is None:
-            raise SessionError(UNAUTHORISED, "the token has expired or was withdrawn; connect with another")
+            raise SessionError(CloseCode.UNAUTHORISED, "the token has expired or was withdrawn; connect with another")
         if not grant.allows(right, stream_id):
-            raise SessionError(FORBIDDEN, f"the token does not give the right to {right.value} here any more")
+            raise SessionError(CloseCode.FORBIDDEN, f"the token does not give the right to {right.value} here any more")
 
 
 def need(right: Right) -> Any:
