@@ -1,4 +1,4 @@
-"""Prometheus metrics, read from the registry when they are asked for; nothing is counted twice."""
+"""Prometheus metrics, collected from the registry at each scrape."""
 
 from __future__ import annotations
 

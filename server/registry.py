@@ -1,4 +1,4 @@
-"""All streams of the server, and what they share."""
+"""All streams of the server, and the parts that they share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Registry:
-    """The running server's contents.
+    """The running server's state.
 
     Args:
         settings: of the server.
@@ -86,7 +86,7 @@ class Registry:
             await store.run(lambda: store.define(name, None))
 
     async def drain(self) -> None:
-        """Tell viewers to go, wait for them, stop workers and finish recordings; once."""
+        """Disconnect viewers, stop workers and finish recordings; only the first call does anything."""
         self.draining = True
         if self._drained:
             return

@@ -1,4 +1,4 @@
-"""Running the server as a process: sockets, signals, metrics, the end."""
+"""Running the server as a process: sockets, signals, metrics, shutdown."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _OTHER_DESCRIPTORS = 512  # of files, pipes and databases
 
 
 class Server(uvicorn.Server):
-    """uvicorn, with viewers told to go before connections are closed."""
+    """uvicorn, which disconnects viewers before connections are closed."""
 
     def __init__(self, config: uvicorn.Config, registry: Registry) -> None:
         super().__init__(config)
@@ -103,18 +103,18 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
 
 
 def _is_no_cancellation(record: logging.LogRecord) -> bool:
-    """Requests that outlast the time to drain are cancelled, which uvicorn says in a line; a trace tells nothing."""
+    """False for the traces of requests that were cancelled at shutdown, of which uvicorn already logs a line."""
     return record.exc_info is None or not isinstance(record.exc_info[1], asyncio.CancelledError)
 
 
 def _bound_arenas() -> None:
-    """Let threads share glibc's heap: decoded states come and go on several, and each would keep a heap of its own."""
+    """Let threads share glibc's heap: states are decoded on several, and each would keep freed memory of its own."""
     with contextlib.suppress(OSError, AttributeError):  # not glibc
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 def _allow_descriptors(count: int) -> None:
-    """Let the process open so many sockets and files: 1024, as many systems begin with, are gone before the limits."""
+    """Let the process open so many files and sockets; the usual 1024 are used up before the server's own limits."""
     if sys.platform == "win32":
         return
     import resource

@@ -1,4 +1,4 @@
-"""Rights and errors at the HTTP edge."""
+"""Access rights and errors of HTTP requests."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from server.http.site_policy import is_own_host
 from server.registry import Registry
 from server.stream.stream import Stream
 
-_SAFE = {"GET", "HEAD"}  # a foreign page may send them, and cannot read the answer
+_SAFE = {"GET", "HEAD"}  # a foreign page may send them, but cannot read the answer
 RECHECK_SECONDS = 5.0  # between two looks at the token of a websocket
-_REFUSAL_SECONDS = 0.5  # every refusal takes so long, whatever was wrong
+_REFUSAL_SECONDS = 0.5  # every refusal takes this long, whatever the reason
 
 
 def registry_of(connection: HTTPConnection) -> Registry:

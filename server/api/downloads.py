@@ -27,7 +27,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
 }
 
 Epoch = Annotated[int, Path(ge=0, le=_BOUND, description="encoder run", examples=[1])]
-Version = Annotated[int, Path(ge=0, le=_BOUND, description="frame number", examples=[0])]
+Version = Annotated[int, Path(ge=0, le=_BOUND, description="number of the state in its epoch", examples=[0])]
 
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
 

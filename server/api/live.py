@@ -1,4 +1,4 @@
-"""The live websocket: handshake, rights, hello; then a `ViewerSession` does the rest."""
+"""The live websocket: handshake, access rights, hello; then a `ViewerSession` takes over."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ router = APIRouter()
 
 
 class _SocketTransport:
-    """A session's way out: frames made here, past the websocket library, so that viewers share them."""
+    """A session's transport: writes frames that are shared by viewers, bypassing the websocket library."""
 
     def __init__(self, websocket: WebSocket, stuck_seconds: float) -> None:
         self._stuck = stuck_seconds
@@ -117,12 +117,12 @@ async def _text(websocket: WebSocket) -> str:
 async def _watch(
     websocket: WebSocket, registry: Registry, stream_id: str, hello: Hello, transport: _SocketTransport
 ) -> None:
-    """Run the session and listen to the viewer, until either ends."""
+    """Run the session and receive the viewer's messages, until either ends."""
     stream = registry.streams.get(stream_id)
     if stream is None:
         raise SessionError(CloseCode.NO_STREAM, "there is no such stream")
     limits, address = registry.settings.limits, address_of(websocket)
-    _find_room(registry, address)  # once more: many may have been let in before the first of them said hello
+    _find_room(registry, address)  # again: many may have been admitted before the first of them said hello
     if hello.pictures:
         session: ViewerSession = ThinSession(stream, hello, transport, limits, registry.renderer)
     else:

@@ -1,4 +1,4 @@
-"""Downloads: bytes and parts of files in a row, with ranges, strong ETags and conditional requests (RFC 9110)."""
+"""Downloads joined from bytes and parts of files, with ranges, strong ETags and conditional requests (RFC 9110)."""
 
 from __future__ import annotations
 

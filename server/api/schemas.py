@@ -35,7 +35,7 @@ class PositionBody(BaseModel):
 
 
 class WindowBody(BaseModel):
-    """What can be sought."""
+    """The positions that a viewer can seek."""
 
     oldest: PositionBody
     newest: PositionBody
@@ -55,7 +55,7 @@ class StreamBody(BaseModel):
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
     detail: str = Field(description="why, where the state needs an explanation")
     epoch: int | None
-    version: int | None = Field(description="newest frame; null before the first picture")
+    version: int | None = Field(description="newest version; null before the first picture")
     fps: float | None
     levels: int | None
     anchors: int | None
@@ -63,8 +63,10 @@ class StreamBody(BaseModel):
     restarts: int = Field(description="worker restarts since the start")
     recording: str = Field(description="off, on, or what stopped it")
     progress: dict[str, Any] | None = Field(description="of the first frame's training")
-    report: dict[str, Any] | None = Field(description="figures of the newest frame")
-    ingest: dict[str, Any] | None = Field(description="how live cameras do (docs/ingest.md); null for other sources")
+    report: dict[str, Any] | None = Field(description="figures of the newest frame's training")
+    ingest: dict[str, Any] | None = Field(
+        description="figures of live cameras (docs/ingest.md); null for other sources"
+    )
     created_at: datetime
     live_path: str
 

@@ -1,4 +1,4 @@
-"""Streams as resources: list, look, create, start, stop, delete, and the manifest."""
+"""Streams as REST resources: list, read, create, start, stop, delete, and the manifest."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ async def start_stream(stream: StreamOf) -> StreamBody:
 
 @router.post("/{stream_id}/stop", status_code=202, summary="Stop", dependencies=[need(Right.CONTROL)])
 async def stop_stream(stream: StreamOf) -> StreamBody:
-    """Stop the worker; viewers stay and the past stays."""
+    """Stop the worker; viewers stay connected and the recording stays."""
     await stream.stop()
     return StreamBody.model_validate(stream.describe())
 
@@ -107,7 +107,7 @@ async def get_manifest(
     after_version: Annotated[int, Query(ge=0, le=2**32 - 1, description="than this position")] = 0,
     wait_ms: Annotated[int, Query(ge=0, le=10_000, description="wait at most so long")] = 0,
 ) -> Manifest:
-    """What can be sought and downloaded. With `after_epoch` it blocks until the live edge is later than that."""
+    """Which versions can be seen and downloaded. With `after_epoch`, waits until the live edge is later than that."""
     if after_epoch is not None and wait_ms:
         await _wait_for_later(registry_of(request), stream, Position(after_epoch, after_version), wait_ms / 1000)
     scene = stream.hub.scene

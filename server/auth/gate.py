@@ -1,4 +1,4 @@
-"""Who may do what: static tokens, stored hashed, and JSON web tokens; refusals are slow and counted."""
+"""Access rights: static tokens, stored hashed, and JSON web tokens. Refusals are slow and counted."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def hash_token(token: str) -> str:
 
 
 class Gate:
-    """Decides over requests.
+    """Decides who may do what.
 
     Args:
         settings: name the files; `reload` reads them again.
@@ -113,7 +113,7 @@ class Gate:
         if not token or len(token) > _LONGEST_TOKEN:
             return None
         offered, found = hash_token(token), None
-        for known, grant in self._grants.items():  # all of them, so that time tells nothing
+        for known, grant in self._grants.items():  # compare with all of them, so that the time taken tells nothing
             if hmac.compare_digest(known, offered):
                 found = grant
         if found is None and token.count(".") == 2:

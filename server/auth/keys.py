@@ -1,6 +1,6 @@
-"""Keys that JSON web tokens are checked with: a file, and a key set (RFC 7517) from a file or an address.
+"""The keys for checking JSON web tokens: from a file, and from a key set (RFC 7517) in a file or at an address.
 
-The key decides the algorithm, never the token: a token's header only says which key it claims.
+The key decides the algorithm, never the token: a token's header is used only to find its key.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class TokenKeys:
         address = self._settings.jwks
         if address is None or not is_address(address) or (claimed := _claimed_id(token)) is None:
             return
-        if self._holds(claimed):  # whoever comes with a known key does not wait for others' fetching
+        if self._holds(claimed):  # a token with a known key does not wait for a fetch
             return
         async with self._fetching:
             now = time.monotonic()
@@ -97,7 +97,7 @@ class TokenKeys:
                 _LOG.warning("key set %s: not fetched, the earlier keys stay: %s", address, error)
 
     def _holds(self, claimed: str) -> bool:
-        """Whether a key of that id was fetched, and lately."""
+        """Whether a key of that id was fetched recently."""
         fresh = time.monotonic() - self._fetched_at < _FRESH_SECONDS
         return fresh and any(key.id == claimed for key in self._fetched)
 
@@ -207,7 +207,7 @@ def _claimed_id(token: str) -> str | None:
 
 
 class _Stay(urllib.request.HTTPRedirectHandler):
-    """Follows no redirection, which could lead to an unprotected place."""
+    """Follows no redirection, which could lead to an address without TLS."""
 
     def redirect_request(self, *_: Any) -> None:
         return None

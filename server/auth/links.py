@@ -1,6 +1,6 @@
-"""Signed addresses of downloads: whoever has one may fetch that path, and nothing else, until it expires.
+"""Signed links: whoever has one may download that path, and nothing else, until it expires.
 
-The signature covers the path, or a folder above it, and the time; so a cache in front can check and share it.
+The signature covers the path, or a folder above it, and the time of expiry.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What the HTTP end puts up with: uvicorn's protocol with limits in time and size, which it leaves to proxies.
+"""uvicorn's HTTP protocol with limits on time and size, which uvicorn leaves to proxies.
 
-A request must arrive whole within a time, its head and its body within a size; so connections that say nothing, or one
-byte now and then, or never stop, cost little and not for long.
+A request's head and body are limited in size and must arrive within a time; so connections that send nothing, or one
+byte at a time, or without end, cost little and not for long.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from server.settings import Limits
 _ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large", "many": "503 Service Unavailable"}
 
 
-_MOST_WAITING = 128  # requests sent before earlier ones were answered; each takes a hundred times its bytes
+_MOST_WAITING = 128  # pipelined requests that are not answered yet; each takes a hundred times its bytes
 
 
 class _Crowded(Exception):
@@ -44,7 +44,7 @@ class GuardedProtocol(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         self._stalls = StallWatch(transport, self.limits.stuck_seconds, self.turned_away)
-        if len(self.connections) > 2 * self.limits.connections:  # those below get a request's answer: 503
+        if len(self.connections) > 2 * self.limits.connections:  # up to here, a request is answered with 503
             self.turned_away["many"] += 1
             transport.abort()
         else:
@@ -86,7 +86,7 @@ class GuardedProtocol(HttpToolsProtocol):
         super().resume_writing()
 
     def handle_websocket_upgrade(self) -> None:
-        if len(self.connections) >= self.limits.connections:  # which uvicorn asks for other requests only
+        if len(self.connections) >= self.limits.connections:  # uvicorn checks this for other requests only
             self._refuse("many")
             return
         self._forget_timer()

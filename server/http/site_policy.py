@@ -39,7 +39,9 @@ class SitePolicy:
             "Referrer-Policy": "no-referrer",
             "Content-Security-Policy": f"frame-ancestors {ancestors}",
         }
-        if not settings.frame_ancestors:  # for browsers that do not know the policy; it cannot name sites
+        if (
+            not settings.frame_ancestors
+        ):  # for browsers that do not know the policy above; this header cannot name sites
             self._headers["X-Frame-Options"] = "SAMEORIGIN"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -73,8 +75,8 @@ async def _refuse(scope: Scope, receive: Receive, send: Send) -> None:
 def is_own_host(header: str, settings: Settings) -> bool:
     """Whether a Host header names this server.
 
-    A page of another site can have its own name made to lead here (DNS rebinding) and would then count as this server's
-    page. Where tokens are needed that gives it nothing, and every name is answered unless `hosts` lists some.
+    Another site can make its own host name point here (DNS rebinding), and its page would then count as this server's
+    page. Where tokens are needed, that gains it nothing, so every name is answered unless `hosts` lists some.
     """
     try:
         name = urlsplit(f"//{header}").hostname or ""

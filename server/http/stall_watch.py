@@ -1,7 +1,7 @@
-"""Peers that take nothing of what is written for them: their connections are cut, whatever the endpoint does.
+"""Cuts connections whose peer reads nothing of what is written to it.
 
-A transport that is closed still waits for its buffer to empty, for good if the peer wants it so; an endpoint that
-writes waits as well. Both hold one of the connections that the server may have.
+A transport that is being closed waits for its write buffer to drain, for ever if the peer never reads; so does an
+endpoint that writes. Both occupy one of the connections that the server may have.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ STALLED = "stalled"  # the reason under which those that were cut are counted
 
 
 class StallWatch:
-    """Looks at a transport's buffer every now and then, until `end`.
+    """Checks a transport's write buffer at intervals, until `end`.
 
     Args:
         transport: what is watched.
-        seconds: between two looks; it is cut when nothing left between them, though something waited.
-        turned_away: counts those that were cut.
+        seconds: between two checks; the connection is cut when bytes were waiting and none was sent in between.
+        turned_away: counts the connections that were cut.
     """
 
     def __init__(self, transport: asyncio.Transport, seconds: float, turned_away: Counter[str]) -> None:
         self._transport, self._seconds, self._turned_away = transport, seconds, turned_away
         self._loop = asyncio.get_running_loop()
-        self._left = 0  # bytes that waited at the last look, or 0 if all have gone since
+        self._left = 0  # bytes waiting at the last check, or 0 if the buffer has drained since
         self._timer = self._loop.call_later(seconds, self._look)
 
     def emptied(self) -> None:
-        """What waited has gone, all or nearly: what waits at the next look came later."""
+        """The write buffer has drained."""
         self._left = 0
 
     def end(self) -> None:
-        """Look no more."""
+        """Stop checking."""
         self._timer.cancel()
 
     def _look(self) -> None:

@@ -1,4 +1,4 @@
-"""The viewer page as files: compressed ones where the package holds them and the browser takes them."""
+"""Serves the viewer page's files, compressed if the package holds them so and the browser accepts it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CODINGS = {"br": ".br", "gzip": ".gz"}  # content coding, suffix of its files; t
 
 
 class PageFiles(StaticFiles):
-    """A folder with index.html. Browsers keep what they got and ask whether it is still the same."""
+    """A folder with index.html. Browsers cache its files and revalidate them."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         """`path` or its compressed twin (`hatch_build.py` makes these)."""

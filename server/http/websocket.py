@@ -1,7 +1,8 @@
-"""The websocket's lower end: uvicorn's protocol with a write path for frames made once and shared by all viewers.
+"""uvicorn's websocket protocol with a write path for frames that are made once and shared by all viewers.
 
-uvicorn's own path copies every message a viewer's socket does not take at once, so a keyframe would cost its size a
-viewer. Here one `bytes` goes to every transport, and the socket's buffer is bounded so that lag shows up at once.
+uvicorn's own path copies every message that a socket does not take at once, so a keyframe would take memory for each
+viewer. Here one `bytes` object is written to every transport, and the socket's buffer is bounded, so that lag is
+noticed at once.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
     Attributes:
         limits: of the server.
         turned_away: counts peers that break the websocket protocol, by close code, and those that stall.
-        take: offered every text message before the endpoint; whether it took it.
-        blocked: called when frames cannot be written any more, for a while or for good.
+        take: called with every text message before the endpoint; returns whether it has handled it.
+        blocked: called when frames cannot be written, for a while or because the connection ended.
     """
 
     limits: ClassVar[Limits]
@@ -45,9 +46,9 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
 
     def connection_made(self, transport: BaseTransport) -> None:
         super().connection_made(transport)
-        patience = 2 * self.limits.stuck_seconds  # a session that writes finds out earlier, and says so
+        patience = 2 * self.limits.stuck_seconds  # a session that writes notices earlier, and reports it
         self._stalls = StallWatch(self.transport, patience, self.turned_away)
-        # whatever the kernel does not take at once shows up; TLS transports would always count as full at 0
+        # 0 reports every byte that the kernel does not take at once; TLS transports would then always count as full
         self.transport.set_write_buffer_limits(high=1, low=0)
         raw = transport.get_extra_info("socket")
         if raw is not None and raw.family in (socket.AF_INET, socket.AF_INET6):
@@ -139,7 +140,7 @@ def websocket_class(limits: Limits, turned_away: Counter[str]) -> type[ViewerPro
 
 
 class Connection:
-    """What a viewer session needs of its transport.
+    """A websocket as a viewer session uses it.
 
     Attributes:
         post: writes a whole websocket frame now; only while `is_clear`.
@@ -147,10 +148,12 @@ class Connection:
 
     def __init__(self, protocol: ViewerProtocol) -> None:
         self._protocol = protocol
-        self.post: Callable[[bytes], None] = protocol.transport.write  # nothing between: hundreds are called a packet
+        self.post: Callable[[bytes], None] = (
+            protocol.transport.write
+        )  # called directly, as it runs hundreds of times for each packet
 
     def listen(self, take: Callable[[bytes], bool] | None) -> None:
-        """Give text messages to `take` as they arrive, without a queue; what it does not take goes the ordinary way."""
+        """Give text messages to `take` as they arrive, without a queue; those it does not handle go to the endpoint."""
         self._protocol.take = take
 
     @property
@@ -163,7 +166,7 @@ class Connection:
         self._protocol.conn.max_message_size = size_bytes
 
     async def drain(self, stuck_seconds: float) -> None:
-        """Wait until earlier writes have gone to the kernel.
+        """Wait until the write buffer has drained.
 
         Raises:
             TimeoutError: no byte left for `stuck_seconds`.
@@ -178,12 +181,12 @@ class Connection:
                 now_left = self.unsent_bytes
                 if now_left < left:
                     since = loop.time()
-                left = now_left  # a keep-alive ping may have added to it: no progress
+                left = now_left  # more than before, because of a keep-alive ping: no progress
                 if loop.time() - since >= stuck_seconds:
                     raise
 
     async def write(self, frame: bytes, stuck_seconds: float) -> None:
-        """Write a whole websocket frame once earlier ones have drained.
+        """Write a whole websocket frame once the write buffer has drained.
 
         Raises:
             TimeoutError: no byte left for `stuck_seconds`.
@@ -196,12 +199,12 @@ class Connection:
 
     @property
     def is_clear(self) -> bool:
-        """Whether earlier writes have drained and nobody has left."""
+        """Whether the write buffer has drained and the connection is open."""
         protocol = self._protocol
         return protocol.writable.is_set() and not protocol.close_sent and not protocol.transport.is_closing()
 
     def on_blocked(self, call: Callable[[], None] | None) -> None:
-        """Have `call` called when the way is clear no more."""
+        """Have `call` called when the write buffer fills up or the connection ends."""
         self._protocol.blocked = call
 
     def abort(self) -> None:

@@ -1,4 +1,4 @@
-"""Values that are made shortly before they are wanted, from what is newest then."""
+"""Prepares a value just before it is asked for, from the newest input."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from collections.abc import Callable, Generator
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
-_HEAD_START = 2.0  # times what the last one took to make
-_PATIENCE = 0.25  # part of the last interval after which one that was not asked for is too old
+_HEAD_START = 2.0  # times the seconds that the last one took to make
+_PATIENCE = 0.25  # share of the last interval, after which a value not asked for is too old
 
 
 def just_in_time(make: Callable[[], T | None], discard: Callable[[T], None]) -> Generator[T, None, None]:
-    """What `make` returns, until it is None, each made on a thread so that it is ready about when it is asked for.
+    """What `make` returns, until it is None; each value is made on a thread, to be ready when it is asked for.
 
-    Whoever asks does so at intervals that resemble each other. So the next one is begun an interval after the last
-    request, less twice the time that making takes: late enough to be new, early enough not to be waited for. A request
-    that comes sooner begins it at once; one that stays away has it made anew, and the older one is discarded.
+    Requests come at similar intervals. So the next value is begun one interval after the last request, less twice the
+    time that making takes: late enough to be new, early enough not to be waited for. An earlier request begins it at
+    once. If the request is late, the value is discarded and made again.
 
     Args:
         make: called on one thread only; may wait. An error is raised here.
-        discard: told of each value that is not given out.
+        discard: called with each value that is not given out.
     """
     maker = _Maker(make, discard)
     maker.thread.start()
@@ -35,7 +35,7 @@ def just_in_time(make: Callable[[], T | None], discard: Callable[[T], None]) -> 
 
 
 class _Maker(Generic[T]):
-    """The thread that makes, and what it shares with the one that asks."""
+    """The thread that makes values, and what it shares with the thread that asks for them."""
 
     def __init__(self, make: Callable[[], T | None], discard: Callable[[T], None]) -> None:
         self._make, self._discard = make, discard
@@ -59,7 +59,7 @@ class _Maker(Generic[T]):
             return value
 
     def stop(self) -> None:
-        """No more is wanted; whoever stops sees to it that `make` does not wait for ever."""
+        """Stop making values; the caller has to make sure that `make` does not wait for ever."""
         with self._change:
             self._over = True
             self._change.notify_all()
@@ -78,7 +78,7 @@ class _Maker(Generic[T]):
             self.stop()
 
     def _wait_until_due(self) -> bool:
-        """Wait for the right moment; False when no more is wanted."""
+        """Wait until the next value is due; False after `stop`."""
         with self._change:
             while not self._over and not self._wanted:
                 seconds = self._due_at() - time.monotonic()

@@ -1,4 +1,4 @@
-"""The live data set: a rig in operation as an iterator of frame sets that training reads.
+"""A live rig as a data set: frame sets as they come, for training.
 
 Pixels are converted just before training asks for them, and only for instants that are used.
 """
@@ -35,11 +35,11 @@ _Developed = tuple[Instant, UInt8, Bool]  # an instant, its pictures' pixels [C,
 
 @dataclass(eq=False)
 class LiveDataset:
-    """A live rig where a data set is expected: cameras without distortion at the size wanted, and frames as they come.
+    """A live rig in place of a data set: cameras without distortion at the size wanted, and frames as they come.
 
     Attributes:
         definition: of the rig.
-        developments: what makes a raw picture fit the camera, for each camera used.
+        developments: for each camera used, undistorts and scales its raw pictures.
         push_socket: where to take pictures that the serving process relays, while frames are read; or none.
         cameras: pinholes that match the pictures of `frames`.
     """
@@ -81,7 +81,7 @@ class LiveDataset:
         return self.definition.points
 
     def select(self, names: Sequence[str]) -> LiveDataset:
-        """The same rig with the cameras `names` only, in that order; others aren't read.
+        """The same rig with the cameras `names` only, in that order; others are not read.
 
         A quorum shrinks by the cameras left out.
 
@@ -97,9 +97,9 @@ class LiveDataset:
         return LiveDataset(self.definition, tuple(plans[name] for name in names), self.push_socket)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSet]:
-        """Instants as they come, numbered from `start` without gaps, `stop` - `start` of them or until the sources end.
+        """Frame sets as they come, numbered from `start` without gaps, up to `stop` or until the sources end.
 
-        Reading begins with the first one asked for, and ends when the iterator is closed or dropped. `time_ns` always
+        Reading begins with the first `next`, and ends when the iterator is closed or dropped. `time_ns` always
         increases, by multiples of a period, even when the cameras' clocks are stepped.
 
         Raises:
@@ -112,12 +112,12 @@ class LiveDataset:
         return self._frames(start, stop)
 
     def close(self) -> None:
-        """End the frames that are being read, from any thread."""
+        """Stop reading frames; may be called from any thread."""
         if (rig := self._rig) is not None:
             rig.stop()
 
     def statistics(self) -> Statistics | None:
-        """How cameras and delivery do; None while nothing is read."""
+        """Figures of cameras and delivery; None while nothing is read."""
         rig = self._rig
         return None if rig is None else rig.statistics()
 

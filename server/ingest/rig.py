@@ -1,7 +1,7 @@
-"""A rig in operation: readers fill the synchroniser, and the newest instant is given out.
+"""A rig in operation: readers fill the synchroniser, and the newest complete instant is given out.
 
-When training is slower than filming, the newest instant wins: older ones that wait are dropped and counted, so that
-latency stays below one period plus the synchroniser's deadline.
+When training is slower than filming, older instants that are waiting are dropped and counted, so that latency stays
+below one period plus the synchroniser's deadline.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _LOG = logging.getLogger(__name__)
 _LEAD = 4  # pictures that the reader of an unpaced file may be ahead of the others
 _JOIN_SECONDS = 0.5
 _FOREVER_NS = 2**62
-_FILE_DELAY_NS = 300_000_000  # until files are open on all threads
+_FILE_DELAY_NS = 300_000_000  # time to open files on all threads
 
 
 @dataclass(slots=True)
 class _Last:
-    """The latest of one camera."""
+    """The latest state of one camera."""
 
     source: ClockSource | None = None
     error_ns: int = 0
@@ -52,7 +52,7 @@ class Rig:
         chosen: names of the cameras to read.
 
     Attributes:
-        waiting: whether training waits; to be set by whoever takes instants.
+        waiting: whether training waits; set by the consumer of `instants`.
     """
 
     def __init__(self, definition: RigDefinition, chosen: Sequence[str]) -> None:
@@ -162,13 +162,13 @@ class Rig:
             yield instant
 
     def note_delivery(self, instant: Instant) -> None:
-        """An instant goes to training now."""
+        """Count an instant that is given to training now."""
         with self._change:
             self._delivered += 1
             self._latency_ns = max(0, self._timeline.now_ns() - instant.capture_ns)  # a sender's clock may be ahead
 
     def note_stale(self) -> None:
-        """An instant that was given out is not used: there is a newer one."""
+        """Count an instant that was given out but not used, because there is a newer one."""
         with self._change:
             self._stale += 1
 
@@ -190,7 +190,7 @@ class Rig:
             return self._epoch_ns
 
     def claim(self, camera: str, holder: object) -> None:
-        """See `intake.PushTarget`; of two nodes with one camera the later one counts, as after a reconnection."""
+        """See `intake.PushTarget`; if two nodes push one camera, the later one is used, as after a reconnection."""
         with self._change:
             self._last[camera].holder = holder
 
@@ -231,7 +231,7 @@ class Rig:
 
     def _queue(self, instants: list[Instant]) -> None:
         self._instants.extend(instants)
-        if self._paced and len(self._instants) > 1:  # newest wins, and older pictures are let go at once
+        if self._paced and len(self._instants) > 1:  # keep the newest alone, and free older pictures at once
             self._stale += len(self._instants) - 1
             newest = self._instants.pop()
             self._instants.clear()
@@ -240,7 +240,7 @@ class Rig:
             self._change.notify_all()
 
     def _has_room(self, last: _Last) -> bool:
-        """Whether an unpaced reader may go on: not far ahead of the others, and not of training."""
+        """Whether an unpaced reader may continue: it must not be far ahead of the others, nor of training."""
         behind = min((other.put for other in self._last.values() if not other.ended), default=last.put)
         return last.put - behind <= _LEAD and len(self._instants) <= _LEAD
 
@@ -248,7 +248,7 @@ class Rig:
         return all(last.ended for last in self._last.values())
 
     def _clock_ns(self) -> int:
-        """The synchroniser's time; files that aren't paced carry their own."""
+        """The synchroniser's time; for unpaced files, the capture time."""
         return self._timeline.now_ns() if self._paced else self._virtual_ns
 
     def _seconds_to_deadline(self) -> float | None:

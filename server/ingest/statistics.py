@@ -1,4 +1,4 @@
-"""How a live rig does, camera by camera: what reports, the REST interface and metrics show."""
+"""Figures of a live rig and its cameras, for reports, the REST interface and metrics."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class CameraStatistics:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """How the rig does.
+    """The whole rig.
 
     Attributes:
         degraded: whether some camera is lost.

@@ -1,4 +1,4 @@
-"""What one thread makes, another takes, in order: the step of a pipeline."""
+"""A bounded queue from a producing thread to a generator: one step of a pipeline."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ T = TypeVar("T")
 
 
 class Unwanted(Exception):
-    """Nobody takes what is made any more; raised at the maker, who lets it pass."""
+    """The consumer has gone; raised in the producer, which lets it propagate."""
 
 
 class Outlet(Generic[T]):
-    """The maker's end: at most `depth` items wait to be taken."""
+    """The producer's end of the queue, which holds at most `depth` items."""
 
     def __init__(self, depth: int) -> None:
         self._depth, self._items = depth, deque[T]()
@@ -23,10 +23,10 @@ class Outlet(Generic[T]):
         self._closed = self._done = False
 
     def put(self, item: T) -> None:
-        """Hand `item` on, as soon as there is room.
+        """Put `item` into the queue, waiting for room.
 
         Raises:
-            Unwanted: the taker has gone.
+            Unwanted: the consumer has gone.
         """
         with self._change:
             self._change.wait_for(lambda: self._closed or len(self._items) < self._depth)
@@ -36,7 +36,7 @@ class Outlet(Generic[T]):
             self._change.notify_all()
 
     def check(self) -> None:
-        """End long work early: Unwanted if the taker has gone."""
+        """Raise Unwanted if the consumer has gone, to end long work early."""
         if self._closed:
             raise Unwanted
 
@@ -55,10 +55,10 @@ class Outlet(Generic[T]):
 
 
 def made_by(make: Callable[[Outlet[T]], None], name: str, depth: int = 1) -> Generator[T, None, None]:
-    """The items that `make` puts into its outlet, while it runs on a thread called `name`, `depth` items ahead.
+    """The items that `make` puts into its outlet, while it runs on a thread called `name`, at most `depth` items ahead.
 
-    An error of `make` is raised here, after the items before it. Closing or dropping the result makes the outlet raise
-    Unwanted and waits for `make` to end.
+    An error of `make` is raised here, after the items before it. Closing or dropping the generator makes the outlet
+    raise Unwanted, and waits for `make` to end.
     """
     outlet, failure = Outlet[T](depth), list[BaseException]()
 

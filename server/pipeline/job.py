@@ -1,4 +1,4 @@
-"""What is trained, and how: small and plain, so that it travels to a worker process and lies in a catalogue as JSON.
+"""What is trained, and how: plain values, which are sent to the worker process and kept in the catalogue as JSON.
 
 The fields of `TrainJob` are the one declaration of their names, bounds, defaults and help (`server.pipeline.options`).
 """

@@ -1,4 +1,4 @@
-"""Training two tiny frames, which loads and compiles all that real ones take."""
+"""Trains a few tiny frames, which loads and compiles all the code that real ones need."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a stream is made from. Small and plain: it travels to the worker process and lies in the catalogue."""
+"""What a stream is made from: plain values, which are sent to the worker process and kept in the catalogue."""
 
 from __future__ import annotations
 

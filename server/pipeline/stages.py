@@ -1,7 +1,7 @@
-"""From pictures to packets: a data set, the trainer and the codec, composed.
+"""From pictures to packets: a pipeline of data set, trainer and codec.
 
-Three stages work side by side: while frame t trains, pictures of frame t + 1 are read, and frame t - 1 is encoded
-and handed on. `train_stream` is what the worker process runs; `train_clip` writes a clip into a file.
+Three stages run in parallel: while frame t trains, pictures of frame t + 1 are read, and frame t - 1 is encoded and
+passed on. `train_stream` is what the worker process runs; `train_clip` writes a clip into a file.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from server.pipeline.trace import Span, timed, timing
 
 _LOG = logging.getLogger(__name__)
 _PREFETCHED = 2  # frames decoded ahead
-_PREVIEWS_AT = (0.1, 0.3, 0.6, 2.0)  # of the first frame's run; the last is never reached
+_PREVIEWS_AT = (0.1, 0.3, 0.6, 2.0)  # fractions of the first frame's run; the last one is never reached
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +48,9 @@ class EncodedFrame:
     """One frame's packets with the figures of its training.
 
     Attributes:
-        version: frame index.
+        version: of the state that the packets lead to.
         packets: one, or two where a new keyframe follows the frame's residual.
-        report: JSON-able figures.
+        report: figures, as JSON values.
         preview: whether the packet is an early, unfinished keyframe.
         spans: when its stages ran.
     """
@@ -71,12 +71,12 @@ class OpenJob:
     rig: tuple[Camera, ...]
 
     def frames(self, start: int, announce: Callable[[FrameSet], None]) -> Generator[tuple[FrameSet, Span], None, None]:
-        """The job's frames from `start` with the time that reading took: ahead of training, but live ones the newest.
+        """The job's frames from `start`, with the time that reading took.
 
-        A live frame read ahead would be an old one by the time that training wants it.
+        Files are read ahead of training. Live frames are not: one read ahead would be old when training takes it.
 
         Args:
-            announce: told each frame as soon as it is read, on the thread that reads.
+            announce: called with each frame as soon as it is read, on the reading thread.
         """
         stop, count = self.job.frames, self.dataset.frame_count
         if count is not None:
@@ -85,23 +85,23 @@ class OpenJob:
         return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
 
     def statistics(self) -> Statistics | None:
-        """How live cameras do; None for files, and while nothing is read."""
+        """Figures of live cameras; None for files, and while nothing is read."""
         return self.dataset.statistics() if isinstance(self.dataset, LiveDataset) else None
 
     def close(self) -> None:
-        """End the reading of live cameras, from any thread."""
+        """Stop reading live cameras; may be called from any thread."""
         if isinstance(self.dataset, LiveDataset):
             self.dataset.close()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trained:
-    """A state on its way to the encoder.
+    """A trained state, to be encoded.
 
     Attributes:
         scene: the state.
         time_ns: its presentation time.
-        change: the state before, and what leads from there; None where `scene` itself is to be sent.
+        change: the state before, and the residual from it; None where `scene` itself is to be sent.
         packet: of the change, where rate control had to know its size at once.
         refresh: a keyframe of the same instant, to be sent after the change, or None.
         preview, report, spans: as in `EncodedFrame`.
@@ -159,22 +159,22 @@ def train_stream(
     previews: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Generator[EncodedFrame, None, None]:
-    """Train the job's frames in order on a thread, and encode each while the next one trains.
+    """Train the job's frames in order on a thread, and encode each one while the next trains.
 
-    Versions count published states: frame numbers, unless previews or a resumed state came before. An error of any
-    stage is raised here after the frames before it; a frame's packets are all made before the frame is given out.
+    A version counts published states; it equals the frame's index unless previews or a resumed state came before. An
+    error of any stage is raised here, after the frames before it. A frame is given out when all its packets are made.
 
     Args:
-        resume: go on from this keyframe, which has been published, instead of training one.
+        resume: continue from this keyframe, which has been published, instead of training one.
         start: first frame to read.
-        previews: also yield early keyframes while the first frame trains, for viewers who wait.
+        previews: also yield early keyframes while the first frame trains, for viewers that are waiting.
         on_progress: called on the training thread.
     """
 
     def train(outlet: Outlet[_Trained]) -> None:
         _Training(opened, previews, on_progress, outlet).run(resume, start)
 
-    # at the end the cameras are closed first: training that waits for them could not be ended
+    # close the cameras first: training that waits for them could not be ended
     with closing(made_by(train, "training")) as trained, closing(opened):
         for state in trained:
             yield _encoded(state)
@@ -186,7 +186,7 @@ def train_clip(
     on_frame: Callable[[EncodedFrame], None],
     on_progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Train a clip into the file `out`, which appears when it is complete; figures go beside it into `out`.json."""
+    """Train a clip into the file `out`, which appears when it is complete; figures go into `out`.json."""
     first_seconds, seconds, reports = 0.0, [], []
     with SlodWriter(out) as writer, closing(train_stream(opened, on_progress=on_progress)) as frames:
         for encoded in frames:
@@ -210,7 +210,7 @@ def train_clip(
 
 
 class _Training:
-    """The stage that trains; what it makes goes into `outlet`."""
+    """The training stage, which puts its states into `outlet`."""
 
     def __init__(
         self,
@@ -235,9 +235,9 @@ class _Training:
         self._refresh = RefreshSchedule(RefreshRule(longest=job.keyframe_interval))
 
     def run(self, resume: Scene | None, start: int) -> None:
-        """All frames from `start`, after the state to resume if there is one."""
+        """Train all frames from `start`, after the state to resume if there is one."""
         if self._job.frame_budget_ms is not None:
-            rehearse(self._job.preset, self._job.device)  # loading code must not use up the first frames' time
+            rehearse(self._job.preset, self._job.device)  # so that the first frames spend no time on loading code
         shift = 0
         if resume is not None:
             self._trainer.resume(resume)
@@ -258,7 +258,7 @@ class _Training:
         return None if statistics is None else read.end - statistics.latency_ns / 1e9
 
     def _first(self, frame: FrameSet) -> _Trained:
-        """The first keyframe, with early ones before it where viewers wait for them."""
+        """The first keyframe, with previews before it if they are wanted."""
         dataset, version = self._dataset, frame.index
         points, found = timing(
             "train",
@@ -296,7 +296,7 @@ class _Training:
         _LOG.debug("keyframe: %.0f %% of its training done", 100 * progress.fraction)
 
     def _later(self, frame: FrameSet) -> _Trained:
-        """One later frame: its residual, and now and then a keyframe of the same instant after it."""
+        """One later frame: its residual, and from time to time a refresh keyframe of the same instant after it."""
         before = self._trainer.scene
         trained = self._trainer.predict(frame)
         assert trained.residual is not None
@@ -304,7 +304,7 @@ class _Training:
         if self._refresh.due(before, scene) is not None:
             self._trainer.want_keyframe()
         if self._trainer.keyframe_is_ready:
-            _LOG.info("version %d: a new keyframe", scene.version)
+            _LOG.info("version %d: a refresh keyframe", scene.version)
             keyframe = self._trainer.renew(frame, self._report_refresh)
             refresh, spans = keyframe.scene, (*spans, *_spans(keyframe))
         report = _report(trained, spans, scene.version)
@@ -348,7 +348,7 @@ def _spans(trained: TrainedFrame) -> tuple[Span, ...]:
 
 
 def _report(trained: TrainedFrame, spans: tuple[Span, ...], version: int) -> dict[str, Any]:
-    """The figures of `trained`, with the seconds of all stages in `spans`."""
+    """Figures of `trained`, with the seconds of all stages in `spans`."""
     seconds: dict[str, float] = {}
     for span in spans:
         seconds[span.name] = seconds.get(span.name, 0.0) + span.end - span.begin

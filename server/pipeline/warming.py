@@ -15,7 +15,7 @@ _ANCHORS = 64
 
 
 def warm_codec() -> None:
-    """Encode and decode a scene of a few anchors; about half a minute once a machine, then under a second."""
+    """Encode and decode a scene of a few anchors: half a minute once a machine, then under a second."""
     scene, decoder = _scene(), SceneDecoder()
     decoder.push(encode_keyframe(scene, time_ns=0))
     rows = np.arange(0, _ANCHORS, 2)

@@ -1,4 +1,4 @@
-"""Control messages of the viewer protocol `streamlod.v1`: text to values, refused with the documented close codes."""
+"""Control messages of the viewer protocol `streamlod.v1`: parsed, or refused with the documented close codes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PROTOCOL_VERSION = 1
 LIVE = "live"
 ACK_EVERY = 32  # packets
 
-_MOST = 2**53  # integers that every JSON reader keeps
+_MOST = 2**53  # the largest integers that every JSON reader keeps exactly
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Set:
-    """New wishes; only the fields named in `given` were sent."""
+    """New settings of the viewer; only the fields named in `given` were sent."""
 
     levels: int | None
     kilobytes_per_second: float | None
@@ -53,7 +53,7 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class Seek:
-    """Jump; None is the live edge. `stop`: pause there, where the server draws."""
+    """Jump to a position; None is the live edge. `stop`: pause there (only where the server draws)."""
 
     to: Position | None
     stop: bool = False
@@ -66,7 +66,7 @@ class Pause:
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """Go on."""
+    """Go on after a pause."""
 
 
 Control = Ack | Set | Seek | Pause | Play | ViewMessage | Shown | Pick
@@ -87,7 +87,7 @@ def parse_hello(text: str) -> Hello:
     if PROTOCOL_VERSION not in [v for v in versions if type(v) is int]:
         raise SessionError(CloseCode.BAD_VERSION, f"this server speaks version {PROTOCOL_VERSION}")
     client = message.get("client", "")
-    if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # it is logged
+    if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # because it is logged
         raise SessionError(CloseCode.BAD_MESSAGE, "client must be a string of at most 200 printable characters")
     start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
     return Hello(client, start, _levels(message), _rate(message), pictures)
@@ -97,7 +97,7 @@ def parse_control(text: str) -> Control:
     """Any later message.
 
     Raises:
-        SessionError: 4400, it is malformed or not one of the protocol.
+        SessionError: 4400, it is malformed or unknown.
     """
     message = _object(text)
     match message.get("type"):

@@ -1,4 +1,4 @@
-"""Packets as the server handles them: opaque bytes with a place in a stream, and the window of recent ones."""
+"""Packets as the server handles them: opaque bytes with a position in a stream, and the window of recent ones."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from codec.packet.info import PacketInfo, peek
 from codec.packet.levels import drop_levels
 from codec.packet.packet import PacketKind
 
-PIECE_BYTES = 32_768  # of a keyframe in one frame's time, for viewers that have a picture already
+PIECE_BYTES = 32_768  # of a refresh keyframe, sent per frame interval
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Position:
-    """A place in a stream: `epoch` counts encoder runs, `version` is the frame number within."""
+    """A place in a stream: `epoch` counts encoder runs, `version` the states published in it."""
 
     epoch: int
     version: int
@@ -78,12 +78,12 @@ class StreamPacket:
         return pieces
 
     def forget_frames(self) -> None:
-        """Let go of what viewers shared; it is made again if one asks."""
+        """Free the shared websocket frames; they are made again when needed."""
         self._framed.clear()
         self._pieces.clear()
 
     def without_frames(self) -> StreamPacket:
-        """The same packet for keeping: what viewers share stays with the original."""
+        """A copy to keep, without the shared websocket frames."""
         return replace(self, _framed={}, _pieces={})
 
 
@@ -120,7 +120,7 @@ def _frame(first: int, data: bytes | memoryview) -> bytes:
 
 
 def payload_bytes(frame: bytes) -> int:
-    """Length of what a frame made here carries."""
+    """Payload length of a frame made here."""
     return len(frame) - {126: 4, 127: 10}.get(frame[1], 2)
 
 
@@ -128,7 +128,7 @@ class PacketWindow:
     """The most recent packets of a stream, dropped from the front in whole groups of pictures.
 
     Args:
-        limit_bytes: sum of packet sizes to keep; the newest group is kept whatever it takes.
+        limit_bytes: sum of packet sizes to keep; the newest group is kept whatever its size.
     """
 
     def __init__(self, limit_bytes: int) -> None:
@@ -178,7 +178,7 @@ class PacketWindow:
             pass
 
     def after(self, sequence: int) -> StreamPacket | None:
-        """The packet that comes next after packet `sequence`, if both ends of that step are still here."""
+        """The packet that comes next after packet `sequence`, if both are still in the window."""
         index = self._index(sequence) + 1
         return self._packets[index] if 0 <= index < len(self._packets) else None
 
@@ -195,7 +195,7 @@ class PacketWindow:
         return [self._packets[a:b] for a, b in zip(starts, ends, strict=True)]
 
     def _index(self, sequence: int) -> int:
-        """Where packet `sequence` is or would be; below -1 if the packet after it is gone as well."""
+        """Index at which packet `sequence` is or would be; below -1 if the packet after it is gone as well."""
         return sequence - self._packets[0].sequence if self._packets else -2
 
     def _group_end(self) -> int | None:

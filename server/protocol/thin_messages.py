@@ -1,6 +1,6 @@
-"""What a viewer says that gets pictures instead of packets: where it stands, what it has shown, what it points at.
+"""Messages of thin viewers, which get pictures: the camera they look through, the picture on screen, a ray to pick.
 
-Everything is checked against limits before anything is made of it: these numbers decide how much the server computes.
+All numbers are checked against limits first, because they decide how much the server computes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MOST = 2**53
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewMessage:
-    """What is to be seen: `camera` with the size of the viewer's canvas."""
+    """The camera to draw from, with the size of the viewer's canvas."""
 
     camera: Camera
 
@@ -38,7 +38,7 @@ class Shown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pick:
-    """What lies along a ray? `origin` [3] and the unit vector `direction` [3], world units; `id` comes back."""
+    """Asks what lies along a ray: `origin` [3], unit vector `direction` [3], world units; the answer repeats `id`."""
 
     id: int
     origin: Float64

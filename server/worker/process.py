@@ -1,7 +1,7 @@
-"""The process that makes a stream's packets: training, or reading a recorded file. It talks to its supervisor by pipe.
+"""The process that makes a stream's packets, by training or from a recorded file. It reports to its supervisor by pipe.
 
-A message is one byte that names it, and a body; `Tag` lists them.
-Nothing else of the server is here, so that a crash, a leak or a kill costs viewers nothing but a moment.
+A message is one byte, its `Tag`, and a body. No other part of the server runs in this process, so a crash, a memory
+leak or a kill costs viewers only a short pause.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
 _INGEST_SECONDS = 0.5
-_NICENESS = 5  # of training: serving comes first, and so does showing the last state again
-_LOADING_NICENESS = 19  # of importing what may never be needed
+_NICENESS = 5  # of training: serving has priority, and so has publishing the last state again
+_LOADING_NICENESS = 19  # of loading code into a spare worker
 
 
 class Tag(IntEnum):
@@ -49,16 +49,16 @@ class Tag(IntEnum):
     EPOCH = 6  # empty: versions begin anew
     END = 7  # empty: the source has no more frames
     HEARTBEAT = 8  # empty
-    INGEST = 9  # JSON: how live cameras do, and whether training waits for them
+    INGEST = 9  # JSON: figures of live cameras, and whether training waits for them
 
 
 @dataclass(frozen=True, slots=True)
 class Resume:
-    """Where a restarted worker goes on.
+    """Where a restarted worker continues.
 
     Attributes:
         packets: a keyframe and, where it is older than the state, the residual that leads there.
-        frames: frames of the source that are done.
+        frames: number of frames of the source that are done.
     """
 
     packets: tuple[bytes, ...] = ()
@@ -66,7 +66,7 @@ class Resume:
 
 
 def send_resume(resume: Resume, pipe: Connection) -> None:
-    """Tell a worker where to go on; blocks until it has begun to listen."""
+    """Tell a worker where to continue; blocks until it listens."""
     pipe.send_bytes(json.dumps({"frames": resume.frames, "packets": len(resume.packets)}).encode())
     for packet in resume.packets:
         pipe.send_bytes(packet)
@@ -95,11 +95,11 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
     """Entry of the process; returns when the source ends, and never raises.
 
     Args:
-        pipe: to the supervisor, which first sends where to go on.
+        pipe: to the supervisor, which first sends where to continue.
         push_socket: where to take pictures that capture nodes push to the serving process.
         spare: load everything before it is needed.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the supervisor decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the supervisor decides
     sender = Sender(pipe)
     try:
         loading = None
@@ -127,34 +127,34 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
 
 
 def _load(job: TrainJob) -> None:
-    """Load what showing the last state takes, then what training takes, out of the way of the worker that trains."""
+    """Load the code for publishing the last state, then for training, at low priority."""
     from server.pipeline.warming import warm_codec
 
     os.nice(_NICENESS)
     try:
         warm_codec()
-        # most of the work, and it starts no thread that would stay at such a niceness
+        # this is most of the work, and starts no threads, which would keep the low priority
         importing = threading.Thread(target=_import_training, daemon=True, name="importing")
         importing.start()
         importing.join()
         from server.pipeline.rehearsal import rehearse
 
         rehearse(job.preset, job.device)
-    except Exception:  # training tells better what is wrong, if it is
+    except Exception:  # if something is wrong, training reports it better
         _LOG.warning("a spare worker could not rehearse", exc_info=True)
 
 
 def _import_training() -> None:
-    if sys.platform == "linux":  # elsewhere it would hold for the whole process, for good
+    if sys.platform == "linux":  # elsewhere the niceness would apply to the whole process and could not be taken back
         os.nice(_LOADING_NICENESS)
     importlib.import_module("server.pipeline.stages")
 
 
 def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_socket: Path | None = None) -> None:
-    """Train the source's frames as they come and send their packets; of live cameras, also tell how they do.
+    """Train the source's frames as they come and send their packets, and figures of live cameras.
 
     Args:
-        scene: the keyframe to go on from, which has been sent; None to train one.
+        scene: the keyframe to continue from, which has been sent; None to train one.
         start: first frame to read.
     """
     if job.frames is not None and start >= job.frames:
@@ -177,7 +177,7 @@ def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_s
 
 @contextmanager
 def _told(opened: OpenJob, sender: Sender) -> Iterator[None]:
-    """Tell twice a second how live cameras do, while the context lasts."""
+    """Report the figures of live cameras twice a second, while the context lasts."""
     over = threading.Event()
 
     def run() -> None:
@@ -196,7 +196,7 @@ def _told(opened: OpenJob, sender: Sender) -> Iterator[None]:
 
 
 def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
-    """Send the packets of a recorded file at the times at which they were filmed."""
+    """Send the packets of a recorded file at the pace at which they were filmed."""
     from codec.packet.packet import PacketKind
 
     assert spec.play is not None
@@ -221,7 +221,7 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
 
 
 def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
-    """Number and entry of each packet of the file that belongs to the chain."""
+    """Index and entry of each packet of the file that is a keyframe or a predicted packet."""
     from codec.container import SlodReader
     from codec.packet.info import peek
     from codec.packet.packet import PacketKind
@@ -258,7 +258,7 @@ def _frame_seconds(entries: list[tuple[int, Any]]) -> float:
 
 
 def show_again(resume: Resume, sender: Sender) -> Scene:
-    """Publish the state to go on from as a keyframe, before anything slow is loaded or a camera is asked."""
+    """Publish the state to continue from as a keyframe, before anything slow is loaded or a camera is opened."""
     from codec.decoder import SceneDecoder
     from codec.encoder import encode_keyframe
     from codec.packet.info import peek

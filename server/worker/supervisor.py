@@ -1,4 +1,4 @@
-"""Keeps a stream's worker process alive: crash, hang and greed are noticed, restarts back off."""
+"""Restarts a stream's worker process on a crash, a heartbeat timeout or a memory limit, with growing delays."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from server.worker.process import Resume, Tag, run_worker, send_resume
 
 _LOG = logging.getLogger(__name__)
 _WATCH_SECONDS = 0.25
-_SPARE_AFTER_SECONDS = 3.0  # of progress: starting takes the worker all the processor it can get
+_SPARE_AFTER_SECONDS = 3.0  # of progress first, because a starting worker needs the whole processor
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a worker went: `text` for people, `done` at the source's end, `fatal` when another try is pointless."""
+    """How a worker ended: `text` for people, `done` at the source's end, `fatal` when a restart would not help."""
 
     text: str
     done: bool = False
@@ -38,31 +38,31 @@ class Ending:
 
 @dataclass(frozen=True, slots=True)
 class _Worker:
-    """A process, and our end of its pipe. It does nothing until it is told where to go on."""
+    """A process, and our end of its pipe. It waits until it is told where to continue."""
 
     process: SpawnProcess
     pipe: Connection
 
     def end(self) -> None:
-        """Kill it, whatever it does."""
+        """Kill it."""
         if self.process.is_alive():
             self.process.kill()
 
 
 class Owner(Protocol):
-    """What a supervisor serves."""
+    """Whoever a supervisor reports to."""
 
     async def on_message(self, tag: Tag, body: bytes) -> None:
         """Handle one message; the worker waits until this returns."""
 
     async def resume_point(self) -> Resume:
-        """Where the next worker goes on."""
+        """Where the next worker continues."""
 
     def on_restart(self, ending: Ending, delay_seconds: float) -> None:
-        """A worker went and another will come."""
+        """A worker ended and another one will be started."""
 
     def on_finish(self, ending: Ending) -> None:
-        """No further worker will come."""
+        """A worker ended and no other one will be started."""
 
 
 class Supervisor:
@@ -72,7 +72,7 @@ class Supervisor:
         spec: what they work on.
         settings: how they are watched.
         packet_bytes: longest message that is accepted.
-        owner: told everything.
+        owner: gets all messages and events.
         push_socket: where workers take pictures that capture nodes push, or none.
     """
 
@@ -87,7 +87,7 @@ class Supervisor:
         self._spec, self._settings, self._owner = spec, settings, owner
         self._limit, self._push_socket = packet_bytes + 1, push_socket
         self._worker: _Worker | None = None
-        self._spare: _Worker | None = None  # waits, with everything loaded
+        self._spare: _Worker | None = None  # a second process, waiting with everything loaded
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
         self._handling = False
@@ -99,7 +99,7 @@ class Supervisor:
         return self._worker.process.pid if self._worker is not None else None
 
     async def run(self) -> None:
-        """Start workers until the source ends, another try is pointless, or this task is cancelled."""
+        """Run workers until the source ends, an ending is fatal, or this task is cancelled."""
         failures = 0
         try:
             while True:
@@ -132,7 +132,7 @@ class Supervisor:
         worker = self._worker = spare if spare is not None and spare.process.is_alive() else self._start()
         begun = self._heard
         loop = asyncio.get_running_loop()
-        thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool could run dry
+        thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool may be in use
         pump = loop.run_in_executor(thread, self._pump, worker.pipe, resume, loop)
         reason = None
         try:
@@ -155,11 +155,11 @@ class Supervisor:
 
     @property
     def _wants_spare(self) -> bool:
-        """Whether another process is to wait: one that plays a file loads nothing that takes long."""
+        """Whether to keep a spare process; a worker that plays a file needs none, as it loads nothing slow."""
         return self._settings.spare and self._spec.job is not None
 
     def _start(self, *, spare: bool = False) -> _Worker:
-        """A new process; not on a thread, so that a cancellation cannot come between start and kill."""
+        """Start a process; not on a thread, so that a cancellation cannot leave it running unnoticed."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         name = f"streamlod-{self._spec.id}"
@@ -170,12 +170,12 @@ class Supervisor:
         return _Worker(process, ours)
 
     def _last_words(self) -> Ending | None:
-        """What the worker said about its end; the pump's thread has noted it."""
+        """What the worker itself reported about its end, if anything."""
         return self._ending
 
     def _pump(self, pipe: Connection, resume: Resume, loop: asyncio.AbstractEventLoop) -> None:
-        """Read messages on a thread; each is handled before the next is read, which holds back the worker."""
-        with contextlib.suppress(OSError):  # what it died of shows below
+        """Read messages on a thread; each is handled before the next is read (backpressure on the worker)."""
+        with contextlib.suppress(OSError):  # the cause of its end is determined below
             send_resume(resume, pipe)
         while True:
             try:
@@ -192,7 +192,7 @@ class Supervisor:
                 failure: dict[str, Any] = json.loads(body)
                 self._ending = Ending(failure["text"], fatal=failure["fatal"])
             else:
-                if tag is not Tag.INGEST or json.loads(body)["waiting"]:  # without pictures, nobody can get on
+                if tag is not Tag.INGEST or json.loads(body)["waiting"]:  # waiting for pictures counts as progress
                     self._progressed = self._heard
                 self._handling = True
                 handled: Awaitable[None] = self._owner.on_message(tag, body)
@@ -206,9 +206,9 @@ class Supervisor:
                     self._heard, self._handling = time.monotonic(), False
 
     def _complaint(self) -> str | None:
-        """Why the worker has to go, if it has to."""
+        """Why the worker has to be killed, or None."""
         now = time.monotonic()
-        if self._handling:  # heartbeats wait behind the message that is being handled
+        if self._handling:  # heartbeats are queued behind the message that is being handled
             return None
         if now - self._heard > self._settings.heartbeat_seconds:
             return f"the worker was silent for {self._settings.heartbeat_seconds:g} s"

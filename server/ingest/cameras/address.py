@@ -1,4 +1,4 @@
-"""What the URL of a source means: which reader, which options."""
+"""Parses the URL of a camera: which reader, which options."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from urllib.parse import urlsplit
 
 from core.errors import InputError
 
-LISTEN_SECONDS = 5.0  # then the port is opened anew, so that a reader can be stopped
+LISTEN_SECONDS = 5.0  # then the port is opened again, so that a reader can be stopped
 OPEN_SECONDS = 10.0
-SILENCE_SECONDS = 8.0  # a connection without a byte for so long is taken for dead
-_LONGEST = 2048
+SILENCE_SECONDS = 8.0  # a connection without data for so long counts as dead
+_MAX_LENGTH = 2048
 _LIVE = {"fflags": "nobuffer", "probesize": "200000", "analyzeduration": "500000"}
 _DEVICE = re.compile(r"/dev/video\d{1,3}")
-_PROTOCOLS = {  # what FFmpeg may open on the way; a playlist must not lead to files
+_PROTOCOLS = {  # protocols that FFmpeg may open; a playlist must not lead to files
     "rtsp": "rtsp,rtp,rtcp,udp,tcp",
     "rtsps": "rtsps,rtsp,rtp,rtcp,tls,tcp",
     "rtmp": "rtmp,tcp",
@@ -53,12 +53,12 @@ class Address:
 
     @property
     def is_live(self) -> bool:
-        """Whether there is no end to it."""
+        """Whether the source has no end."""
         return self.scheme != "file"
 
     @property
     def open_seconds(self) -> float | None:
-        """How long opening may take, where FFmpeg doesn't see to it itself; it refuses two limits for RTSP."""
+        """How long opening may take; None for RTSP, where FFmpeg has its own limit and refuses a second."""
         if self.listens:
             return None if self.scheme == "rtsp" else LISTEN_SECONDS
         return OPEN_SECONDS
@@ -70,8 +70,10 @@ def parse_address(source: str) -> Address:
     Raises:
         InputError: an unknown scheme, or no place after it.
     """
-    if not source or len(source) > _LONGEST or not source.isprintable():
-        raise InputError(f"source {source!r:.80}", f"must be a URL or a path of 1 to {_LONGEST} printable characters")
+    if not source or len(source) > _MAX_LENGTH or not source.isprintable():
+        raise InputError(
+            f"source {source!r:.80}", f"must be a URL or a path of 1 to {_MAX_LENGTH} printable characters"
+        )
     if "://" not in source:
         return _push() if source == "push:" else _file(Path(source))
     try:

@@ -1,4 +1,4 @@
-"""A camera's pictures by PyAV, on one thread a camera, connected again and again until stopped."""
+"""Reads a camera's pictures with PyAV on a thread of its own, and reconnects until stopped."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from server.ingest.sync.picture import Picture
 from server.ingest.sync.timeline import Timeline
 
 _LOG = logging.getLogger(__name__)
-_FIRST_DELAY, _LONGEST_DELAY = 0.25, 5.0  # seconds between attempts
-_SETTLED_SECONDS = 5.0  # a connection that lasted so long was a good one
+_MIN_DELAY, _MAX_DELAY = 0.25, 5.0  # seconds between attempts
+_SETTLED_SECONDS = 5.0  # a connection that lasted so long resets the delay
 _ENDED = "it ended"
 _REPORT_NS = 1_000_000_000
 
@@ -39,7 +39,7 @@ class Sink(Protocol):
         """A picture has come."""
 
     def gone(self, camera: str, reason: str, *, ended: bool) -> None:
-        """A camera delivers nothing for now; or for good, when its file has `ended`."""
+        """A camera delivers nothing for now, or no more because its file has `ended`."""
 
 
 class Reader:
@@ -81,16 +81,16 @@ class Reader:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ask the thread to end; it does so with the next picture or timeout."""
+        """Ask the thread to end, which it does at the next picture or timeout."""
         self._stopping.set()
         self._abort()
 
     def join(self, seconds: float) -> None:
-        """Wait for the thread's end, for so long at most: a port that is being listened on opens only by timeout."""
+        """Wait at most so long for the thread's end; a listening port ends only by timeout."""
         self._thread.join(seconds)
 
     def _run(self) -> None:
-        delay = _FIRST_DELAY
+        delay = _MIN_DELAY
         while not self._stopping.is_set():
             begin, before, reason = time.monotonic(), self.connections, _ENDED
             try:
@@ -99,23 +99,23 @@ class Reader:
                 reason = error.fault
             except (av.FFmpegError, OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or str(error)
-            except Exception as error:  # a reader must not die: its camera may come back
+            except Exception as error:  # keep the thread: the camera may come back
                 _LOG.exception("camera %s", self.camera)
                 reason = f"{type(error).__name__}: {error}"
             if self._stopping.is_set():
                 return
             lasted = time.monotonic() - begin
-            if self._address.listens and self.connections == before and lasted > _FIRST_DELAY:
+            if self._address.listens and self.connections == before and lasted > _MIN_DELAY:
                 reason = "its camera has not connected yet"
             ended = not self._address.is_live and reason == _ENDED
             self._sink.gone(self.camera, reason, ended=ended)
             if ended:
                 return
-            if self._address.listens and lasted > _FIRST_DELAY:
-                continue  # the next one may already be knocking
-            delay = _FIRST_DELAY if lasted > _SETTLED_SECONDS else delay
+            if self._address.listens and lasted > _MIN_DELAY:
+                continue  # the next camera may be connecting already
+            delay = _MIN_DELAY if lasted > _SETTLED_SECONDS else delay
             self._stopping.wait(delay)
-            delay = min(2 * delay, _LONGEST_DELAY)
+            delay = min(2 * delay, _MAX_DELAY)
 
     def _read(self) -> None:
         """One connection, from its beginning to its end."""
@@ -124,7 +124,7 @@ class Reader:
             if not container.streams.video:
                 raise InputError(f"camera {self.camera}", "its source holds no pictures, only other streams")
             stream = container.streams.video[0]
-            stream.codec_context.thread_count = 1  # frame threads would each hold pictures back
+            stream.codec_context.thread_count = 1  # each further thread would delay pictures by one
             stream.codec_context.options = {"max_pixels": str(max_pixels(self._size))}
             self._check_size(stream.codec_context.width, stream.codec_context.height)
             self.clock = CaptureClock(self._fps, expects_ntp=self._address.scheme in ("rtsp", "rtsps"))
@@ -199,7 +199,7 @@ def max_pixels(size: tuple[int, int]) -> int:
 
 
 def _report(packet: av.Packet[Any]) -> tuple[int, int] | None:
-    """(presentation time, sender's wall clock) in nanoseconds, where the sender reports; PyAV 18.1 and newer."""
+    """(presentation time, sender's wall clock) in nanoseconds, if the sender reports them (PyAV 18.1 and newer)."""
     if packet.pts is None or packet.time_base is None or not packet.has_sidedata("prft"):
         return None
     for data in packet.iter_sidedata():
@@ -211,7 +211,7 @@ def _report(packet: av.Packet[Any]) -> tuple[int, int] | None:
 
 
 def _is_news(report: tuple[int, int], last: tuple[int, int] | None) -> bool:
-    """FFmpeg prolongs the last report over all packets until the next; one a second is enough, and every change."""
+    """Whether to use a report: FFmpeg repeats the last one on all packets; one a second, and every change, is used."""
     if last is None or report[0] - last[0] >= _REPORT_NS or report[0] < last[0]:
         return True
     return abs((report[1] - report[0]) - (last[1] - last[0])) > 1_000_000
@@ -228,7 +228,7 @@ def _timecode(frame: av.VideoFrame, fps: float) -> int | None:
 
 
 def _bytes(buffer: Any) -> bytes:
-    return bytes(buffer)  # PyAV's buffers don't say in their types that they are buffers
+    return bytes(buffer)  # PyAV's type stubs do not declare the buffer protocol
 
 
 def _nanoseconds(ticks: int, base: Fraction) -> int:
@@ -242,7 +242,7 @@ def _srt_pipe(url: str) -> Iterator[subprocess.Popen[bytes]]:
                "-analyzeduration", "500000", "-i", url, "-map", "0:v:0", "-c", "copy", "-muxdelay", "0",
                "-flush_packets", "1", "-f", "mpegts", "pipe:1"]  # fmt: skip
     try:
-        # unbuffered: a buffer would be waited for until it is full, seconds of a small stream
+        # unbuffered: filling a buffer would take seconds of a small stream
         pipe = subprocess.Popen(command, bufsize=0, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
     except FileNotFoundError as error:
         raise InputError(url, "SRT is read by the command ffmpeg, which is not installed") from error

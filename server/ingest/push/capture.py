@@ -1,4 +1,4 @@
-"""What a capture node films: pictures of one source, encoded, with the time at which each was taken."""
+"""The pictures of a capture node's camera: encoded, with the time at which each was taken."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class CaptureCamera:
         name: as in the rig's definition.
         source: a folder of pictures, or where PyAV reads them.
         fps: of folders, which don't say their rate, and asked of webcams.
-        size: (width, height) asked of webcams, or None for what they do by themselves.
-        repeats: whether files and folders begin again at their end.
+        size: (width, height) asked of webcams, or None for their default.
+        repeats: whether files and folders start again at their end.
     """
 
     name: str
@@ -139,7 +139,7 @@ def _cameras_in(folder: Path) -> list[tuple[str, Path | Address]]:
 def _address(source: str) -> Address:
     address = parse_address(source)
     if address.scheme in {"push", "srt"} or address.listens:
-        raise InputError(f"source {source!r:.80}", "is nothing that a capture node reads; a server does")
+        raise InputError(f"source {source!r:.80}", "cannot be read by a capture node; let the server read it")
     if address.scheme == "file" and not Path(address.url).is_file():
         raise InputError(address.url, "does not exist")
     return address

@@ -1,4 +1,4 @@
-"""Pictures of capture nodes: their time is found out, their pixels are decoded when they are wanted."""
+"""Takes the pictures of a capture node: determines their capture time, and decodes pixels only when they are used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from server.ingest.sync.picture import Picture
 
 
 class PushTarget(Protocol):
-    """The rig that pushed pictures are for."""
+    """The rig that pushed pictures go to."""
 
     @property
     def fps(self) -> float:
@@ -37,7 +37,7 @@ class PushTarget(Protocol):
         """When frame number 0 was taken, given that `number` came just now, if it is the rig's first."""
 
     def claim(self, camera: str, holder: object) -> None:
-        """From now on `holder` pushes the camera, and whoever did before does not."""
+        """Make `holder` the one that pushes the camera, instead of whoever did before."""
 
     def holds(self, camera: str, holder: object) -> bool:
         """Whether nobody has claimed the camera after `holder`."""
@@ -53,7 +53,7 @@ class PushTarget(Protocol):
 
 
 class Intake:
-    """Makes a rig's pictures of one capture node's messages.
+    """Turns one capture node's messages into a rig's pictures.
 
     Args:
         target: the rig.
@@ -66,7 +66,7 @@ class Intake:
         self._decoders: dict[str, av.VideoCodecContext] = {}
 
     def accept(self, message: PushMessage) -> None:
-        """Hand the message's picture on; nothing happens for a repeat.
+        """Give the message's picture to the rig; a repeated one is ignored.
 
         Raises:
             InputError: no such camera is pushed, another node has taken it over, or the picture is not one, or of
@@ -114,7 +114,7 @@ class Intake:
         return clock.capture(Sighting(arrival, stated_ns=message.capture_ns, frame_number=number))
 
     def _decode(self, message: PushMessage, size: tuple[int, int], found: CaptureTime | None) -> None:
-        """Decode one access unit; its picture may come with a later one; without a time it is let go."""
+        """Decode one access unit; its picture may come with a later one, and is dropped if it has no time."""
         decoder = self._decoders.get(message.camera)
         if decoder is None:
             decoder = self._decoders[message.camera] = _h264_decoder(size)

@@ -20,15 +20,15 @@ from server.ingest.push.capture import CaptureCamera, Taken
 from server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, PushMessage, pack_push
 
 _LOG = logging.getLogger(__name__)
-_ON_THEIR_WAY = 4  # pictures not acknowledged yet; a further one is dropped, as an older one would only come later
+_MAX_UNACKNOWLEDGED = 4  # unacknowledged pictures; a further one is dropped, because queueing it would add delay
 _START_SECONDS = 0.5  # until all cameras are open
-_FIRST_DELAY, _LONGEST_DELAY = 0.25, 5.0  # seconds between attempts to connect
+_MIN_DELAY, _MAX_DELAY = 0.25, 5.0  # seconds between attempts to connect
 _ANSWER_SECONDS = 10.0
 
 
 @dataclass(slots=True)
 class Pushed:
-    """What became of one camera's pictures: taken by the server, refused by it, dropped because it was too slow."""
+    """Counts of one camera's pictures: accepted by the server, refused by it, dropped because it was too slow."""
 
     acknowledged: int = 0
     refused: int = 0
@@ -38,7 +38,7 @@ class Pushed:
 def push(url: str, cameras: Sequence[CaptureCamera], token: str | None = None) -> dict[str, Pushed]:
     """Send all cameras' pictures until their sources end or the process is interrupted; returns the counts by camera.
 
-    A broken connection is made anew; pictures taken meanwhile are dropped.
+    A broken connection is opened again; pictures taken meanwhile are dropped.
 
     Raises:
         StreamlodError: a source cannot be read, or the server refuses the node for good.
@@ -68,7 +68,7 @@ class _Node:
     _connection: _Connection | None = None
     _told: str = ""
     _retry_at: float = 0.0
-    _delay: float = _FIRST_DELAY
+    _delay: float = _MIN_DELAY
 
     def run(self, start_ns: int) -> None:
         """Until the source ends."""
@@ -91,7 +91,7 @@ class _Node:
                 self._connection = _Connection(self.url, self.token)
             message = PushMessage(self.camera.name, sequence, taken.capture_ns, taken.codec, taken.body)
             if self._connection.send(message, self.pushed):
-                self._delay, self._told = _FIRST_DELAY, ""
+                self._delay, self._told = _MIN_DELAY, ""
         except (WebSocketException, OSError) as error:
             self._break(error)
 
@@ -106,11 +106,11 @@ class _Node:
         if self._connection is not None:
             self._connection.close()
         self._connection, self._retry_at = None, time.monotonic() + self._delay
-        self._delay = min(2 * self._delay, _LONGEST_DELAY)
+        self._delay = min(2 * self._delay, _MAX_DELAY)
 
 
 class _Connection:
-    """A connection with pictures on their way."""
+    """A connection, with its unacknowledged pictures."""
 
     def __init__(self, url: str, token: str | None) -> None:
         headers = {"Authorization": f"Bearer {token}"} if token else None
@@ -135,7 +135,7 @@ class _Connection:
             raise InputError(f"camera {message.camera}", f"has pictures of more than {MAX_MESSAGE_BYTES >> 20} MiB")
         self.waiting += 1
         self._take_answers(pushed, 0)
-        if self.waiting > _ON_THEIR_WAY:
+        if self.waiting > _MAX_UNACKNOWLEDGED:
             self.waiting -= 1
             pushed.dropped += 1
         else:
@@ -143,13 +143,13 @@ class _Connection:
         return self._answered
 
     def finish(self, pushed: Pushed) -> None:
-        """Wait for the last answers and hang up."""
+        """Wait for the last answers and close."""
         while self.waiting:
             self._take_answers(pushed, _ANSWER_SECONDS)
         self.close()
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._open.close()
 
     def _take_answers(self, pushed: Pushed, seconds: float) -> None:

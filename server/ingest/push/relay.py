@@ -1,6 +1,6 @@
-"""Pushed pictures from the serving process to the worker that trains: a Unix socket, plain bytes, an answer to each.
+"""Passes pushed pictures from the serving process to the worker that trains, over a Unix socket.
 
-The answer is empty, or says in a sentence why the picture was refused.
+Each picture gets an answer, which is empty or says in one sentence why the picture was refused.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _BACKLOG = 64
 
 
 class RelayedIntake:
-    """The serving process's end: what `Intake` is, in another process.
+    """The serving process's end: an `Intake` that is in another process.
 
     Args:
         path: of the worker's socket.

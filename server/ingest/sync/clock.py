@@ -1,4 +1,4 @@
-"""When was a picture taken? One clock a camera, which answers with the best evidence there is.
+"""Capture times: one clock for each camera, which uses the best evidence there is.
 
 In order of trust: the sender's own wall clock (RTP with NTP sender reports, or the time a capture node states), a time
 code in the picture, a hardware frame number of a genlocked rig, and the arrival here less what the network delays.
@@ -17,12 +17,12 @@ _SECOND_NS = 1_000_000_000
 _DAY_NS = 86_400 * _SECOND_NS
 PLAUSIBLE_NS = 5 * _SECOND_NS  # a sender's clock further off than this was never set
 _PATIENCE_NS = 6 * _SECOND_NS  # senders report every five seconds
-_WARM_UP_NS = _SECOND_NS  # the first pictures of a connection were waiting in buffers
-_UNKNOWN_DELAY_NS = 20_000_000  # arrival knows jitter, not the delay that all pictures share
+_WARM_UP_NS = _SECOND_NS  # the first pictures of a connection come from buffers
+_UNKNOWN_DELAY_NS = 20_000_000  # arrival shows jitter, not the delay that all pictures share
 
 
 class ClockSource(StrEnum):
-    """What a capture time rests on."""
+    """Evidence of a capture time."""
 
     NTP = "ntp"
     STATED = "stated"
@@ -34,7 +34,7 @@ class ClockSource(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CaptureTime:
-    """When a picture was taken, nanoseconds since 1970; what that rests on; how far it may be off."""
+    """When a picture was taken, nanoseconds since 1970; from which evidence; how far it may be off."""
 
     capture_ns: int
     source: ClockSource
@@ -43,7 +43,7 @@ class CaptureTime:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """What is known of one picture's time.
+    """Evidence of one picture's time.
 
     Attributes:
         arrival_ns: when it came, on our timeline.
@@ -80,7 +80,7 @@ class CaptureClock:
 
     @property
     def source(self) -> ClockSource:
-        """What the latest capture time rested on."""
+        """Evidence of the latest capture time."""
         return self._source
 
     @property
@@ -93,7 +93,7 @@ class CaptureClock:
         self._sender.add(media_ns, ntp_ns)
 
     def capture(self, seen: Sighting) -> CaptureTime | None:
-        """When a picture was taken, or None while better evidence is about to come.
+        """When a picture was taken, or None while better evidence is expected soon.
 
         Pictures come in the order of their arrival.
         """
@@ -139,7 +139,7 @@ class CaptureClock:
         return CaptureTime(min(self._envelope.at(media), seen.arrival_ns), ClockSource.ARRIVAL, error)
 
     def _collect(self, media: int, arrival: int) -> None:
-        """Feed the envelope with the least delayed picture of each second, or at once with one below the envelope."""
+        """Add the least delayed picture of each second to the envelope, or at once one that lies below it."""
         if self._least is None or not 0 <= media - self._least[0] < _SECOND_NS:
             if self._least is not None:
                 self._envelope.add(*self._least)

@@ -1,4 +1,4 @@
-"""A camera's clock against ours: a line through pairs of times, some of which are wrong."""
+"""A robust line fit of a camera's clock against ours, from pairs of times, some of which are wrong."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections import deque
 from statistics import median
 
 _PAIRS = 60
-_DRIFT_SPAN_NS = 20_000_000_000  # below this, jitter would pass for drift
-_LARGEST_DRIFT = 500e-6  # crystals are within 100 ppm; more is damage
+_DRIFT_SPAN_NS = 20_000_000_000  # over less, jitter would look like drift
+_MAX_DRIFT = 500e-6  # crystals are within 100 ppm; more is damage
 _STEP_NS = 250_000_000
 _AGREE_NS = 50_000_000
 
@@ -49,10 +49,10 @@ class Line:
         return x + self._offset + round(self._drift * (x - self._origin))
 
     def add(self, x: int, y: int) -> None:
-        """Take one more pair into account; one of the same x as the last replaces it."""
+        """Add a pair; one with the same x as the last replaces it."""
         if self._pairs:
             off = y - self.at(x)
-            if self._lower and off < -_STEP_NS:  # nothing comes early: what was known so far was delayed
+            if self._lower and off < -_STEP_NS:  # nothing can arrive early, so all earlier pairs were delayed
                 self._pairs.clear()
             elif abs(off) > _STEP_NS:
                 self._set_aside(x, y)
@@ -83,7 +83,7 @@ class Line:
             for end, later in differences[n + 1 :]
             if end - begin >= _DRIFT_SPAN_NS
         ]
-        self._drift = min(max(median(slopes), -_LARGEST_DRIFT), _LARGEST_DRIFT) if slopes else 0.0
+        self._drift = min(max(median(slopes), -_MAX_DRIFT), _MAX_DRIFT) if slopes else 0.0
         left = [difference - self._drift * x for x, difference in differences]
         offset = min(left) if self._lower else median(left)
         self._offset = base + round(offset)

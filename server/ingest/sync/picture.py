@@ -16,11 +16,11 @@ class Picture:
     Attributes:
         camera: name of the camera.
         capture_ns: capture time, nanoseconds since 1970.
-        source: what the time rests on.
+        source: evidence of the time.
         error_ns: how far the time may be off.
         sequence: counts the camera's pictures as they came.
         size: (width, height) in pixels.
-        load: makes the [H,W,3] uint8 RGB pixels; called only for pictures that are used, and raises InputError for one
+        load: decodes the [H,W,3] uint8 RGB pixels; called only for pictures that are used; raises InputError for one
             that does not decode.
     """
 

@@ -1,4 +1,4 @@
-"""One clock for arrivals: the wall's at the start, then at monotonic pace, untouched by steps of the wall."""
+"""One clock for arrivals: starts at the wall clock's time and continues monotonically, unaffected by its steps."""
 
 from __future__ import annotations
 
