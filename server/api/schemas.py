@@ -31,7 +31,7 @@ class PositionBody(BaseModel):
     """A place in a stream."""
 
     epoch: int = Field(description="counts encoder runs", examples=[1])
-    version: int = Field(description="frame number", examples=[57])
+    version: int = Field(description="number of the state in its epoch", examples=[57])
 
 
 class WindowBody(BaseModel):
