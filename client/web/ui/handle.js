@@ -1,11 +1,18 @@
-/** `window.streamlod` and the same over postMessage, for pages that embed the viewer. */
+/** `window.streamlod`, and the same over postMessage for pages that embed the viewer (docs/viewer.md, "For programs"). */
 
 import { fromCamera, fromText, toText } from "../view/camera.js";
 
 /** @typedef {import("../view/viewer.js").Viewer} Viewer */
 /** @typedef {import("./timeline.js").Timeline} Timeline */
 
+const VERSION = 1; // of the messages
 const EVENTS = ["status", "scene", "picture", "refused"];
+const METHODS = ["state", "seek", "play", "pause", "step", "loop", "setCamera", "captureFrame", "inspect", "destroy"];
+
+/** @type {(condition: unknown, text: string) => asserts condition} */
+function need(condition, text) {
+  if (!condition) throw new TypeError(text);
+}
 
 /**
  * @param {Viewer} viewer
@@ -20,8 +27,8 @@ export function createHandle(viewer, timeline, latency, destroy) {
       const { status, picture } = viewer;
       return {
         phase: status?.phase ?? "connecting", source: status?.source ?? null, mode: status?.mode ?? "live",
-        behindSeconds: status?.lagSeconds ?? null, latencyMs: latency.ms, fraction: status?.fraction ?? null, position: status?.position ?? null, window: status?.window ?? null,
-        version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.fps, camera: toText(viewer.pose),
+        behindSeconds: status?.lagSeconds ?? null, latencyMs: latency.ms, fraction: status?.fraction ?? null, position: status?.position ?? null,
+        window: status?.window ?? null, version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.fps, camera: toText(viewer.pose),
       };
     },
     /** @type {(name: string, listener: (detail: any) => void) => () => void} returns the way to stop listening */
@@ -32,18 +39,29 @@ export function createHandle(viewer, timeline, latency, destroy) {
       return () => viewer.removeEventListener(name, relay);
     },
     /** @type {(version: number | "live") => void} */
-    seek: (version) => (version === "live" ? timeline.live() : timeline.seek(version)),
-    play: () => timeline.stands && timeline.toggle(),
+    seek(version) {
+      need(version === "live" || Number.isInteger(version), 'seek takes a frame number or "live"');
+      need(timeline.window, "nothing can be sought yet");
+      if (version === "live") timeline.live();
+      else timeline.seek(version);
+    },
+    play: () => void (timeline.stands && timeline.toggle()),
     pause: () => timeline.pause(),
     /** @type {(frames: number) => void} */
-    step: (frames) => timeline.step(frames),
+    step(frames) {
+      need(Number.isInteger(frames), "step takes a number of frames");
+      timeline.step(frames);
+    },
     /** @type {(loop: boolean) => void} */
-    loop: (loop) => timeline.setLoop(loop),
+    loop(loop) {
+      need(typeof loop === "boolean", "loop takes true or false");
+      timeline.setLoop(loop);
+    },
     /** Stand at a rig camera (number), or where a text of `state.camera` says. @type {(camera: number | string) => void} */
     setCamera(camera) {
       const rig = typeof camera === "number" ? viewer.scene?.cameras[camera] : null;
       const pose = rig ? fromCamera(rig, viewer.pose.distance) : fromText(String(camera));
-      if (!pose) throw new Error("no such camera");
+      need(pose, "no such camera");
       viewer.posed = true;
       viewer.moveTo(pose, false);
     },
@@ -56,21 +74,28 @@ export function createHandle(viewer, timeline, latency, destroy) {
   return handle;
 }
 
-/** Answer `{streamlod: METHOD, arguments: [...]}` from the embedding page, and tell it events. @param {ReturnType<typeof createHandle>} handle */
+/** Obey the embedding page: every call is answered, by a result or an error. @param {ReturnType<typeof createHandle>} handle */
 export function listenToParent(handle) {
   if (window.parent === window) return;
-  for (const name of EVENTS) {
-    handle.on(name, () => window.parent.postMessage({ streamlod: "event", event: name, state: handle.state }, "*"));
-  }
-  const methods = ["seek", "play", "pause", "step", "loop", "setCamera", "captureFrame", "destroy"];
+  let gone = false;
+  /** @param {string} event */
+  const tell = (event) => window.parent.postMessage({ streamlod: "event", version: VERSION, event, state: handle.state }, "*");
+  for (const name of EVENTS) handle.on(name, () => tell(name));
+  /** @param {any} call */
+  const answer = async ({ streamlod: method, version = VERSION, arguments: all = [] }) => {
+    need(version === VERSION, `this page speaks version ${VERSION} of the messages`);
+    need(METHODS.includes(method), `there is no method ${String(method).slice(0, 40)}; there are ${METHODS.join(", ")}`);
+    need(Array.isArray(all), "arguments must be an array");
+    need(!gone, "the player was destroyed");
+    if (method === "state") return handle.state;
+    gone = method === "destroy";
+    return (await /** @type {any} */ (handle)[method](...all)) ?? null;
+  };
   window.addEventListener("message", async ({ data, source, origin }) => {
-    if (source !== window.parent || !methods.includes(data?.streamlod)) return;
-    const answer = { streamlod: "answer", id: data.id ?? null };
-    try {
-      const result = await /** @type {any} */ (handle)[data.streamlod](...(data.arguments ?? []));
-      window.parent.postMessage({ ...answer, result: result ?? null }, origin);
-    } catch (error) {
-      window.parent.postMessage({ ...answer, error: String(error) }, origin);
-    }
+    if (source !== window.parent || typeof data !== "object" || data?.streamlod === undefined) return;
+    const head = { streamlod: "answer", version: VERSION, id: data.id ?? null };
+    const reply = await answer(data).then((result) => ({ ...head, result }), (error) => ({ ...head, error: error instanceof Error ? error.message : String(error) }));
+    window.parent.postMessage(reply, origin === "null" ? "*" : origin);
   });
+  tell("ready");
 }

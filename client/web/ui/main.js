@@ -9,6 +9,7 @@ import { frusta } from "../view/frusta.js";
 import { NO_WEBGL, words } from "./states.js";
 import { hideWhenIdle, Latency, show } from "./status.js";
 import { chooseStream, liveAddress, showStreams } from "./streams.js";
+import { attachSharing, copyMoment, savePicture } from "./sharing.js";
 import { fillStatistics, Rates } from "./statistics.js";
 import { Timeline } from "./timeline.js";
 import { Viewer } from "../view/viewer.js";
@@ -18,6 +19,7 @@ const options = new URLSearchParams(location.search);
 const recording = options.get("src");
 const canvas = /** @type {HTMLCanvasElement} */ (element("canvas"));
 document.body.classList.toggle("embed", options.get("embed") === "1");
+document.body.classList.toggle("framed", window.parent !== window);
 document.body.classList.toggle("bare", options.get("ui") === "0");
 
 /** @returns {Promise<Viewer | null>} drawn here if that can be, else by the server */
@@ -61,6 +63,7 @@ async function start(viewer) {
   const refresh = () => {
     const { status } = viewer;
     if (!status) return;
+    latency.show(status.phase);
     show(words(status, viewer.picture !== null, retryAt - performance.now()));
     timeline.update(status);
   };
@@ -71,7 +74,15 @@ async function start(viewer) {
     if (status.source === "recording" && !timeline.recording && !viewer.thin && options.get("together") !== "1") playWhole(status.loops);
     quality.limit(status.levels ?? viewer.scene?.levels ?? null);
     refresh();
+    openMoment();
   });
+  /** A link may name a moment: stand still there, once. */
+  const openMoment = () => {
+    const t = options.get("t"), epoch = options.get("epoch");
+    if (t === null || !viewer.scene || !timeline.window) return;
+    options.delete("t");
+    if (/^\d+$/.test(t)) timeline.showMoment(Number(t), epoch === null ? null : Number(epoch));
+  };
   viewer.addEventListener("picture", (event) => {
     const { detail } = /** @type {CustomEvent} */ (event);
     if (detail.position && viewer.status) viewer.status.position = detail.position;
@@ -84,14 +95,11 @@ async function start(viewer) {
   const heartbeat = setInterval(() => {
     quality.tick();
     if (viewer.status?.phase === "reconnecting") refresh();
-    latency.show();
+    latency.show(viewer.status?.phase);
     if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, latency.ms);
   }, 500);
   viewer.addEventListener("scene", () => {
     if (showFrusta) drawFrusta();
-    const t = options.get("t");
-    if (t !== null && Number.isInteger(Number(t))) timeline.seek(Number(t));
-    options.delete("t");
   });
 
   const drawFrusta = () => {
@@ -108,29 +116,6 @@ async function start(viewer) {
     const pose = fromCamera(camera, viewer.pose.distance);
     viewer.moveTo({ ...pose, distance: await viewer.depthOf(pose) });
     toast(camera.name);
-  };
-  const share = async () => {
-    const link = new URL(location.href);
-    link.searchParams.set("camera", toText(viewer.pose));
-    link.searchParams.delete("token");
-    const { position, mode } = viewer.status ?? {};
-    if (position && mode !== "live") link.searchParams.set("t", String(position.version));
-    else link.searchParams.delete("t");
-    try {
-      await navigator.clipboard.writeText(link.href);
-      toast("Link to this view copied");
-    } catch {
-      history.replaceState(null, "", link);
-      toast("The link is in the address bar");
-    }
-  };
-  const save = async () => {
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(await viewer.capture());
-    link.download = `streamlod-${viewer.picture?.version ?? 0}.png`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-    toast("Picture saved");
   };
   const fullScreen = () => {
     if (document.fullscreenElement) document.exitFullscreen();
@@ -150,8 +135,7 @@ async function start(viewer) {
   const help = () => /** @type {HTMLDialogElement} */ (element("help")).showModal();
 
   button("b-home").onclick = goHome;
-  button("b-share").onclick = share;
-  button("b-shot").onclick = save;
+  button("b-shot").onclick = () => savePicture(viewer);
   button("b-full").onclick = fullScreen;
   button("b-vr").onclick = enterVr;
   if (!viewer.thin) navigator.xr?.isSessionSupported("immersive-vr").then((can) => (button("b-vr").hidden = !can), () => {});
@@ -195,7 +179,7 @@ async function start(viewer) {
   /** @type {Record<string, () => unknown>} */
   const keys = {
     " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.seek(timeline.oldest),
-    end: () => timeline.live(), r: goHome, f: fullScreen, v: enterVr, p: save, l: share, i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
+    end: () => timeline.live(), r: goHome, f: fullScreen, v: enterVr, p: () => savePicture(viewer), l: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
@@ -224,15 +208,18 @@ async function start(viewer) {
   if (recording) {
     const url = new URL(recording, location.href).href;
     timeline.playFile(false);
+    attachSharing(viewer, () => url);
     viewer.tell({ type: "connect", url, recording: true, token: null, wishes, start: null });
     return;
   }
   const stream = await chooseStream(options);
+  const place = `/v1/streams/${encodeURIComponent(stream)}`;
+  attachSharing(viewer, () => (token || !viewer.status?.window ? null : `${place}/${viewer.status.source === "recording" ? "recording" : "bitstream"}`));
   viewer.tell({ type: "connect", url: liveAddress(stream), recording: false, token, wishes, start: null });
   /** The stream plays a recording: play its file, in which everything can be sought. @param {boolean} loop */
   function playWhole(loop) {
     timeline.playFile(loop);
-    const url = new URL(`/v1/streams/${encodeURIComponent(stream)}/recording`, location.href).href;
+    const url = new URL(`${place}/recording`, location.href).href;
     viewer.tell({ type: "connect", url, recording: true, token, wishes, start: null, loop });
   }
 }

@@ -50,8 +50,9 @@ export class Latency {
     });
   }
 
-  /** In the chip. */
-  show() {
+  /** In the chip, while it is live. @param {string | undefined} phase */
+  show(phase) {
+    if (phase !== "live") this.ms = null;
     element("status-latency").textContent = this.ms === null ? "" : `${Math.round(this.ms)} ms`;
   }
 }

@@ -82,6 +82,12 @@ export class Timeline {
     this.send([{ type: "seek", to, stop: this.paused }]);
   }
 
+  /** Stand still at a moment that a link names; `epoch` null: the newest one. @param {number} version @param {number | null} epoch */
+  showMoment(version, epoch) {
+    const to = epoch === null ? this.at(version) : { epoch, version };
+    if (to) this.send([...(this.recording ? [{ type: "pause" }] : []), { type: "seek", to, stop: true }]);
+  }
+
   live() {
     this.send([{ type: "seek", to: "live" }]);
   }

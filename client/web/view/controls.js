@@ -30,6 +30,8 @@ export class Controls {
     this.tap = { time: 0, x: 0, y: 0 };
     this.travel = 0;
     this.still = matchMedia("(prefers-reduced-motion: reduce)");
+    // In a frame of another page the wheel scrolls that page until somebody clicks the picture.
+    this.engaged = window.parent === window;
     this.abort = new AbortController();
     const { canvas } = viewer, { signal } = this.abort;
     /** @type {(name: string, handler: (event: any) => void, target?: EventTarget) => void} */
@@ -42,12 +44,21 @@ export class Controls {
     on("dblclick", (event) => this.focus(event.clientX, event.clientY));
     on("keydown", (event) => this.#key(event, true), window);
     on("keyup", (event) => this.#key(event, false), window);
-    on("blur", () => this.keys.clear(), window);
+    on("blur", () => {
+      this.keys.clear();
+      this.#engage(window.parent === window);
+    }, window);
     on("frame", (event) => this.#frame(event.detail.now), viewer);
   }
 
   destroy() {
     this.abort.abort();
+  }
+
+  /** @param {boolean} on */
+  #engage(on) {
+    this.engaged = on;
+    document.body.classList.toggle("engaged", on);
   }
 
   get #height() {
@@ -56,6 +67,7 @@ export class Controls {
 
   /** @param {PointerEvent} event */
   #down(event) {
+    this.#engage(true);
     this.viewer.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     this.panning = event.button === 2 || event.button === 1 || event.shiftKey;
@@ -101,6 +113,7 @@ export class Controls {
 
   /** @param {WheelEvent} event */
   #wheel(event) {
+    if (!this.engaged) return;
     event.preventDefault();
     const { viewer } = this, h = this.#height;
     const unitOf = event.deltaMode === 1 ? 16 : event.deltaMode === 2 ? h : 1;

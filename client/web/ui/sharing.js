@@ -1,0 +1,84 @@
+/** Ways to take something along: links, a code for other pages, a picture, the recording. */
+
+import { toText } from "../view/camera.js";
+import { attachMenu, button, element, menuItem, toast } from "./page.js";
+
+/** @typedef {import("../view/viewer.js").Viewer} Viewer */
+
+const REVOKE_MS = 10_000;
+
+/** @param {Viewer} viewer @param {boolean} moment - with the frame that is shown, where it opens paused @returns {URL} */
+export function linkTo(viewer, moment) {
+  const link = new URL(location.href), { searchParams } = link;
+  for (const name of ["token", "t", "epoch"]) searchParams.delete(name);
+  searchParams.set("camera", toText(viewer.pose));
+  const { picture, status } = viewer;
+  if (moment && picture) {
+    searchParams.set("t", String(picture.version));
+    if (status?.position && status.source !== "recording") searchParams.set("epoch", String(status.position.epoch));
+  }
+  return link;
+}
+
+/** Markup that shows this view in another page. @param {Viewer} viewer */
+export function embedCode(viewer) {
+  const link = linkTo(viewer, false);
+  link.searchParams.set("embed", "1");
+  const address = link.href.replaceAll("&", "&amp;").replaceAll('"', "%22");
+  return `<iframe src="${address}" width="640" height="360" style="border: 0" title="Free-viewpoint video" allow="fullscreen; xr-spatial-tracking; clipboard-write" allowfullscreen></iframe>`;
+}
+
+/** @param {string} text @param {string} said - once it is in the clipboard */
+async function copy(text, said) {
+  try {
+    await navigator.clipboard.writeText(text);
+    toast(said);
+  } catch {
+    const dialog = /** @type {HTMLDialogElement} */ (element("copy"));
+    const field = /** @type {HTMLTextAreaElement} */ (element("copy-text"));
+    field.value = text;
+    dialog.showModal();
+    field.select();
+  }
+}
+
+/** @param {Blob} blob @param {string} name */
+function download(blob, name) {
+  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), REVOKE_MS);
+}
+
+/** @param {Viewer} viewer */
+export async function savePicture(viewer) {
+  download(await viewer.capture(), `streamlod-${viewer.picture?.version ?? 0}.png`);
+  toast("Picture saved");
+}
+
+/** @param {Viewer} viewer */
+export const copyMoment = (viewer) => copy(linkTo(viewer, true).href, "Link to this view and moment copied");
+
+/**
+ * The menu of the share button.
+ * @param {Viewer} viewer
+ * @param {() => string | null} recordingAddress - where all that can be sought may be had as a file
+ */
+export function attachSharing(viewer, recordingAddress) {
+  const opener = button("b-share"), menu = element("share-menu");
+  /** @param {string} label @param {string} note @param {() => unknown} act */
+  const item = (label, note, act) => menuItem(label, note, null, () => {
+    opener.click(); // closes
+    act();
+  });
+  attachMenu(opener, menu, () => {
+    const address = recordingAddress(), isEmbedded = document.body.classList.contains("embed");
+    menu.replaceChildren(
+      ...("share" in navigator ? [item("Share…", "", () => navigator.share({ title: document.title, url: linkTo(viewer, true).href }).catch(() => {}))] : []),
+      item("Copy link to this moment", "L", () => copyMoment(viewer)),
+      item("Copy link to this view", "", () => copy(linkTo(viewer, false).href, "Link to this view copied")),
+      ...(isEmbedded ? [] : [item("Copy embed code", "", () => copy(embedCode(viewer), "Code for other pages copied"))]),
+      item("Save picture", "P", () => savePicture(viewer)),
+      ...(address ? [item("Download recording", ".slod", () => Object.assign(document.createElement("a"), { href: address, download: "" }).click())] : []),
+    );
+  });
+}

@@ -1,0 +1,162 @@
+"""The page inside pages of other sites: who may frame it, what they can call, and what is taken along from it."""
+
+from __future__ import annotations
+
+import html
+import re
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from http.server import ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from codec.container import SlodWriter
+from server.pipeline.spec import StreamSpec
+from server.settings import Settings
+from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
+from tests.client.web.test_browser import WAIT, QuietHandler, clip, page, shows
+from tests.server.conftest import running
+
+__all__ = ["clip", "page"]
+
+pytestmark = pytest.mark.browser
+
+HOST = """<!doctype html><link rel=icon href="data:,"><body style="margin: 0; height: 3000px">
+<script src="{url}/player.js"></script>
+<streamlod-player stream="main" quality="high" {more} style="width: 320px; height: 240px"></streamlod-player>
+<script>
+  const player = document.querySelector("streamlod-player");
+  const told = (promise) => promise.then((result) => ["result", result], (error) => ["error", error.message]);
+</script>"""
+
+
+@dataclass(frozen=True)
+class Site:
+    """The viewer's server, and a folder that another origin serves."""
+
+    url: str
+    origin: str
+    folder: Path
+
+    def write(self, name: str, more: str = "") -> str:
+        """A page with a player; its address."""
+        (self.folder / name).write_text(HOST.format(url=self.url, more=more))
+        return f"{self.origin}/{name}"
+
+
+@pytest.fixture(scope="module")
+def site(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+    """The real server with a recording, which one other origin may frame."""
+    folder = tmp_path_factory.mktemp("host")
+    recording = tmp_path_factory.mktemp("clip") / "clip.slod"
+    with SlodWriter(recording) as writer:
+        writer.append(clip.key())
+        for version in range(1, 40):
+            writer.append(clip.residual(version - 1, version))
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(QuietHandler, directory=str(folder))) as host:
+        thread = threading.Thread(target=host.serve_forever)
+        thread.start()
+        origin = f"http://localhost:{host.server_port}"
+        with running(Settings(frame_ancestors=(origin,)), StreamSpec(play=recording, loop=False)) as server:
+            yield Site(server.url, origin, folder)
+        host.shutdown()
+        thread.join()
+
+
+def test_every_call_is_answered(page: Any, site: Site) -> None:
+    """The element on another origin: poster, events, results, and an error for what is wrong."""
+    page.goto(site.write("host.html", 'poster="data:,"'))
+    assert page.locator("iframe").count() == 0, "nothing is loaded before somebody asks for it"
+    page.evaluate("player.addEventListener('picture', (e) => { window.shown = e.detail; })")
+    page.locator("button[aria-label=Play]").click()
+    page.wait_for_function("window.shown?.version === 39", **WAIT)
+    answers = page.evaluate("""async () => ({
+      state: await told(player.state()), pause: await told(player.pause()), seek: await told(player.seek(12)),
+      picture: await told(player.captureFrame().then((blob) => [blob.type, blob.size > 500])),
+      camera: await told(player.setCamera(1)), noCamera: await told(player.setCamera("x")),
+      noFrame: await told(player.seek("twelve")), noMethod: await told(player.call("fly", 1)),
+    })""")
+    assert answers["state"][1]["phase"] == "ended"
+    assert answers["pause"] == answers["seek"] == answers["camera"] == ["result", None]
+    assert answers["picture"] == ["result", ["image/png", True]]
+    assert answers["noCamera"] == ["error", "no such camera"]
+    assert answers["noFrame"] == ["error", 'seek takes a frame number or "live"']
+    assert answers["noMethod"][0] == "error"
+    assert "there is no method fly" in answers["noMethod"][1]
+    page.wait_for_function("window.shown.version === 12", **WAIT)
+    assert page.evaluate("player.inspect().then((state) => state.version)") == 12
+    old = page.evaluate("""new Promise((resolve) => {
+      addEventListener("message", ({ data }) => data.id === "old" && resolve(data));
+      const inside = player.shadowRoot.querySelector("iframe").contentWindow;
+      inside.postMessage({ streamlod: "state", version: 9, id: "old" }, "*");
+    })""")
+    assert old["error"] == "this page speaks version 1 of the messages"
+    page.evaluate("player.destroy()")
+    assert page.evaluate("told(player.state())") == ["error", "the player was destroyed"]
+
+
+def test_the_wheel_is_the_pages_until_a_click(page: Any, site: Site) -> None:
+    """The wheel scrolls the other page; after a click inside it zooms; keys elsewhere do nothing."""
+    page.goto(site.write("wheel.html"))
+    page.wait_for_function("player.shadowRoot?.querySelector('iframe')", **WAIT)
+    page.wait_for_function("told(player.state()).then(([, state]) => state?.version === 39)", **WAIT)
+    before = page.evaluate("player.state()")["camera"]
+    page.mouse.move(160, 120)
+    page.mouse.wheel(0, 60)
+    page.wait_for_function("scrollY > 0", **WAIT)
+    page.evaluate("scrollTo(0, 0)")
+    assert page.evaluate("player.state()")["camera"] == before
+    page.mouse.click(160, 120)
+    page.mouse.wheel(0, 60)
+    page.wait_for_function("(before) => player.state().then((state) => state.camera !== before)", arg=before, **WAIT)
+    assert page.evaluate("scrollY") == 0
+
+
+def test_other_sites_may_not_frame_it(page: Any, site: Site) -> None:
+    """An origin that is not listed gets no page into its frame."""
+    page.goto(site.write("other.html").replace("localhost", "127.0.0.1"))
+    page.wait_for_function("player.shadowRoot?.querySelector('iframe')", **WAIT)
+    page.wait_for_timeout(1500)
+    assert all("chrome-error" in frame.url or frame is page.main_frame for frame in page.frames)
+    page.complaints.forgive("frame-ancestors")
+
+
+def test_links_keep_the_moment(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """A copied link opens paused at the frame and view that were shown: live, and from a file."""
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.set_viewport_size({"width": 900, "height": 500})
+    with SlodWriter(tmp_path / "clip.slod") as writer:
+        writer.append(clip.key())
+        for version in range(1, 30):
+            writer.append(clip.residual(version - 1, version))
+    behaviour = Behaviour(newest=14)
+    with serving(create_app(clip, behaviour, tmp_path)) as url:
+        for address, version in ((f"{url}/?quality=high", 14), (f"{url}/?quality=high&src=files/clip.slod", 29)):
+            page.goto(address)
+            shows(page, f"s.version === {version}")
+            page.evaluate("streamlod.setCamera(1)")
+            camera = page.evaluate("streamlod.state.camera")
+            page.click("#b-share")
+            page.locator("#share-menu button", has_text="Copy link to this moment").click()
+            page.locator("#toast", has_text="moment copied").wait_for(**WAIT)
+            link = page.evaluate("navigator.clipboard.readText()")
+            behaviour.newest = 20
+            page.goto(link)
+            shows(page, f"s.version === {version} && (s.phase === 'paused' || s.phase === 'ended')")
+            assert page.evaluate("streamlod.state.camera") == camera
+        page.click("#b-share")
+        page.locator("#share-menu button", has_text="Copy embed code").click()
+        page.locator("#toast", has_text="other pages").wait_for(**WAIT)
+        code = page.evaluate("navigator.clipboard.readText()")
+        address = html.unescape(re.search('src="(.+?)"', code)[1])  # type: ignore[index]
+        assert address.startswith(url)
+        assert "embed=1" in address
+        assert "src=files" in address
+        with page.expect_download() as download:
+            page.click("#b-share")
+            page.locator("#share-menu button", has_text="Download recording").click()
+        assert Path(download.value.path()).read_bytes() == (tmp_path / "clip.slod").read_bytes()
