@@ -1,7 +1,7 @@
 """Watching: decode packets, expand them for a viewpoint, splat, and measure.
 
-    connection.py   the websocket, with reconnection        playback.py   the protocol without it: bytes in, events out
-    viewpoints.py   where to look from                      record.py     pictures to PNG and MP4
+    connection.py   the websocket, with reconnection        playback.py   the protocol without I/O: bytes in, events out
+    viewpoints.py   where to look from                      recorder.py   pictures to PNG and MP4
     recording.py    `.slod` files frame by frame            commands.py   `streamlod view | evaluate | info | export`
     web/            the viewer page
 

@@ -1,4 +1,4 @@
-"""What `streamlod view | evaluate | info | export` do; each returns the text to print."""
+"""The commands `streamlod view`, `evaluate`, `info` and `export`; each returns the text to print."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from client.connection import Wishes
+from client.connection import WatchOptions
 from client.evaluation.file_scores import DecodedScore, evaluate_file
 from client.inspection import describe_file
 from client.recording import decode_frames, decode_version, versions
 from client.viewing import record_stream
-from client.viewpoints import Path3D, camera_named, orbit, read_poses
+from client.viewpoints import CameraPath, camera_named, orbit, read_poses
 from codec.export import FORMATS, bake, write_snapshot
 from core.arrays import Float64
 from core.errors import InputError
@@ -51,7 +51,7 @@ def view(
     if frames is not None and frames < 1:
         raise InputError("--frames", f"must be at least 1, not {frames}")
 
-    def viewpoint(header: SceneHeader) -> Path3D:
+    def viewpoint(header: SceneHeader) -> CameraPath:
         if orbiting:
             return orbit(header, frames)
         if pose is not None:
@@ -63,14 +63,14 @@ def view(
 
     if pose is not None and not pose.is_file():
         raise InputError(pose, "does not exist")
-    wishes = Wishes(token=os.environ.get(TOKEN_VARIABLE), levels=levels)
+    options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), levels=levels)
     with tqdm(total=frames, unit="picture", desc="view", delay=0.5) as bar:
 
         def tell(text: str) -> None:
             bar.set_postfix_str(text, refresh=False)
             bar.update(1 if text.startswith("picture") else 0)
 
-        count = asyncio.run(record_stream(url, out, viewpoint, frames, wishes, tell))
+        count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell))
     return f"{count} pictures in {out}"
 
 

@@ -1,4 +1,4 @@
-"""The websocket: connect, say hello, hand messages to `Playback`, connect again when the connection breaks."""
+"""The websocket: connect, say hello, pass messages to `Playback`, and reconnect when the connection breaks."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from core.errors import InputError, SessionError
 _log = logging.getLogger(__name__)
 
 SUBPROTOCOL = "streamlod.v1"
-_FIRST_DELAY = 0.5
-_LONGEST_DELAY = 15.0
+_MIN_DELAY = 0.5  # seconds between attempts
+_MAX_DELAY = 15.0
 _OPEN_SECONDS = 10.0
-_CLOSE_SECONDS = 0.5  # packets on their way may stand before the server's answer, and nobody reads them any more
+_CLOSE_SECONDS = 0.5  # the server's answer may be queued behind packets that nobody reads any more
 _REFUSED = {401: "it needs a token", 403: "the token lacks the right", 404: "there is no such stream"}
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
-    """What to ask the server for.
+class WatchOptions:
+    """What to ask the server for when watching a stream.
 
     Attributes:
         token: bearer token, where the server wants one.
@@ -45,13 +45,13 @@ class Wishes:
     levels: int | None = None
 
 
-async def watch(url: str, wishes: Wishes = Wishes(), attempts: int = 8) -> AsyncGenerator[Event, None]:
-    """The events of a stream, over as many connections as it takes; ends when the server says that it is over.
+async def watch(url: str, options: WatchOptions = WatchOptions(), attempts: int = 8) -> AsyncGenerator[Event, None]:
+    """The events of a stream, with reconnection; ends when the server says that the stream is over.
 
-    After a break a live viewer joins at the live edge again; one that replays goes on where it stopped.
+    After a break a live viewer joins at the live edge again; a replay continues where it stopped.
 
     Args:
-        attempts: failures in a row after which to give up. The very first connection has to succeed at once.
+        attempts: failures in a row after which to give up. The very first attempt must succeed.
 
     Raises:
         InputError: not a websocket address, or nobody answers there.
@@ -59,12 +59,12 @@ async def watch(url: str, wishes: Wishes = Wishes(), attempts: int = 8) -> Async
     """
     if urlsplit(url).scheme not in {"ws", "wss"}:
         raise InputError(url, "is not a websocket address; it looks like ws://HOST:PORT/v1/streams/main/live")
-    failures, ever, start = 0, False, wishes.start
+    failures, ever, start = 0, False, options.start
     while True:
         playback = Playback()
         try:
-            async with _open(url, wishes) as socket:
-                await socket.send(playback.hello(start, wishes.levels))
+            async with _open(url, options) as socket:
+                await socket.send(playback.hello(start, options.levels))
                 async for event in _session(socket, playback):
                     ever = True
                     failures = 0 if isinstance(event, NewScene) else failures
@@ -86,7 +86,7 @@ async def watch(url: str, wishes: Wishes = Wishes(), attempts: int = 8) -> Async
 
 
 def _reason(url: str, error: Exception, repeated: bool) -> str:
-    """Why a connection ended, where another attempt makes sense; raises where it does not."""
+    """Why a connection ended, if another attempt makes sense; otherwise raises."""
     match error:
         case InvalidStatus() if error.response.status_code < 500:
             status = error.response.status_code
@@ -107,12 +107,12 @@ def _reason(url: str, error: Exception, repeated: bool) -> str:
 
 
 def back_off(failures: int) -> float:
-    """Seconds to wait after `failures` earlier ones: 0.5 * 2^n, at most 15, of which a random half to whole."""
-    return min(_LONGEST_DELAY, _FIRST_DELAY * 2.0 ** min(failures, 10)) * random.uniform(0.5, 1.0)
+    """Seconds to wait after `failures` earlier ones: 0.5 * 2^n, at most 15, times a random number from 0.5 to 1."""
+    return min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10)) * random.uniform(0.5, 1.0)
 
 
-def _open(url: str, wishes: Wishes) -> connect:
-    headers = {"Authorization": f"Bearer {wishes.token}"} if wishes.token else None
+def _open(url: str, options: WatchOptions) -> connect:
+    headers = {"Authorization": f"Bearer {options.token}"} if options.token else None
     return connect(
         url,
         subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
@@ -125,7 +125,7 @@ def _open(url: str, wishes: Wishes) -> connect:
 
 
 async def _session(socket: ClientConnection, playback: Playback) -> AsyncGenerator[Event, None]:
-    """The events of one connection; a fault of the server closes it with the fault's code."""
+    """The events of one connection, which is closed with the error's code if the server breaks the protocol."""
     try:
         while True:
             try:
@@ -142,7 +142,7 @@ async def _session(socket: ClientConnection, playback: Playback) -> AsyncGenerat
                 yield event
             acknowledgement = playback.acknowledgement(time.monotonic())
             if acknowledgement is not None:
-                with suppress(ConnectionClosed):  # messages that came before the end are still to be received
+                with suppress(ConnectionClosed):  # messages that arrived before the end can still be received
                     await socket.send(acknowledgement)
     except SessionError as error:
         await socket.close(error.close_code, error.detail[:120])

@@ -1,4 +1,4 @@
-"""What a viewer session tells its user."""
+"""The events of a viewer session."""
 
 from __future__ import annotations
 

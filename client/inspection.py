@@ -1,4 +1,4 @@
-"""What a `.slod` file holds, for people."""
+"""A readable report of what a `.slod` file holds."""
 
 from __future__ import annotations
 

@@ -13,13 +13,13 @@ from core.errors import BitstreamError, SessionError
 
 PROTOCOL_VERSION = 1
 _ACK_SECONDS = 1.0
-_TEXT_BYTES = 65536  # of a control message from the server
-_MOST_FPS = 10_000
+_MAX_TEXT_BYTES = 65536  # of a control message from the server
+_MAX_FPS = 10_000
 _EVENTS = frozenset({"state", "progress", "epoch", "position", "levels", "skipped", "caught_up", "window"})
 
 
 class Playback:
-    """One connection's state: the decoder, the newest scene, and what has to be acknowledged.
+    """The state of one connection: decoder, newest scene, and bytes to acknowledge.
 
     Args:
         limits: of the decoder.
@@ -75,7 +75,7 @@ class Playback:
             now: seconds of a clock that never goes back.
 
         Raises:
-            SessionError: a packet before the welcome, or one that the decoder refuses: something was lost.
+            SessionError: a packet came before the welcome, or the decoder refuses it, because something was lost.
         """
         if not self._welcomed:
             raise SessionError(CloseCode.BAD_MESSAGE, "a packet came before the welcome")
@@ -110,7 +110,7 @@ class Playback:
                 CloseCode.BAD_VERSION, f"the server speaks protocol version {message.get('version')!r}, not 1"
             )
         self._welcomed = True
-        if message.get("epoch") is not None:  # there is none before the first keyframe; an event tells it then
+        if message.get("epoch") is not None:  # there is none before the first keyframe; an event announces it then
             self._epoch = _whole(message, "epoch")
         self._ack_every = max(1, _whole(message, "ack_every"))
         levels, fps = message.get("levels"), message.get("fps")
@@ -119,17 +119,17 @@ class Playback:
             str(message.get("state", "")),
             self._epoch,
             levels if isinstance(levels, int) else None,
-            float(fps) if isinstance(fps, int | float) and 0 < fps <= _MOST_FPS else None,
+            float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else None,
         )
 
     def _current_levels(self, version: int) -> int:
-        """Levels at `version` before the first one that lags or is absent."""
+        """Number of levels at `version`, counted from the coarsest up to the first one that is older or absent."""
         lagging = (number for number, held in enumerate(self._decoder.versions) if held != version)
         return next(lagging, len(self._decoder.versions))
 
 
 def _object(text: str) -> dict[str, Any]:
-    if len(text) > _TEXT_BYTES:
+    if len(text) > _MAX_TEXT_BYTES:
         raise SessionError(CloseCode.TOO_BIG, f"a control message of {len(text)} characters is too long")
     try:
         message = json.loads(text)

@@ -1,4 +1,4 @@
-"""Pictures to files that appear when they are complete."""
+"""Writes pictures to PNG files or an MP4, which appear under their names when they are complete."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _QUALITY = "18"  # x264's constant rate factor: visually near lossless
 
 
 class Recorder(Protocol):
-    """Takes pictures one after the other; leaving the context completes the recording, or drops it on an error."""
+    """Records pictures in order; leaving the context completes the recording, or discards it on an error."""
 
     count: int
 

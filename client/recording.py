@@ -31,7 +31,7 @@ class RecordedFrame:
 
 
 def require_whole(path: Path, reader: SlodReader) -> None:
-    """Refuse a file that was cut, or is still being written."""
+    """Raise InputError for a file that is incomplete, because it was cut or is still being written."""
     if reader.torn or reader.records_end == path.stat().st_size:
         complete = len(reader.entries)
         raise InputError(path, f"is cut short: {complete} complete packets and no index; copy or record it again")
@@ -40,7 +40,7 @@ def require_whole(path: Path, reader: SlodReader) -> None:
 def decode_frames(path: Path) -> Iterator[RecordedFrame]:
     """All frames of the file, in order, decoded from its bytes alone.
 
-    Of several versions of one instant (early keyframes of a live recording) the last is meant.
+    Where several versions show one instant (previews of a live recording), the last one is used.
 
     Raises:
         InputError: the file cannot be opened, is cut or damaged; names it.
@@ -72,13 +72,13 @@ def _decode(reader: SlodReader) -> Iterator[RecordedFrame]:
 
 
 def _is_detour(entry: Entry, decoder: SceneDecoder) -> bool:
-    """Whether the packet only helps to seek: it leads to a version that the packets before it reached."""
+    """Whether the packet is needed for seeking only, as the packets before it lead to the same version."""
     reached = decoder.scene is not None and entry.to_version <= decoder.scene.version
     return entry.kind is not PacketKind.KEY and entry.kind is not PacketKind.PREDICTED and reached
 
 
 def decode_version(path: Path, version: int) -> Scene:
-    """The state at `version`, by the shortest way.
+    """The state at `version`, from as few bytes as possible.
 
     Raises:
         InputError: the file is cut or damaged, or does not reach the version.
@@ -97,7 +97,7 @@ def decode_version(path: Path, version: int) -> Scene:
 
 
 def versions(path: Path) -> tuple[int, ...]:
-    """The versions that the file shows, ascending."""
+    """The versions that the file holds, ascending."""
     try:
         with SlodReader(path) as reader:
             require_whole(path, reader)

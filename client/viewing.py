@@ -8,16 +8,16 @@ from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
 
-from client.connection import Wishes, watch
+from client.connection import WatchOptions, watch
 from client.events import Event, NewScene, Notice, Welcome
 from client.recorder import Recorder, open_recorder
-from client.viewpoints import Path3D
+from client.viewpoints import CameraPath
 from core.errors import InputError
 from core.render.splatter import Splatter
 from core.scene.anchors import SceneHeader
 
 _log = logging.getLogger(__name__)
-_QUIET_SECONDS = 2.0  # a stream that has ended is over when nothing comes for so long
+_QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
 _DEFAULT_FPS = 30.0
 
 Tell = Callable[[str], None]
@@ -26,18 +26,18 @@ Tell = Callable[[str], None]
 async def record_stream(
     url: str,
     out: Path,
-    viewpoint: Callable[[SceneHeader], Path3D],
+    viewpoint: Callable[[SceneHeader], CameraPath],
     frames: int | None = None,
-    wishes: Wishes | None = None,
+    options: WatchOptions | None = None,
     tell: Tell = lambda text: None,
 ) -> int:
-    """Record one picture for each packet that arrives, until `frames` are there or the stream is over.
+    """Record one picture for each packet that arrives, until there are `frames` pictures or the stream is over.
 
-    A viewpoint that moves goes on around the last scene of a stream that is over, so that its recording is complete.
+    If the viewpoint moves, it finishes its path around the last scene when the stream is over.
 
     Args:
         viewpoint: makes the path of the camera once the scene's header is known.
-        tell: hears of progress, one short text a time.
+        tell: called with short texts about the progress.
 
     Returns:
         Number of pictures.
@@ -48,7 +48,7 @@ async def record_stream(
     """
     take = _Take(out, viewpoint, tell)
     try:
-        async with aclosing(watch(url, wishes or Wishes())) as events:
+        async with aclosing(watch(url, options or WatchOptions())) as events:
             while frames is None or take.count < frames:
                 try:
                     async with asyncio.timeout(_QUIET_SECONDS if take.is_over else None):
@@ -68,13 +68,13 @@ async def record_stream(
 
 
 class _Take:
-    """One recording in the making."""
+    """A recording in progress."""
 
-    def __init__(self, out: Path, viewpoint: Callable[[SceneHeader], Path3D], tell: Tell) -> None:
+    def __init__(self, out: Path, viewpoint: Callable[[SceneHeader], CameraPath], tell: Tell) -> None:
         self._out, self._viewpoint, self._tell = out, viewpoint, tell
         self._splatter = Splatter()
         self._recorder: Recorder | None = None
-        self._path: Path3D | None = None
+        self._path: CameraPath | None = None
         self.newest: NewScene | None = None
         self.count = 0
         self._ended = False
@@ -85,14 +85,14 @@ class _Take:
         return self._ended and self.newest is not None
 
     def moves(self) -> bool:
-        """Whether the next picture would be taken from another place than the last one."""
+        """Whether the next picture would be taken from another viewpoint than the last one."""
         if self._path is None:
             return False
         before, after = self._path(self.count - 1), self._path(self.count)
         return bool((before.world_to_camera != after.world_to_camera).any())
 
     async def hear(self, event: Event) -> None:
-        """Draw a new scene; tell of the rest."""
+        """Draw a new scene; report other events."""
         if isinstance(event, NewScene):
             await self.draw(event)
         elif isinstance(event, Welcome):
@@ -121,7 +121,7 @@ class _Take:
         self._tell(f"picture {self.count}, version {event.scene.version}")
 
     def close(self, error: BaseException | None) -> None:
-        """Complete the recording, or drop it where an error ends it."""
+        """Complete the recording, or discard it after an error."""
         if self._recorder is not None:
             keep = error is None or isinstance(error, KeyboardInterrupt | asyncio.CancelledError)
             self._recorder.__exit__(*((None, None, None) if keep or error is None else (type(error), error, None)))

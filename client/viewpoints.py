@@ -1,4 +1,4 @@
-"""Where to look from: a camera of the rig, an orbit around what the rig looks at, or poses from a file."""
+"""Viewpoints: a camera of the rig, an orbit around what the rig looks at, or poses from a file."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from core.camera import Camera, look_at, pinhole
 from core.errors import InputError
 from core.scene.anchors import SceneHeader
 
-Path3D = Callable[[int], Camera]  # picture number to camera
-_POSE_FILE_BYTES = 16_000_000
-_LARGEST_SIDE = 8192
-_ORBIT_PICTURES = 90  # pictures of one turn where their number is not known
+CameraPath = Callable[[int], Camera]  # picture number to camera
+_MAX_POSE_FILE_BYTES = 16_000_000
+_MAX_SIDE = 8192
+_ORBIT_PICTURES = 90  # pictures of one turn if `pictures` is not given
 
 
 def camera_named(header: SceneHeader, name: str) -> Camera:
@@ -31,7 +31,7 @@ def camera_named(header: SceneHeader, name: str) -> Camera:
     raise InputError(f"camera {name}", f"the scene does not have it; its cameras are: {names}")
 
 
-def orbit(header: SceneHeader, pictures: int | None = None) -> Path3D:
+def orbit(header: SceneHeader, pictures: int | None = None) -> CameraPath:
     """One turn on an ellipse inside the rig, looking at the point that its cameras look at.
 
     Args:
@@ -77,18 +77,18 @@ def focus_point(centres: Float64, forwards: Float64, fallback_distance: float) -
     return np.asarray(middle + fallback_distance * ahead / max(float(np.linalg.norm(ahead)), 1e-9), np.float64)
 
 
-def read_poses(path: Path, header: SceneHeader) -> Path3D:
-    """Cameras of a JSON file; the last one stays when there are more pictures than poses.
+def read_poses(path: Path, header: SceneHeader) -> CameraPath:
+    """Cameras of a JSON file; the last one is kept when there are more pictures than poses.
 
     The file holds one object or a list of them: ``{"world_to_camera": 3x4 or 4x4 rows, "width": W, "height": H,
-    "focal": [fx, fy], "principal": [cx, cy]}``. All but the pose may be left out; the rig's first camera has the rest.
+    "focal": [fx, fy], "principal": [cx, cy]}``. Only the pose is required; the rest defaults to the first camera.
 
     Raises:
-        InputError: the file cannot be read, or is not like that.
+        InputError: the file cannot be read, or does not have this form.
     """
     try:
-        if path.stat().st_size > _POSE_FILE_BYTES:
-            raise InputError(path, f"is larger than {_POSE_FILE_BYTES // 1_000_000} MB")
+        if path.stat().st_size > _MAX_POSE_FILE_BYTES:
+            raise InputError(path, f"is larger than {_MAX_POSE_FILE_BYTES // 1_000_000} MB")
         value = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from error
@@ -110,8 +110,8 @@ def _pose(path: Path, number: int, entry: Any, header: SceneHeader) -> Camera:
     try:
         width = int(entry.get("width", model.width if model else 0))
         height = int(entry.get("height", model.height if model else 0))
-        if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
-            raise InputError(path, f"pose {number}: picture size {width}x{height} is not between 1 and {_LARGEST_SIDE}")
+        if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
+            raise InputError(path, f"pose {number}: picture size {width}x{height} is not between 1 and {_MAX_SIDE}")
         scaled = model.scaled(width, height).intrinsics if model else np.eye(3)
         focal = np.asarray(entry.get("focal", (scaled[0, 0], scaled[1, 1])), np.float64).reshape(2)
         centre = (scaled[0, 2], scaled[1, 2]) if model else (width / 2, height / 2)

@@ -1,4 +1,4 @@
-"""Array types and the one check that constructors make."""
+"""Array types, and the check of shape and type that constructors make."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Bool = NDArray[np.bool_]
 
 
 def check_array(name: str, array: NDArray[Any], shape: tuple[int | None, ...], dtype: DTypeLike) -> None:
-    """Refuse an array of another shape or type; ``None`` in `shape` stands for any length.
+    """Raise for an array of another shape or type; ``None`` in `shape` stands for any length.
 
     Raises:
         TypeError: not an array, or another dtype.

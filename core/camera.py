@@ -15,7 +15,7 @@ from core.errors import InputError
 
 _ROTATION_TOLERANCE = 1e-3
 _NO_DISTORTION = np.zeros(5)
-_LARGEST = 1e12  # beyond this, numbers are damage, and products of them overflow
+_MAX_NUMBER = 1e12  # larger numbers come from damage, and their products overflow
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,8 +52,8 @@ class Camera:
         ):
             if not np.isfinite(array).all():
                 raise InputError(f"camera {self.name}", f"its {label} holds numbers that are not finite")
-            if np.abs(array).max() > _LARGEST:
-                raise InputError(f"camera {self.name}", f"its {label} holds numbers beyond {_LARGEST:g}")
+            if np.abs(array).max() > _MAX_NUMBER:
+                raise InputError(f"camera {self.name}", f"its {label} holds numbers beyond {_MAX_NUMBER:g}")
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera {self.name}", f"picture size {self.width}x{self.height} is not positive")
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:

@@ -7,7 +7,7 @@
     +-- ModelError            training or a scene reached a state from which it can't go on
     +-- BackendUnavailable    a rendering backend or an optional package is missing
 
-Each carries its facts as fields and writes one sentence: what was wrong, and what to do.
+Each carries the facts as fields and writes one sentence: what was wrong, and what to do.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class BitstreamError(StreamlodError):
 
 
 class SessionError(StreamlodError):
-    """The other side of a viewer session did something that the protocol forbids.
+    """A viewer session has to end: the peer broke the protocol, or the server refuses it.
 
     Args:
         close_code: websocket close code of docs/protocol.md.

@@ -14,7 +14,7 @@ class FrameSet:
     """What all cameras saw at one instant.
 
     Attributes:
-        index: number of the instant, from 0.
+        index: number of the instant in its source, from 0.
         time_ns: capture time in nanoseconds (Unix time when known, otherwise from the clip's start).
         images: [C,H,W,3] uint8 RGB, in the order of the cameras; zeros where a camera is missing.
         present: [C] bool, False where a camera delivered nothing for this instant.

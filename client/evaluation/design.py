@@ -1,4 +1,4 @@
-"""A budgeted design: one knob turned at a time away from a base, and the presets."""
+"""The points of a trade-off sweep: one setting at a time varied from a base, and the presets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Point:
     """One configuration to measure.
 
     Attributes:
-        name: in tables and plots. knob: what was turned, ``preset`` for a preset.
+        name: in tables and plots. knob: the setting that was varied, or ``preset``.
         shrink: how many times smaller than the held-out pictures the training pictures are.
     """
 
@@ -25,7 +25,7 @@ class Point:
 
 
 def one_at_a_time() -> tuple[Point, ...]:
-    """The presets, then each knob at values beside the base's; those that make no difference are left out."""
+    """The presets, then each setting at values other than the base's."""
     base = preset(BASE)
     points = [Point(name, "preset", preset(name)) for name in PRESETS]
     turned = [

@@ -1,4 +1,4 @@
-"""Go on where an earlier measurement was stopped: what its report holds need not be measured again."""
+"""Resume an earlier measurement: results that its report holds are not measured again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _log = logging.getLogger(__name__)
 
 
 def earlier_report(path: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """The report at `path` if each of `facts` (data, machine, protocol, ...) stands in it; empty otherwise.
+    """The report at `path` if each of `facts` (data, machine, protocol, ...) is the same in it; empty otherwise.
 
     A report does not know which program wrote it: after a change of the method, measure into a new folder.
 

@@ -1,4 +1,4 @@
-"""The systems that a study compares: one row of its tables each."""
+"""The systems that a study compares; each is one row of its tables."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:
 
 
 def _changed(rows: tuple[Row, ...], ours: TrainConfig) -> tuple[Row, ...]:
-    """Those that are not ours by another name."""
+    """The rows whose configuration differs from ours."""
     return tuple(row for row in rows if row.config != ours)
 
 

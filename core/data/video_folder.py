@@ -33,7 +33,7 @@ from core.data.video import SUFFIXES
 from core.errors import InputError
 
 PATTERNS = {"n3dv": re.compile(r"cam\d+"), "meetroom": re.compile(r"cam_\d+")}
-_LARGEST = 1e12
+_MAX_NUMBER = 1e12
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 
 
@@ -92,10 +92,12 @@ def _llff_cameras(path: Path, names: Sequence[str]) -> tuple[list[Camera], tuple
             "its array",
             f"has {len(table)} rows, but there are {len(names)} videos ({listed(names)}); remove what is over",
         )
-    usable = (np.abs(table) < _LARGEST).all(axis=1)
+    usable = (np.abs(table) < _MAX_NUMBER).all(axis=1)
     if not usable.all():
         row = int(np.flatnonzero(~usable)[0])
-        raise InputError(f"camera {names[row]}", f"row {row} holds numbers that are not finite, or beyond {_LARGEST:g}")
+        raise InputError(
+            f"camera {names[row]}", f"row {row} holds numbers that are not finite, or beyond {_MAX_NUMBER:g}"
+        )
     near, far = float(table[:, -2].min()), float(table[:, -1].max())
     if not 0 < near < far:
         raise InputError("its depth bounds", f"run from {near:g} to {far:g}; near must be positive and below far")

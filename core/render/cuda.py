@@ -20,8 +20,8 @@ from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
 _RULES = {"near_plane": 0.01, "far_plane": 1e10, "eps2d": 0.3, "rasterize_mode": "classic", "packed": True}
 _OPACITY_MAX = 2.0
-_LARGEST = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
-_LARGEST_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
+_MAX_PARAMETER = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
+_MAX_SCALE_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
 _NEAR = 0.01
 _NEEDED = {*_RULES, "absgrad"}
 
@@ -96,7 +96,7 @@ def sound(parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Te
         depth = (means @ pose[2, :3] + pose[2, 3]).clamp_min(_NEAR)
         size = scales.abs().amax(dim=1) * intrinsics.diagonal()[:2].amax() / depth
         length = quaternions.square().sum(dim=1)
-        good = (flat.abs() < _LARGEST).all(dim=1) & (size < _LARGEST_PIXELS) & (length > 0)
+        good = (flat.abs() < _MAX_PARAMETER).all(dim=1) & (size < _MAX_SCALE_PIXELS) & (length > 0)
         upright = torch.eye(4, device=means.device)[0]
         excess = opacities - opacities.clamp(max=_OPACITY_MAX)
     rows = good[:, None]

@@ -1,4 +1,4 @@
-"""The integer state that travels, and the small network that turns it into Gaussians.
+"""The integer state that is transmitted, and the small network that turns it into Gaussians.
 
 Everything that changes from frame to frame is an integer, so that encoder, Python client and browser hold the same
 state to the bit; floats appear only in `core.scene.expand`, after decoding.
@@ -34,7 +34,7 @@ class AnchorLevel:
     Attributes:
         voxel: [N,3] int32 grid node.
         position: [N,3] int32 offset from the node, in the level's position steps.
-        feature: [N,F] int16 base feature, in `Scene.feature_steps`.
+        feature: [N,F] int16 base feature, in `SceneHeader.feature_steps`.
         offset: [N,3K] int16 base offsets of the K Gaussians (x y z of the first, of the second, ...), in offset steps.
         scaling: [N,6] int16 log-scales, in scaling steps.
         extra_level: [N] int16 the paper's extra level, in 1/64 of a level.
@@ -94,9 +94,9 @@ def append_rows(first: AnchorLevel, second: AnchorLevel) -> AnchorLevel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnchorWeights:
-    """The shared network and the latent decoders, frozen for the life of a keyframe.
+    """The shared network and the latent decoders, fixed until the next keyframe.
 
-    All float32 arrays whose values are exact in float16, as they travel.
+    All are float32 arrays whose values are exact in float16, in which they are transmitted.
 
     Attributes:
         hidden_weight [I,32], hidden_bias [32]: first layer; I = F, plus 4 when the scene is view-dependent.
@@ -131,11 +131,11 @@ class SceneHeader:
         gaussians_per_anchor: K.
         view_dependent: whether the network sees direction and distance.
         reference_distance: d_max, world units (docs/method.md, reading 5).
-        position_steps: [L] float32 world units of one position step, a level each.
+        position_steps: [L] float32 world units of one position step, for each level.
         feature_steps: [F] float32; offset_steps: [3K] float32; scaling_steps: [6] float32.
         background: [3] float32 RGB in [0, 1] behind everything.
         fps: frames a second of the clip.
-        cameras: the rig, offered to viewers as places to stand.
+        cameras: the rig, offered to viewers as viewpoints.
     """
 
     octree: Octree
@@ -160,13 +160,13 @@ class SceneHeader:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """One instant, complete: what a keyframe carries and a decoder holds.
+    """The complete state of one instant: what a keyframe carries and a decoder holds.
 
     Attributes:
-        header, weights: fixed for the life of the keyframe.
+        header, weights: fixed until the next keyframe.
         levels: one AnchorLevel for each octree level, coarse to fine.
         keyframe: version at which the header and weights were sent.
-        version: frame number of the state.
+        version: number of the state in its epoch.
     """
 
     header: SceneHeader

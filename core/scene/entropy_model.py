@@ -1,10 +1,10 @@
-"""The frozen probability tables, and what a value costs under them: one model for coding and training.
+"""The fixed probability tables, and the cost of a value under them, shared by codec and training.
 
 A value is coded under a *bin*, a quarter octave of expected magnitude: bin b expects 2^((b - 24) / 4). The rows of
 `FREQUENCIES`, in 1/4096, are fitted to trained scenes (docs/bitstream.md): a two-sided geometric law with a dead zone,
-P(0) = 1 - q^0.62 and P(|v| = k) = q^0.62 (1 - q) q^(k-1), corrected by what keyframes and changes of two clips showed,
-so that none of these is far from the tables it would have of its own; `tests.bench.codec_tables` fits them. The
-numbers are the definition (FORMAT.md, section 12).
+P(0) = 1 - q^0.62 and P(|v| = k) = q^0.62 (1 - q) q^(k-1), adjusted to keyframes and changes of two clips, such that
+each of these costs little more than under tables of its own; `tests.bench.codec_tables` fits them. The numbers are
+part of the format (FORMAT.md, section 12).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def bin_of(magnitude: float) -> int:
 def magnitude_bits(highest: int = 64) -> Float32:
     """[BINS, highest + 1] bits that |v| = 0 .. `highest` costs in each bin, sign included.
 
-    Between integers the cost is meant to be interpolated linearly: with k = floor(|v|) and f = |v| - k,
+    Between integers the cost is interpolated linearly: with k = floor(|v|) and f = |v| - k,
     ``(1 - f) * table[bin, k] + f * table[bin, k + 1]`` is the rate term of training.
     """
     bits = PROBABILITY_BITS - np.log2(FREQUENCIES)

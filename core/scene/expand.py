@@ -1,7 +1,7 @@
 """Anchors to Gaussians for one view: the reference arithmetic of the decoder, in numpy.
 
-Every other implementation (training in torch, the browser) is tested against this one. Paper section IV-A, equations
-of Scaffold-GS type decoding; conventions in `core.scene.anchors`.
+Every other implementation (training in torch, the browser) is tested against this one. Equations 3
+and 7 of the paper; conventions in `core.scene.anchors`.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def visible(cloud: GaussianCloud) -> GaussianCloud:
 def expand_slots(
     header: SceneHeader, weights: AnchorWeights, number: int, level: AnchorLevel, rows: Int64, viewpoint: Float64
 ) -> GaussianCloud:
-    """All n * K Gaussians of `rows` of level `number`, K to a row; opacity 0 where the network says not to draw."""
+    """All n * K Gaussians of `rows` of level `number`, K for each; opacity 0 where the network's is not positive."""
     count, slots = len(rows), header.gaussians_per_anchor
     feature, offset, scaling = dequantise(header, weights, level, rows)
     anchors = anchor_positions(header, number, level)[rows]

@@ -1,6 +1,6 @@
 """Rounding of residuals: one rule for training and for coding.
 
-Quantised state is an integer; what is added to it is an integer too, so that encoder and decoder never differ.
+The quantised state is an integer, and so is what is added to it, so that encoder and decoder never differ.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def dead_zone(values: NDArray[Any], offset: float = DEFAULT_OFFSET) -> Int32:
 
 
 def saturate(state: Int16 | Int32, delta: Int32) -> Int32:
-    """`delta` cut back so that ``state + delta`` stays in the type of `state`; decoders refuse an overflow."""
+    """`delta`, limited so that ``state + delta`` fits the type of `state`; decoders refuse an overflow."""
     limits = np.iinfo(state.dtype)
     total = np.clip(state.astype(np.int64) + delta, limits.min, limits.max)
     return np.asarray(total - state, np.int32)
 
 
 def trailing_zeros(matrix: NDArray[Any], most: int) -> Int64:
-    """[n] how many zero bits end all integers of a row of `matrix` [n,C]; at most `most`, which a row of zeros has."""
+    """[n] number of trailing zero bits common to each row of `matrix` [n,C]; at most `most`, as for a row of zeros."""
     joined = np.bitwise_or.reduce(matrix.astype(np.int64), axis=1)
     zeros = np.log2(np.maximum(joined & -joined, 1)).astype(np.int64)
     return np.where(joined == 0, most, np.minimum(zeros, most))

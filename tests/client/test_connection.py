@@ -11,7 +11,7 @@ import pytest
 from websockets.asyncio.server import ServerConnection, serve
 
 import client.connection
-from client.connection import SUBPROTOCOL, Wishes, back_off, watch
+from client.connection import SUBPROTOCOL, WatchOptions, back_off, watch
 from client.events import Disconnected, Event, NewScene, Welcome
 from core.errors import InputError, SessionError
 from tests.client.clips import packets, states
@@ -22,10 +22,10 @@ Behaviour = Callable[[ServerConnection], Awaitable[None]]
 
 @pytest.fixture(autouse=True)
 def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client.connection, "_FIRST_DELAY", 0.01)
+    monkeypatch.setattr(client.connection, "_MIN_DELAY", 0.01)
 
 
-def events_from(*behaviours: Behaviour, wishes: Wishes | None = None) -> list[Event]:
+def events_from(*behaviours: Behaviour, options: WatchOptions | None = None) -> list[Event]:
     """What `watch` tells when the n-th connection meets the n-th behaviour."""
     waiting = list(behaviours)
 
@@ -36,7 +36,7 @@ def events_from(*behaviours: Behaviour, wishes: Wishes | None = None) -> list[Ev
         async with serve(handle, "127.0.0.1", 0, subprotocols=[SUBPROTOCOL], compression=None) as server:  # type: ignore[list-item]
             port = server.sockets[0].getsockname()[1]
             url = f"ws://127.0.0.1:{port}/v1/streams/main/live"
-            async with aclosing(watch(url, wishes or Wishes(), attempts=3)) as events:
+            async with aclosing(watch(url, options or WatchOptions(), attempts=3)) as events:
                 return [event async for event in events]
 
     return asyncio.run(run())
@@ -58,7 +58,7 @@ def test_scenes_arrive_and_are_acknowledged() -> None:
         while sum(message.get("type") == "ack" for message in heard) < 2:
             heard.append(json.loads(await socket.recv()))
 
-    events = events_from(stream, wishes=Wishes(levels=2))
+    events = events_from(stream, options=WatchOptions(levels=2))
     assert isinstance(events[0], Welcome)
     assert [event.scene.version for event in events if isinstance(event, NewScene)] == [0, 1, 2, 3]
     assert heard[0]["levels"] == 2
@@ -95,7 +95,7 @@ def test_a_replay_goes_on_where_it_stopped() -> None:
             await socket.send(packet)
         await socket.close(1001 if len(starts) == 1 else 1000)
 
-    events_from(replay, replay, wishes=Wishes(start=(3, 0)))
+    events_from(replay, replay, options=WatchOptions(start=(3, 0)))
     assert starts == [{"epoch": 3, "version": 0}, {"epoch": 3, "version": 1}]
 
 
@@ -135,7 +135,7 @@ def test_nobody_there_and_wrong_addresses() -> None:
 
 
 def test_back_off_doubles_to_a_limit_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client.connection, "_FIRST_DELAY", 0.5)
+    monkeypatch.setattr(client.connection, "_MIN_DELAY", 0.5)
     for failures, longest in ((0, 0.5), (1, 1.0), (3, 4.0), (5, 15.0), (5000, 15.0)):
         delays = [back_off(failures) for _ in range(50)]
         assert longest / 2 <= min(delays) <= max(delays) <= longest

@@ -1,4 +1,4 @@
-"""What measured, for reports."""
+"""The machine that measured, for reports."""
 
 from __future__ import annotations
 

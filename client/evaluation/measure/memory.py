@@ -1,4 +1,4 @@
-"""The largest memory that a piece of work took."""
+"""Peak memory of a piece of work."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _RESET_PEAK = "5"
 
 
 def forget_peak() -> None:
-    """Start measuring anew, where the system can; elsewhere the peak is that of the whole process."""
+    """Reset the peak, if the system can; otherwise the peak is that of the whole process."""
     with suppress(OSError):
         _RESET.write_text(_RESET_PEAK)
 

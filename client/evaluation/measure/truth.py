@@ -1,10 +1,10 @@
-"""The dynamic set against true motion, where a clip comes with its truth.
+"""The dynamic set against true motion, for clips that come with ground truth.
 
-An anchor has no surface of its own, so it is asked what it *shows*: its blending weights, summed over the pixels of the
-training pictures. It truly moves when at least half of that lies on surfaces that move by a quarter of a pixel or more
-in this step; a dynamic anchor is right when at least a tenth of it lies on surfaces that move at all. Between the two,
-either answer will do. Surfaces count, not appearances: shadows, highlights, reflections, and what a moving thing covers
-or uncovers are false alarms; anchors that no camera sees count for nothing.
+An anchor has no surface of its own. What it *shows* is measured by its blending weights, summed over the pixels of the
+training pictures. It truly moves when at least half of what it shows moves by a quarter of a pixel or more in this
+step; a dynamic anchor is right when at least a tenth of what it shows moves at all. Between the two, either answer is
+accepted. Surfaces count, not appearances: shadows, highlights, reflections and uncovered background are false alarms.
+Anchors that no camera sees are left out.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ VISIBLE = 0.25  # pixels in one step: the finest motion that video codecs descri
 _ANY = 0.01  # pixels
 _MOSTLY, _PARTLY = 0.5, 0.1  # of what an anchor shows
 _SEEN = 0.3  # pixels, over all training pictures
-_LATER = {"kind", "speed"}  # which clips of earlier versions do not name
+_LATER = {"kind", "speed"}  # absent from clips of earlier versions
 _SPEC = Path("ground_truth") / "spec.json"
 
 

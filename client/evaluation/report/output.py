@@ -1,4 +1,4 @@
-"""Files of results, complete or not there at all."""
+"""Result files, which are either complete or absent."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def result_folder(path: Path) -> Path:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Strict JSON: a number that is not finite is a fault of ours."""
+    """Write strict JSON; raises ValueError for a number that is not finite."""
     write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
 
 
 def side_by_side(truth: UInt8, drawn: UInt8) -> UInt8:
-    """[H,3W,3]: truth, rendering, and their absolute difference, four times enlarged."""
+    """[H,3W,3]: truth, rendering, and their absolute difference times four."""
     difference = np.minimum(np.abs(truth.astype(np.int16) - drawn) * 4, 255).astype(np.uint8)
     return np.concatenate([truth, drawn, difference], axis=1)

@@ -1,4 +1,4 @@
-"""Which points nothing else beats."""
+"""The Pareto front: points that no other point beats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Published figures to read ours beside: quoted, not measured here, and on other hardware."""
+"""Published figures for comparison: quoted, not measured here, and from other hardware."""
 
 from __future__ import annotations
 

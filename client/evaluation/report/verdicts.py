@@ -1,4 +1,4 @@
-"""Do ablations move figures the way the paper's do? Differences from ours beside the published ones."""
+"""Compares the effect of each ablation with the published one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from client.evaluation.report.quoted import ABLATIONS, MEET_ROOM, Quoted, QuotedAblation
 from client.evaluation.report.tables import number, table
 
-_LEAST_DB, _LEAST_RATIO = 0.05, 0.02  # smaller differences are none, however steady
+_LEAST_DB, _LEAST_RATIO = 0.05, 0.02  # smaller differences count as none, whatever their spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def _cell(name: str, values: Sequence[float], published: float | None) -> str:
     if published is None:
         return text
     theirs = f"{published:+.2f}" if name == "psnr" else f"x {number(published)}"
-    if name == "fps":  # wall time, and of another kind of machine: too little to judge by
+    if name == "fps":  # wall time on another machine: not comparable
         return f"{text} ({theirs})"
     verdict = {True: "as published", False: "**against**", None: "no telling"}[agrees(name, values, published)]
     return f"{text} ({theirs}: {verdict})"

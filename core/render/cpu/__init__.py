@@ -1,6 +1,6 @@
 """Gaussian splatting on the CPU: numpy and numba, no torch.
 
-Deterministic for a fixed number of threads (the picture for any), safe when several threads render at once.
+Pictures do not depend on the number of threads, gradients do; several threads may render at once.
 """
 
 from __future__ import annotations

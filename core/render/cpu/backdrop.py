@@ -1,4 +1,4 @@
-"""Moving Gaussians before still ones: what stands still is projected, sorted and listed once for many steps."""
+"""Rendering moving Gaussians over still ones: still ones are projected, sorted and listed once for many steps."""
 
 from __future__ import annotations
 
