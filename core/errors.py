@@ -2,6 +2,7 @@
 
     StreamlodError
     +-- InputError            a file, a folder, a picture or an option is not usable
+    |   +-- StorageError      the disk is full, or does not take what is to be stored
     +-- BitstreamError        bytes that are not a valid packet or file (refusal codes in codec/FORMAT.md)
     +-- SessionError          a peer broke the viewer protocol
     +-- ModelError            training or a scene reached a state from which it can't go on
@@ -32,6 +33,10 @@ class InputError(StreamlodError):
 
     def __str__(self) -> str:
         return f"{self.subject}: {self.fault}"
+
+
+class StorageError(InputError):
+    """The disk is full, or does not take what is to be stored; nothing was stored."""
 
 
 class BitstreamError(StreamlodError):

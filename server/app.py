@@ -111,14 +111,11 @@ def _add_health(app: FastAPI) -> None:
 
     @app.get("/readyz", tags=["health"], summary="Whether viewers may come", responses={503: {"model": Health}})
     async def readyz(request: Request, response: Response) -> Health:
-        """503 while stopping, and while a stream has failed or the disk of the recordings is full."""
+        """503 while stopping, and while the disk of the recordings is full. Streams have a readiness of their own."""
         registry = registry_of(request)
-        failed = [name for name, stream in registry.streams.items() if stream.state == "failed"]
         detail = ""
         if registry.draining:
             detail = "the server is stopping"
-        elif failed:
-            detail = f"stream {failed[0]} has failed"
         elif registry.store is not None and not registry.store.has_room:
             detail = "the disk is full except for its reserve"
         response.status_code = 503 if detail else 200

@@ -7,18 +7,20 @@ import logging
 import secrets
 import tempfile
 from collections import Counter
+from collections.abc import Coroutine
 from pathlib import Path
 
-from core.errors import InputError
+from core.errors import InputError, StorageError
 from server.auth.gate import Gate
 from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
-from server.stream.store import Store
+from server.stream.store import Recording, Store
 from server.stream.stream import Stream
 from server.viewer.renderer import PictureRenderer
 from server.viewer.session import ViewerSession
 
 _LOG = logging.getLogger(__name__)
+_RETAIN_SECONDS = 30.0  # between two looks for what is too old
 
 
 class Registry:
@@ -43,47 +45,58 @@ class Registry:
         self.draining = False
         self._drained = False
         self._sockets: tempfile.TemporaryDirectory[str] | None = None
-        self._initial = [spec.id for spec in specs]
+        self.kept: dict[str, Recording] = {}  # recordings of streams that were deleted
+        idle = {new.id for new in settings.streams if new.start is False}
+        self._initial = [spec.id for spec in specs if spec.id not in idle]
         for spec in specs:
             if spec.id in self.streams:
                 raise InputError(f"stream {spec.id}", "two streams cannot have one id")
             self._add(spec)
-        for name, definition in (self.store.definitions() if self.store else {}).items():
-            if name in self.streams:
-                continue
-            try:
-                self._add(spec_from_json(definition))
-            except InputError as error:
-                _LOG.warning("a remembered stream is left out: %s", error)
+        if self.store is not None:
+            self._add_stored(self.store)
+        self._tasks: set[asyncio.Task[None]] = set()
 
     def start(self) -> None:
-        """Start the streams of the command line."""
-        for name in self._initial:
-            self.streams[name].start()
+        """Show every stream's last state, and start those of the settings and those that ran before."""
+        for name, stream in self.streams.items():
+            self._spawn(self._begin(stream, start=name in self._initial))
+        if self.store is not None:
+            self._spawn(self._retain(self.store))
 
-    async def create(self, spec: StreamSpec) -> Stream:
-        """Add a stream, idle, and remember it.
+    async def create(self, spec: StreamSpec, *, start: bool = False) -> Stream:
+        """Add a stream, remember it, and start it if wanted.
 
         Raises:
             InputError: the id is taken, or there are too many streams.
+            StorageError: the disk is full; nothing was added.
         """
         if spec.id in self.streams:
             raise InputError(f"stream {spec.id}", "there is one of that id already")
         if len(self.streams) >= self.settings.limits.streams:
             raise InputError(f"stream {spec.id}", f"there are {len(self.streams)} streams, and no more are allowed")
+        if self.store is not None and not self.store.has_room:
+            raise StorageError(f"stream {spec.id}", "cannot be stored: the disk is full up to its reserve")
         stream = self._add(spec)
-        if self.store is not None:
-            store = self.store
-            await store.run(lambda: store.define(spec.id, spec.to_json()))
+        recording = stream.bus.recording
+        if recording is not None:
+            try:
+                recording.note(definition=spec.to_json(), running=start)
+            except StorageError:
+                del self.streams[spec.id]
+                await recording.erase()
+                raise
+        if start:
+            stream.start()
         return stream
 
-    async def delete(self, name: str) -> None:
-        """Remove a stream with its recording."""
+    async def delete(self, name: str, *, erase: bool) -> None:
+        """Remove a stream, with its recording if that is to be erased."""
         stream = self.streams.pop(name)
-        await stream.delete()
-        if self.store is not None:
-            store = self.store
-            await store.run(lambda: store.define(name, None))
+        recording = stream.bus.recording
+        await stream.delete(erase=erase)
+        if recording is not None and not erase:
+            recording.note(definition=None, running=False)
+            self.kept[name] = recording
 
     async def drain(self) -> None:
         """Disconnect viewers, stop workers and finish recordings; only the first call does anything."""
@@ -100,17 +113,51 @@ class Registry:
         while self.sessions and asyncio.get_running_loop().time() < limit:
             await asyncio.sleep(0.02)
         self.renderer.close()
-        await asyncio.gather(*(stream.stop() for stream in self.streams.values()), return_exceptions=True)
+        for task in self._tasks:
+            task.cancel()
+        stops = (stream.stop(remember=False) for stream in self.streams.values())
+        await asyncio.gather(*self._tasks, *stops, return_exceptions=True)
         if self.store is not None:
             await asyncio.to_thread(self.store.close)
         if self._sockets is not None:
             self._sockets.cleanup()
 
     def _add(self, spec: StreamSpec) -> Stream:
-        recording = self.store.recording(spec.id) if self.store else None
+        recording = self.kept.pop(spec.id, None)
+        if recording is None and self.store is not None:
+            recording = self.store.recording(spec.id)
         socket = self._push_socket() if spec.is_live else None
         self.streams[spec.id] = Stream(spec, self.settings, recording, socket)
         return self.streams[spec.id]
+
+    def _add_stored(self, store: Store) -> None:
+        """Streams that were created over REST, and recordings of those that were deleted since."""
+        for name, stored in store.stored_streams().items():
+            if name in self.streams:
+                continue
+            try:
+                if stored.definition is None:
+                    self.kept[name] = store.recording(name)
+                else:
+                    self._add(spec_from_json(stored.definition))
+                    self._initial += [name] if stored.running else []
+            except InputError as error:
+                _LOG.warning("a remembered stream is left out: %s", error)
+
+    async def _begin(self, stream: Stream, *, start: bool) -> None:
+        await stream.restore()
+        if start and not self.draining:
+            stream.start()
+
+    async def _retain(self, store: Store) -> None:
+        while True:
+            await asyncio.sleep(min(_RETAIN_SECONDS, self.settings.retention.seconds))
+            store.retain()
+
+    def _spawn(self, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     def _push_socket(self) -> Path:
         """A place for a worker's socket in a folder that is this user's alone; its path may have 107 bytes."""

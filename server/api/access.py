@@ -137,11 +137,13 @@ def need_download() -> Any:
 
     async def check(request: Request) -> None:
         gate, begin = registry_of(request).gate, time.monotonic()
+        stream = registry_of(request).streams.get(request.path_params.get("stream_id", ""))
+        incarnation = "" if stream is None else stream.incarnation
         if "signature" not in request.query_params:
             problem = await refusal(gate, request, Right.READ, request.path_params.get("stream_id"))
         elif gate.is_blocked(address_of(request)):
             problem = Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
-        elif gate.links.allows(request.url.path, request.query_params):
+        elif gate.links.allows(request.url.path, request.query_params, incarnation):
             problem = None
         else:
             problem = await _refuse(gate, address_of(request), begin)

@@ -32,29 +32,43 @@ Version = Annotated[int, Path(ge=0, le=_BOUND, description="number of the state 
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
 
 
-@router.head("/packets/{epoch}/{version}", include_in_schema=False)
-@router.get("/packets/{epoch}/{version}", summary="One packet", response_class=Response, responses=_ANSWERS)
+_PACKET, _GROUP = "/packets/{epoch}/{version}", "/gops/{epoch}/{first}"
+_FOR_GOOD = "/incarnations/{incarnation}"  # addresses below it never lead to anything else
+Incarnation = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="of the stream", examples=["9f86d081884c7d65"])]
+
+
+@router.head(_PACKET, include_in_schema=False)
+@router.get(_PACKET, summary="One packet of the present stream", response_class=Response, responses=_ANSWERS)
 async def packet(stream: StreamOf, epoch: Epoch, version: Version, request: Request) -> Response:
+    """The packet that leads to this version, as in codec/FORMAT.md."""
+    return respond(request, await _packet(stream, epoch, version, FRESH))
+
+
+@router.head(_FOR_GOOD + _PACKET, include_in_schema=False)
+@router.get(_FOR_GOOD + _PACKET, summary="One packet", response_class=Response, responses=_ANSWERS)
+async def packet_for_good(
+    stream: StreamOf, incarnation: Incarnation, epoch: Epoch, version: Version, request: Request
+) -> Response:
     """The packet that leads to this version, as in codec/FORMAT.md. Immutable."""
-    place = Position(epoch, version)
-    found = await stream.bus.read(place, place)
-    if not found:
-        raise _absent(stream, place)
-    data = found[0].data
-    name = f"{stream.spec.id}-{epoch}-{version}.slpk"
-    return respond(request, Download((data,), _hash(data), _PACKET_TYPE, IMMUTABLE, name))
+    _check_incarnation(stream, incarnation)
+    return respond(request, await _packet(stream, epoch, version, IMMUTABLE))
 
 
-@router.head("/gops/{epoch}/{first}", include_in_schema=False)
-@router.get("/gops/{epoch}/{first}", summary="One group of pictures", response_class=Response, responses=_ANSWERS)
+@router.head(_GROUP, include_in_schema=False)
+@router.get(_GROUP, summary="One group of pictures of the present stream", response_class=Response, responses=_ANSWERS)
 async def group(stream: StreamOf, epoch: Epoch, first: Version, request: Request) -> Response:
+    """A keyframe and its residuals as a `.slod` file."""
+    return respond(request, await _group_file(stream, epoch, first, FRESH))
+
+
+@router.head(_FOR_GOOD + _GROUP, include_in_schema=False)
+@router.get(_FOR_GOOD + _GROUP, summary="One group of pictures", response_class=Response, responses=_ANSWERS)
+async def group_for_good(
+    stream: StreamOf, incarnation: Incarnation, epoch: Epoch, first: Version, request: Request
+) -> Response:
     """A keyframe and its residuals as a `.slod` file. Immutable once a later keyframe has come."""
-    place = Position(epoch, first)
-    chosen = _groups(stream).get(place)
-    if chosen is None:
-        raise _absent(stream, place)
-    closed = stream.bus.key_after(place) is not None
-    return respond(request, await _file(stream, {place: chosen}, IMMUTABLE if closed else FRESH, f"{epoch}-{first}"))
+    _check_incarnation(stream, incarnation)
+    return respond(request, await _group_file(stream, epoch, first, IMMUTABLE))
 
 
 @router.head("/bitstream", include_in_schema=False)
@@ -91,6 +105,29 @@ async def recording(stream: StreamOf, request: Request) -> Response:
     return respond(request, Download(pieces, _hash(state.encode()), _FILE_TYPE, FRESH, f"{stream.spec.id}.slod"))
 
 
+async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Download:
+    place = Position(epoch, version)
+    found = await stream.bus.read(place, place)
+    if not found:
+        raise _absent(stream, place)
+    data = found[0].data
+    return Download((data,), _hash(data), _PACKET_TYPE, caching, f"{stream.spec.id}-{epoch}-{version}.slpk")
+
+
+async def _group_file(stream: Stream, epoch: int, first: int, caching: str) -> Download:
+    place = Position(epoch, first)
+    chosen = _groups(stream).get(place)
+    if chosen is None:
+        raise _absent(stream, place)
+    closed = stream.bus.key_after(place) is not None
+    return await _file(stream, {place: chosen}, caching if closed else FRESH, f"{epoch}-{first}")
+
+
+def _check_incarnation(stream: Stream, incarnation: str) -> None:
+    if incarnation != stream.incarnation:
+        raise Problem(410, "that stream was deleted; there is another one of its id now")
+
+
 def _groups(stream: Stream) -> dict[Position, Group]:
     """Retained groups: from disk where they are recorded, else from memory.
 
@@ -107,7 +144,7 @@ async def _file(stream: Stream, groups: dict[Position, Group], caching: str, nam
         for _, group in sorted(groups.items())
     ]
     pieces = await asyncio.to_thread(splice, parts)
-    state = f"{stream.spec.id} {stream.created_at.isoformat()} {sorted(groups)} {list(map(size_of, pieces))}"
+    state = f"{stream.incarnation} {sorted(groups)} {list(map(size_of, pieces))}"
     return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{stream.spec.id}-{name}.slod")
 
 

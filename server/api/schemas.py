@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from server.auth.links import LONGEST_SECONDS
 
 _STREAM_EXAMPLE: dict[str, Any] = {
-    "id": "main", "name": "main", "source": "cameras", "loop": False,
+    "id": "main", "name": "main", "incarnation": "9f86d081884c7d65", "source": "cameras", "loop": False,
     "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
     "anchors": 20413, "viewers": 2, "restarts": 0, "recording": "on",
     "progress": {"fraction": 1.0, "loss": 0.03, "text": "first frame"},
@@ -20,10 +20,10 @@ _STREAM_EXAMPLE: dict[str, Any] = {
 }  # fmt: skip
 
 _MANIFEST_EXAMPLE: dict[str, Any] = {
-    "stream": "main", "state": "live", "epoch": 1, "levels": 5, "fps": 30.0,
+    "stream": "main", "incarnation": "9f86d081884c7d65", "state": "live", "epoch": 1, "levels": 5, "fps": 30.0,
     "window": {"oldest": {"epoch": 1, "version": 0}, "newest": {"epoch": 1, "version": 57}},
     "gops": [{"epoch": 1, "first": 0, "last": 57, "packets": 58, "bytes": 812345, "begun_ns": 1764000000000000000,
-              "path": "/v1/streams/main/gops/1/0"}],
+              "path": "/v1/streams/main/incarnations/9f86d081884c7d65/gops/1/0"}],
 }  # fmt: skip
 
 
@@ -48,6 +48,7 @@ class StreamBody(BaseModel):
 
     id: str
     name: str
+    incarnation: str = Field(description="names this stream's packets for good; one made anew under its id has another")
     source: Literal["cameras", "data", "recording"] = Field(
         description="live cameras, pictures taken earlier that are trained now, or a recorded bitstream"
     )
@@ -96,6 +97,7 @@ class Manifest(BaseModel):
     model_config = ConfigDict(json_schema_extra={"examples": [_MANIFEST_EXAMPLE]})
 
     stream: str
+    incarnation: str
     state: str
     epoch: int | None
     window: WindowBody | None

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from core.errors import InputError
+from core.errors import InputError, StorageError
 from server.api.access import StreamOf, grant_of, need, refusal, registry_of
-from server.api.schemas import Link, Manifest, NewLink, StreamBody, StreamList
+from server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem
 from server.pipeline.new_stream import NewStream
@@ -21,6 +21,11 @@ from server.registry import Registry
 from server.stream.stream import Stream
 
 _USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 422, 429)}
+
+
+def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    return {status: PROBLEMS[status] for status in statuses}
+
 
 router = APIRouter(prefix="/v1/streams", tags=["streams"], responses=_USUAL)
 
@@ -39,7 +44,9 @@ async def list_streams(
     return StreamList(items=items, next_cursor=page[-1] if len(names) > limit else None)
 
 
-@router.post("", status_code=201, summary="Create a stream", responses={409: PROBLEMS[409]})
+@router.post(
+    "", status_code=201, summary="Create a stream", responses={status: PROBLEMS[status] for status in (409, 507)}
+)
 async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
     """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle without `start`."""
     registry = registry_of(request)
@@ -50,11 +57,11 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
         if isinstance(path, str) and not await asyncio.to_thread(_is_there, path):
             raise Problem(422, f"{name}: there is no {path!r:.200} on the server")
     try:
-        stream = await registry.create(body.spec)
+        stream = await registry.create(body.spec, start=body.start is True)
+    except StorageError as error:
+        raise Problem(507, str(error)) from error
     except InputError as error:
         raise Problem(409 if body.id in registry.streams else 422, str(error)) from error
-    if body.start:
-        stream.start()
     response.headers["Location"] = f"/v1/streams/{body.id}"
     return StreamBody.model_validate(stream.describe())
 
@@ -65,10 +72,30 @@ async def get_stream(stream: StreamOf) -> StreamBody:
     return StreamBody.model_validate(stream.describe())
 
 
+@router.get(
+    "/{stream_id}/ready",
+    summary="Whether a stream delivers",
+    dependencies=[need(Right.READ)],
+    responses={503: {"model": Health, "description": "it does not"}},
+)
+async def get_ready(stream: StreamOf, response: Response) -> Health:
+    """200 while the stream is live or has ended as it should; otherwise 503, with its state and the reason."""
+    ready = stream.state in {"live", "ended"}
+    response.status_code = 200 if ready else 503
+    return Health(status="ok" if ready else stream.state, detail=stream.detail)
+
+
 @router.delete("/{stream_id}", status_code=204, summary="Delete a stream", dependencies=[need(Right.CONTROL)])
-async def delete_stream(stream: StreamOf, request: Request) -> None:
-    """Stop a stream, close its viewers with 1000 and erase its recording."""
-    await registry_of(request).delete(stream.spec.id)
+async def delete_stream(
+    stream: StreamOf,
+    request: Request,
+    erase: Annotated[bool, Query(description="erase what was recorded, too")] = False,
+) -> None:
+    """Stop a stream and close its viewers with 1000. What was recorded stays on the disk unless `erase` is given."""
+    try:
+        await registry_of(request).delete(stream.spec.id, erase=erase)
+    except StorageError as error:
+        raise Problem(507, str(error)) from error
 
 
 @router.post("/{stream_id}/start", status_code=202, summary="Start", dependencies=[need(Right.CONTROL)])
@@ -94,7 +121,7 @@ async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link
     expires = int(time.time()) + body.seconds
     if (limit := grant_of(request).expires) is not None:
         expires = min(expires, limit)
-    query = registry_of(request).gate.links.sign(scope, expires)
+    query = registry_of(request).gate.links.sign(scope, expires, stream.incarnation)
     url = f"{scope}{'' if body.path else 'bitstream'}?{query}"
     return Link(url=url, query=query, expires_at=datetime.fromtimestamp(expires, UTC))
 
@@ -115,6 +142,7 @@ async def get_manifest(
     return Manifest.model_validate(
         {
             "stream": stream.spec.id,
+            "incarnation": stream.incarnation,
             "state": stream.state,
             "epoch": newest.epoch if newest else None,
             "window": stream.window,
@@ -170,5 +198,5 @@ def _group(stream: Stream, first: Position, last: int, packets: int, size: int, 
         "packets": packets,
         "bytes": size,
         "begun_ns": begun,
-        "path": f"/v1/streams/{stream.spec.id}/gops/{first.epoch}/{first.version}",
+        "path": f"/v1/streams/{stream.spec.id}/incarnations/{stream.incarnation}/gops/{first.epoch}/{first.version}",
     }

@@ -1,6 +1,7 @@
 """Signed links: whoever has one may download that path, and nothing else, until it expires.
 
-The signature covers the path, or a folder above it, and the time of expiry.
+The signature covers the path, or a folder above it, the time, and the stream's incarnation, so that it opens no other
+stream that is made under the same id later. A cache in front can check and share it.
 """
 
 from __future__ import annotations
@@ -48,18 +49,19 @@ class LinkSigner:
             raise InputError(self._path, f"a key needs at least {_SHORTEST_KEY} characters")
         self._key = key
 
-    def sign(self, scope: str, expires: int) -> str:
+    def sign(self, scope: str, expires: int, incarnation: str) -> str:
         """The query that opens `scope`, a path or one ending in ``/`` for all below, until Unix time `expires`."""
-        fields = {"expires": str(expires), "signature": self._signature(scope, str(expires))}
+        signature = self._signature(scope, str(expires), incarnation)
+        fields = {"expires": str(expires), "incarnation": incarnation, "signature": signature}
         return urlencode({**fields, "scope": scope} if scope.endswith("/") else fields)
 
-    def allows(self, path: str, query: Mapping[str, str]) -> bool:
-        """Whether `query` holds a signature that covers `path` now."""
+    def allows(self, path: str, query: Mapping[str, str], incarnation: str) -> bool:
+        """Whether `query` holds a signature that covers `path` now, of a stream of that incarnation."""
         expires, scope = query.get("expires", ""), query.get("scope", path)
         covered = scope == path or (scope.endswith("/") and path.startswith(scope))
-        expected = self._signature(scope, expires)
+        expected = self._signature(scope, expires, incarnation)
         genuine = hmac.compare_digest(expected.encode(), query.get("signature", "").encode())
         return genuine and covered and _DIGITS.fullmatch(expires) is not None and time.time() < int(expires)
 
-    def _signature(self, scope: str, expires: str) -> str:
-        return hmac.new(self._key, f"{expires}\n{scope}".encode(), hashlib.sha256).hexdigest()
+    def _signature(self, scope: str, expires: str, incarnation: str) -> str:
+        return hmac.new(self._key, f"{expires}\n{incarnation}\n{scope}".encode(), hashlib.sha256).hexdigest()

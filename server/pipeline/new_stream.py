@@ -53,7 +53,9 @@ class NewStream(_StreamOptions):  # type: ignore[misc, valid-type]
         json_schema_extra={"examples": [{"id": "stage", "synthetic": {"cameras": 5, "frames": 30}, "start": True}]},
     )
 
-    start: bool = Field(default=False, description="Start it at once.")
+    start: bool | None = Field(
+        default=None, description="Start it at once; by default streams of the settings file do, others do not."
+    )
 
     @property
     def spec(self) -> StreamSpec:

@@ -120,9 +120,8 @@ def parse_control(text: str) -> Control:
 def welcome(stream: dict[str, Any], window: dict[str, Any] | None, session: str) -> dict[str, Any]:
     """The answer to a hello, from STREAM of docs/protocol.md."""
     about = {"version": PROTOCOL_VERSION, "session": session, "stream": stream["id"]}
-    shared = {
-        name: stream[name] for name in ("source", "loop", "state", "detail", "progress", "epoch", "levels", "fps")
-    }
+    names = ("incarnation", "source", "loop", "state", "detail", "progress", "epoch", "levels", "fps")
+    shared = {name: stream[name] for name in names}
     rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": time.time_ns()}
     return {"type": "welcome", **about, **shared, **rest}
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import os
+import re
 import shutil
 import sqlite3
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,14 +23,17 @@ from typing import Any, TypeVar
 
 from codec.container import SlodReader, SlodWriter
 from codec.packet.packet import PacketKind
-from core.errors import BitstreamError, InputError
+from core.errors import BitstreamError, InputError, StorageError
 from server.protocol.packets import Position, StreamPacket
 from server.settings import Retention
+from server.stream.stored_stream import PRIVATE_FILE, PRIVATE_FOLDER, StoredStream, read_stored, write_stored
 
 _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
+_SEGMENT = re.compile(r"(\d{6,10})-(\d{10})\.slod")
+_OWN_NAMES = re.compile(r"stream\.(json|new)")
+_STREAM = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _SCHEMA = """
-CREATE TABLE IF NOT EXISTS streams(id TEXT PRIMARY KEY, definition TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS segments(
   stream TEXT NOT NULL, epoch INTEGER NOT NULL, first INTEGER NOT NULL, last INTEGER NOT NULL,
   packets INTEGER NOT NULL, bytes INTEGER NOT NULL, begun_ns INTEGER NOT NULL, file_bytes INTEGER NOT NULL,
@@ -74,8 +78,13 @@ class Store:
     def __init__(self, folder: Path, retention: Retention) -> None:
         self.folder, self.retention = folder, retention
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._catalogue = sqlite3.connect(folder / "catalogue.sqlite3", check_same_thread=False)
+            folder.mkdir(parents=True, exist_ok=True, mode=PRIVATE_FOLDER)
+            self._lock = _lock(folder)
+            (folder / "streams").mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
+            catalogue = folder / "catalogue.sqlite3"
+            os.close(os.open(catalogue, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
+            catalogue.chmod(PRIVATE_FILE)  # what SQLite keeps beside it gets the same
+            self._catalogue = sqlite3.connect(catalogue, check_same_thread=False)
             self._catalogue.execute("PRAGMA journal_mode=WAL")
             self._catalogue.executescript(_SCHEMA)
         except (OSError, sqlite3.Error) as error:
@@ -97,21 +106,28 @@ class Store:
             return self._catalogue.execute(statement, values).fetchall()
 
     def recording(self, stream: str) -> Recording:
-        """The recording of a stream, repaired if the last run was interrupted."""
+        """The recording of a stream, repaired if the last run was interrupted.
+
+        Raises:
+            StorageError: the disk is full or cannot be written.
+        """
         recording = Recording(self, stream)
         self._recordings.append(recording)
         return recording
 
-    def definitions(self) -> dict[str, dict[str, Any]]:
-        """Definitions of streams that were created while running."""
-        return {name: json.loads(text) for name, text in self.execute("SELECT id, definition FROM streams", ())}
+    def stored_streams(self) -> dict[str, StoredStream]:
+        """Streams of which something is kept, by id; what else lies among them is reported."""
+        found = {}
+        for path in sorted((self.folder / "streams").iterdir()):
+            if not (path.is_dir() and _STREAM.fullmatch(path.name)):
+                _LOG.warning("%s is no stream's folder and is left alone", path)
+            elif (stored := read_stored(path)) is not None:
+                found[path.name] = stored
+        return found
 
-    def define(self, stream: str, definition: dict[str, Any] | None) -> None:
-        """Remember, or with None forget, a stream's definition."""
-        if definition is None:
-            self.execute("DELETE FROM streams WHERE id = ?", (stream,))
-        else:
-            self.execute("INSERT OR REPLACE INTO streams VALUES (?, ?)", (stream, json.dumps(definition)))
+    def forget(self, recording: Recording) -> None:
+        """Close a recording no more with the others."""
+        self._recordings.remove(recording)
 
     @property
     def has_room(self) -> bool:
@@ -125,6 +141,12 @@ class Store:
             self._thread.submit(recording.finish)
         self._thread.shutdown(wait=True)
         self._catalogue.close()
+        os.close(self._lock)
+
+    def retain(self) -> None:
+        """Delete what has become too old, soon; to be called now and then, as a stream may get no packets."""
+        for recording in self._recordings:
+            self._thread.submit(recording.retain)
 
 
 class Recording:
@@ -133,7 +155,14 @@ class Recording:
     def __init__(self, store: Store, stream: str) -> None:
         self._store, self._stream = store, stream
         self._folder = store.folder / "streams" / stream
-        self._folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self._folder.mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
+            self.stored = read_stored(self._folder) or StoredStream(created_ns=time.time_ns())
+            write_stored(self._folder, self.stored)
+        except (OSError, StorageError) as error:
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()  # unless there are recordings
+            raise StorageError(self._folder, f"cannot hold recordings ({error})") from error
         self._writer: SlodWriter | None = None
         self._waiting_bytes = 0
         self.segments: list[Segment] = self._restore()
@@ -142,8 +171,19 @@ class Recording:
 
     @property
     def last_epoch(self) -> int:
-        """Epoch of the newest segment, or 0."""
-        return self.segments[-1].first.epoch if self.segments else 0
+        """Highest epoch that was ever used, or 0."""
+        return max(self.stored.epoch, self.segments[-1].first.epoch if self.segments else 0)
+
+    def note(self, **changes: Any) -> None:
+        """Remember fields of `StoredStream` that have changed.
+
+        Raises:
+            StorageError: the disk is full or cannot be written; nothing has changed.
+        """
+        stored = replace(self.stored, **changes)
+        if stored != self.stored:
+            write_stored(self._folder, stored)
+            self.stored = stored
 
     def append(self, packet: StreamPacket) -> None:
         """Queue a packet for recording, or drop it if the disk is far behind."""
@@ -171,6 +211,7 @@ class Recording:
             shutil.rmtree(self._folder, ignore_errors=True)
 
         await self._store.run(work)
+        self._store.forget(self)
 
     def _write(self, packet: StreamPacket) -> None:
         """Append to the open segment; a keyframe begins one. On the recording thread."""
@@ -178,7 +219,7 @@ class Recording:
         try:
             if packet.is_key:
                 self.finish()
-                self._retain()
+                self.retain()
                 self._begin(packet)
             if self._writer is None:
                 self.lost_packets += 1
@@ -200,6 +241,7 @@ class Recording:
         path = self._folder / f"{packet.position.epoch:06d}-{packet.position.version:010d}.slod"
         if path.exists():
             raise OSError(f"{path.name} exists already")
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE))
         self._writer = SlodWriter(path, live=True)
         now = time.time_ns(), time.monotonic()
         self.segments.append(Segment(path, packet.position, packet.position, 0, 0, *now, False))
@@ -234,17 +276,22 @@ class Recording:
         if repaired is not None:
             self.segments.append(repaired)
 
-    def _retain(self) -> None:
-        """Delete what is too old or too much; the newest segment stays."""
+    def retain(self) -> None:
+        """Delete closed segments that are too old or too much; the newest one stays. On the recording thread."""
         retention, now = self._store.retention, time.monotonic()
-        kept = self.segments[-1:]
-        total = sum(s.size_bytes for s in kept)
+        total = sum(s.size_bytes for s in self.segments[-1:])
         old = []
         for segment in reversed(self.segments[:-1]):
             total += segment.size_bytes
             if total > retention.bytes or now - segment.begun > retention.seconds:
                 old.append(segment)
-        self._delete(old)
+        newest = self.segments[-1:]
+        if newest and newest[0].closed and now - newest[0].begun > retention.seconds:
+            old += newest
+        try:
+            self._delete(old)
+        except (OSError, sqlite3.Error) as error:
+            _LOG.warning("stream %s: old segments cannot be deleted: %s", self._stream, error)
 
     def _delete(self, segments: list[Segment]) -> None:
         for segment in segments:
@@ -263,8 +310,13 @@ class Recording:
         statement = "SELECT epoch, first, last, packets, bytes, begun_ns, file_bytes FROM segments WHERE stream = ?"
         known = {(row[0], row[1]): row for row in self._store.execute(statement, (self._stream,))}
         segments = []
-        for path in sorted(self._folder.glob("*-*.slod")):
-            epoch, first = (int(part) for part in path.stem.split("-"))
+        for path in sorted(self._folder.iterdir()):
+            match = _SEGMENT.fullmatch(path.name)
+            if match is None or not path.is_file():
+                if not _OWN_NAMES.fullmatch(path.name):
+                    _LOG.warning("stream %s: %s is none of its recordings and is left alone", self._stream, path)
+                continue
+            epoch, first = int(match[1]), int(match[2])
             row = known.pop((epoch, first), None)
             stat = path.stat()
             if row is not None and row[6] == stat.st_size:
@@ -296,6 +348,21 @@ class Recording:
         self._enter(segment)
         os.utime(path, ns=(begun_ns, begun_ns))
         return segment
+
+
+def _lock(folder: Path) -> int:
+    """A descriptor that holds the folder for this process; a second server on one folder would tear its files."""
+    descriptor = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, PRIVATE_FILE)
+    if sys.platform == "win32":  # which has no such locks
+        return descriptor
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        raise InputError(folder, "is used by another server; stop it, or choose another --state-dir") from error
+    return descriptor
 
 
 def _monotonic(unix_ns: int) -> float:

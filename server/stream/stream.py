@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import secrets
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from core.errors import StorageError, StreamlodError
 from server.ingest.statistics import complaint
 from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
@@ -53,7 +56,9 @@ class Stream:
         self.progress: dict[str, Any] | None = None
         self.report: dict[str, Any] | None = None
         self.ingest: dict[str, Any] | None = None  # figures of live cameras
-        self.created_at = datetime.now(UTC)
+        created_ns = recording.stored.created_ns if recording else time.time_ns()
+        self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
+        self.incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
         self.deleted = False
         self.live_at = 0.0  # monotonic time of the newest packet
         self._epoch = recording.last_epoch if recording else 0
@@ -104,6 +109,7 @@ class Stream:
         return {
             "id": self.spec.id,
             "name": self.spec.id,
+            "incarnation": self.incarnation,
             "source": self.spec.source,
             "loop": self.spec.play is not None and self.spec.loop,
             "state": self.state,
@@ -130,11 +136,31 @@ class Stream:
         if self.state in {"ended", "failed"}:
             self._frames_done, self._new_epoch = 0, True
         self._supervisor = self._make_supervisor()
+        self._note(running=True)
         self._enter("starting")
         self._task = asyncio.create_task(self._supervisor.run())
 
-    async def stop(self) -> None:
-        """Stop the worker and finish the open segment; viewers stay."""
+    async def restore(self) -> None:
+        """Show the recording's last state, so that its past can be seen before the worker sends anything."""
+        recording = self.bus.recording
+        if recording is None or not recording.segments or self.hub.newest is not None:
+            return
+        last = recording.segments[-1]
+        try:
+            for packet in await self.bus.read(last.first, last.last):
+                await self.hub.accept(replace(packet, number=self._number))
+                self._number += 1
+        except (StreamlodError, OSError, ValueError) as error:
+            _LOG.warning("stream %s: its last state cannot be shown: %s", self.spec.id, error)
+
+    async def stop(self, *, remember: bool = True) -> None:
+        """Stop the worker and finish the open segment; viewers stay.
+
+        Args:
+            remember: that it is not to be started with the server.
+        """
+        if remember:
+            self._note(running=False)
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
@@ -144,11 +170,11 @@ class Stream:
         if self.state in {"starting", "live", "degraded"}:
             self._enter("idle")
 
-    async def delete(self) -> None:
-        """Stop for good and erase the recording."""
+    async def delete(self, *, erase: bool) -> None:
+        """Stop for good, and erase the recording if wanted."""
         self.deleted = True  # so that nobody starts it again meanwhile
         await self.stop()
-        if self.bus.recording is not None:
+        if erase and self.bus.recording is not None:
             await self.bus.recording.erase()
         self.hub.wake()
 
@@ -195,6 +221,8 @@ class Stream:
         _LOG.info("stream %s: %s", self.spec.id, ending.text)
         if self.bus.recording is not None:
             asyncio.get_running_loop().create_task(self.bus.recording.close())
+        if ending.done:
+            self._note(running=False)
         self._enter("ended" if ending.done else "failed", ending.text)
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
@@ -215,7 +243,17 @@ class Stream:
         """
         if self._new_epoch:
             self._epoch, self._new_epoch = self._epoch + 1, False
+            self._note(epoch=self._epoch)  # before anybody sees its packets: no epoch is used twice
             self._tell(event("epoch", epoch=self._epoch))
+
+    def _note(self, **changes: Any) -> None:
+        """Remember something in the state folder, as far as the disk takes it."""
+        if self.bus.recording is None:
+            return
+        try:
+            self.bus.recording.note(**changes)
+        except StorageError as error:
+            _LOG.warning("stream %s: %s", self.spec.id, error)
 
     def _window_message(self) -> bytes:
         """A framed window event, at most once a second, otherwise nothing."""

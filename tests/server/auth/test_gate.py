@@ -243,9 +243,9 @@ def test_signed_links_open_their_path_until_they_expire(
             assert client.post("/v1/streams/main/links", json=body, headers=reader).status_code == 422
     signer = LinkSigner(key)
     signer.reload()
-    late = dict(pair.split("=") for pair in signer.sign("/a", int(time.time()) - 1).split("&"))
-    assert not signer.allows("/a", late)
-    assert not signer.allows("/a", {**late, "expires": "9" * 13})
+    late = dict(pair.split("=") for pair in signer.sign("/a", int(time.time()) - 1, "1").split("&"))
+    assert not signer.allows("/a", late, "1")
+    assert not signer.allows("/a", {**late, "expires": "9" * 13}, "1")
     key.write_text("short")
     with pytest.raises(InputError, match="32"):
         signer.reload()

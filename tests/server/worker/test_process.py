@@ -96,7 +96,7 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
 def test_a_deleted_stream_is_not_started_again(clip: Clip) -> None:
     async def run() -> bool:
         stream = Stream(StreamSpec(play=clip.path), Settings())
-        await stream.delete()
+        await stream.delete(erase=True)
         stream.start()  # by a request that had found the stream before
         try:
             return stream.is_running

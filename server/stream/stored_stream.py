@@ -1,0 +1,79 @@
+"""What a state folder keeps of a stream beside its recordings: `streams/ID/stream.json`, for its owner alone.
+
+It is the only copy of what the stream is made from. The catalogue holds nothing that is not in the files, so it can be
+deleted.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import secrets
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from core.errors import StorageError
+
+_LOG = logging.getLogger(__name__)
+_NAME = "stream.json"
+_MAX_BYTES = 4 << 20
+PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
+
+
+@dataclass(frozen=True, slots=True)
+class StoredStream:
+    """A stream as it is remembered.
+
+    Attributes:
+        incarnation: names this stream's packets for good; a stream that is made anew under its id has another.
+        epoch: highest that was ever used.
+        definition: what it is made from, for one that was created over REST and not deleted since.
+        running: whether it is to be started with the server.
+        created_ns: Unix time of its creation.
+    """
+
+    incarnation: str = field(default_factory=lambda: secrets.token_hex(8))
+    epoch: int = 0
+    definition: dict[str, Any] | None = None
+    running: bool = False
+    created_ns: int = 0
+
+
+def read_stored(folder: Path) -> StoredStream | None:
+    """What `write_stored` wrote; None, and a warning, where the file is missing or damaged."""
+    path = folder / _NAME
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError("it is too large")
+        values = json.loads(path.read_text(encoding="utf-8"))
+        stored = StoredStream(**values)
+        kinds = {"incarnation": str, "epoch": int, "definition": dict | None, "running": bool, "created_ns": int}
+        if not all(isinstance(getattr(stored, name), kind) for name, kind in kinds.items()):
+            raise ValueError("a value is of the wrong type")
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        _LOG.warning("%s cannot be used (%s); its stream begins anew", path, error)
+        return None
+    return stored
+
+
+def write_stored(folder: Path, stored: StoredStream) -> None:
+    """Replace what is stored, at once or not at all.
+
+    Raises:
+        StorageError: the disk is full, or the folder cannot be written; nothing has changed.
+    """
+    path = folder / _NAME
+    new = path.with_suffix(".new")
+    try:
+        with os.fdopen(os.open(new, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, PRIVATE_FILE), "w") as file:
+            json.dump(asdict(stored), file)
+        new.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            new.unlink(missing_ok=True)
+        raise StorageError(path, f"cannot be written ({error.strerror})") from error
