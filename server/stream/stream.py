@@ -148,8 +148,8 @@ class Stream:
         last = recording.segments[-1]
         try:
             for packet in await self.bus.read(last.first, last.last):
-                await self.hub.accept(replace(packet, number=self._number))
-                self._number += 1
+                await self.hub.accept(replace(packet, sequence=self._sequence))
+                self._sequence += 1
         except (StreamlodError, OSError, ValueError) as error:
             _LOG.warning("stream %s: its last state cannot be shown: %s", self.spec.id, error)
 
