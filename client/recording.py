@@ -74,7 +74,7 @@ def _decode(reader: SlodReader) -> Iterator[RecordedFrame]:
 def _is_detour(entry: Entry, decoder: SceneDecoder) -> bool:
     """Whether the packet is needed for seeking only, as the packets before it lead to the same version."""
     reached = decoder.scene is not None and entry.to_version <= decoder.scene.version
-    return entry.kind is not PacketKind.KEY and entry.kind is not PacketKind.PREDICTED and reached
+    return entry.kind is not PacketKind.KEY and reached
 
 
 def decode_version(path: Path, version: int) -> Scene:

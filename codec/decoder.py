@@ -12,7 +12,7 @@ from codec.chunks.change import Elapsed
 from codec.chunks.header import decode_header, decode_weights
 from codec.packet.bytes import parse
 from codec.packet.info import PacketInfo, describe
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits, Room
 from codec.packet.packet import ChunkKind, Packet, PacketKind
 from core.arrays import Int32, Int64
 from core.errors import BitstreamError
@@ -20,6 +20,7 @@ from core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
 from core.scene.residual import LevelResidual, apply_level
 
 ABSENT = -1
+_HASH = struct.Struct("<I")
 
 
 class SceneDecoder:
@@ -58,8 +59,8 @@ class SceneDecoder:
         levels, changed = list(scene.levels), list(versions)
         for number in packet.levels:
             levels[number] = empty_level(len(scene.header.feature_steps), scene.header.gaussians_per_anchor)
-            room = self._limits.anchors - sum(map(len, levels))
-            levels[number] = _decode_key_level(packet, number, scene, room)
+        for number in packet.levels:
+            levels[number] = _decode_key_level(packet, number, scene, self._room(packet, number, levels))
             changed[number] = packet.keyframe
         return replace(scene, levels=tuple(levels), version=max(changed)), tuple(changed)
 
@@ -74,14 +75,24 @@ class SceneDecoder:
         count = header.octree.levels
         _check_levels(packet, count)
         level = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
-        return Scene(header, weights, (level,) * count, packet.keyframe, packet.keyframe), (ABSENT,) * count
+        scene = Scene(header, weights, (level,) * count, packet.keyframe, packet.keyframe, packet.identifier)
+        return scene, (ABSENT,) * count
+
+    def _room(self, packet: Packet, number: int, levels: list[AnchorLevel]) -> Room:
+        """What the packet's chunks of level `number` may still bring beside the rows of `levels`."""
+        rows = self._limits.rows(levels[number].row_bytes) - sum(map(len, levels))
+        return Room(rows, packet.level_bytes(number))
 
     def _held(self, packet: Packet) -> Scene:
         if self._scene is None:
             raise BitstreamError("no_keyframe", "a packet came before any keyframe; wait for one")
-        if packet.keyframe != self._scene.keyframe:
-            held = self._scene.keyframe
-            raise BitstreamError("unknown_keyframe", f"the packet needs keyframe {packet.keyframe}, held is {held}")
+        held = self._scene
+        if (packet.keyframe, packet.identifier) != (held.keyframe, held.identifier):
+            wanted = f"{packet.keyframe} ({packet.identifier:016x})"
+            raise BitstreamError(
+                "unknown_keyframe",
+                f"the packet needs keyframe {wanted}, held is {held.keyframe} ({held.identifier:016x})",
+            )
         _check_levels(packet, len(self._scene.levels))
         return self._scene
 
@@ -95,8 +106,7 @@ class SceneDecoder:
             )
         levels, versions = list(scene.levels), list(self._versions)
         for number in matching:
-            room = self._limits.anchors - sum(map(len, levels))
-            levels[number] = _decode_residual_level(packet, number, scene, room)
+            levels[number] = _decode_residual_level(packet, number, scene, self._room(packet, number, levels))
             versions[number] = packet.to_version
         return replace(scene, levels=tuple(levels), version=max(versions)), tuple(versions)
 
@@ -106,15 +116,17 @@ def _check_levels(packet: Packet, count: int) -> None:
         raise BitstreamError("bad_scene_header", f"level mask {packet.level_mask:#x} goes beyond {count} levels")
 
 
-def _decode_key_level(packet: Packet, number: int, scene: Scene, room: int) -> AnchorLevel:
+def _decode_key_level(packet: Packet, number: int, scene: Scene, room: Room) -> AnchorLevel:
     geometry, base = packet.chunk(number, ChunkKind.GEOMETRY), packet.chunk(number, ChunkKind.BASE)
-    if geometry is None or base is None:
-        return empty_level(len(scene.header.feature_steps), scene.header.gaussians_per_anchor)
-    voxel = chunks.decode_geometry(geometry, packet.profile, room)
-    return chunks.decode_base(base, packet.profile, scene.header, voxel)
+    level = empty_level(len(scene.header.feature_steps), scene.header.gaussians_per_anchor)
+    if geometry is not None and base is not None:
+        voxel = chunks.decode_geometry(geometry, packet.profile, room)
+        level = chunks.decode_base(base, packet.profile, scene.header, voxel, room)
+    _check_hash(packet, number, level)
+    return level
 
 
-def _decode_residual_level(packet: Packet, number: int, scene: Scene, room: int) -> AnchorLevel:
+def _decode_residual_level(packet: Packet, number: int, scene: Scene, room: Room) -> AnchorLevel:
     before, header = scene.levels[number], scene.header
     rows: Int64 = np.zeros(0, np.int64)
     removed = rows
@@ -123,18 +135,22 @@ def _decode_residual_level(packet: Packet, number: int, scene: Scene, room: int)
     added = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
     if (data := packet.chunk(number, ChunkKind.CHANGE)) is not None:
         elapsed = Elapsed(packet.from_version - packet.keyframe, packet.to_version - packet.from_version)
-        rows, position, latent = chunks.decode_change(data, packet.profile, before, elapsed)
+        rows, position, latent = chunks.decode_change(data, packet.profile, before, elapsed, room)
     if (data := packet.chunk(number, ChunkKind.REMOVED)) is not None:
-        removed = chunks.decode_removed(data, packet.profile, len(before))
+        removed = chunks.decode_removed(data, packet.profile, before.alive, room)
     if (data := packet.chunk(number, ChunkKind.ADDED)) is not None:
         added = chunks.decode_added(data, packet.profile, header, room)
     try:
         after = apply_level(before, LevelResidual(rows, position, latent, removed, added))
     except ValueError as error:
         raise BitstreamError("overflow", str(error)) from error
-    digest = packet.chunk(number, ChunkKind.HASH)
-    if digest is not None and len(digest) != 4:
-        raise BitstreamError("corrupt_chunk", f"a state hash has 4 bytes, not {len(digest)}")
-    if digest is not None and struct.unpack("<I", digest)[0] != after.digest():
-        raise BitstreamError("state_mismatch", f"level {number} differs from the sender's; ask for a keyframe")
+    _check_hash(packet, number, after)
     return after
+
+
+def _check_hash(packet: Packet, number: int, level: AnchorLevel) -> None:
+    digest = packet.chunk(number, ChunkKind.HASH)
+    if digest is not None and len(digest) != _HASH.size:
+        raise BitstreamError("corrupt_chunk", f"a state hash has {_HASH.size} bytes, not {len(digest)}")
+    if digest is not None and _HASH.unpack(digest)[0] != level.digest():
+        raise BitstreamError("state_mismatch", f"level {number} differs from the sender's; ask for a keyframe")

@@ -9,12 +9,13 @@ import numpy as np
 from codec.chunks import level as chunks
 from codec.chunks.change import Elapsed
 from codec.chunks.header import encode_header, encode_weights
+from codec.chunks.padding import padded
 from codec.packet.bytes import build
 from codec.packet.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import LevelResidual, Residual, apply_level
 
-HASH_INTERVAL = 30  # frames between state hashes in predicted packets
+HASH_INTERVAL = 30  # versions between state hashes in packets from one version to the next
 
 
 def encode_keyframe(scene: Scene, *, time_ns: int, profile: int = 1) -> bytes:
@@ -40,39 +41,39 @@ def encode_keyframe(scene: Scene, *, time_ns: int, profile: int = 1) -> bytes:
         if level.latent.any() or not level.alive.all():
             raise ValueError(f"level {number} has latents or removed anchors; call as_keyframe first")
         if len(level):
-            parts.append(make_chunk(number, ChunkKind.GEOMETRY, chunks.encode_geometry(level, profile)))
-            parts.append(make_chunk(number, ChunkKind.BASE, chunks.encode_base(level, profile)))
-    return _packet(
-        PacketKind.KEY, profile, scene.version, scene.version, scene.version, time_ns, len(scene.levels), parts
-    )
+            own = [
+                make_chunk(number, ChunkKind.GEOMETRY, chunks.encode_geometry(level, profile)),
+                make_chunk(number, ChunkKind.BASE, chunks.encode_base(level, profile)),
+                _hash_chunk(number, level),
+            ]
+            parts += padded(own, scene.header, len(level))
+    return _packet(scene, PacketKind.KEY, scene.version, profile, time_ns, parts)
 
 
-def encode_residual(before: Scene, residual: Residual, *, kind: PacketKind, time_ns: int, profile: int = 1) -> bytes:
+def encode_residual(before: Scene, residual: Residual, *, time_ns: int, profile: int = 1) -> bytes:
     """The packet that turns `before` into the state after `residual`.
 
+    It carries state hashes if it is the first after a keyframe, if it leads over more than one version, and in
+    every `HASH_INTERVAL`th version.
+
     Args:
-        kind: predicted, skip or catch-up.
         time_ns: presentation time in nanoseconds of the state after.
         profile: as for `encode_keyframe`.
 
     Raises:
-        ValueError: the residual does not fit `before`, or `kind` does not fit its versions.
+        ValueError: the residual does not fit `before`, or leads back in time.
     """
     if (residual.keyframe, residual.from_version) != (before.keyframe, before.version):
         raise ValueError(f"a residual from version {residual.from_version} does not fit version {before.version}")
-    if kind is PacketKind.KEY:
-        raise ValueError("a residual cannot become a key packet")
-    age = residual.to_version - residual.keyframe
-    hashed = kind is not PacketKind.PREDICTED or age % HASH_INTERVAL == 0
     elapsed = Elapsed(residual.from_version - residual.keyframe, residual.to_version - residual.from_version)
+    hashed = elapsed.age == 0 or elapsed.span > 1 or (elapsed.age + elapsed.span) % HASH_INTERVAL == 0
     parts: list[Chunk] = []
     for number, (level, change) in enumerate(zip(before.levels, residual.levels, strict=True)):
-        parts += _level_chunks(number, level, change, elapsed, profile)
+        own = _level_chunks(number, level, change, elapsed, profile)
         if hashed:
-            digest = apply_level(level, change).digest()
-            parts.append(make_chunk(number, ChunkKind.HASH, struct.pack("<I", digest)))
-    versions = (residual.keyframe, residual.from_version, residual.to_version)
-    return _packet(kind, profile, *versions, time_ns, len(before.levels), parts)
+            own.append(_hash_chunk(number, apply_level(level, change)))
+        parts += padded(own, before.header, len(level))
+    return _packet(before, PacketKind.CHANGE, residual.to_version, profile, time_ns, parts)
 
 
 def _level_chunks(
@@ -94,7 +95,10 @@ def _level_chunks(
     return parts
 
 
-def _packet(
-    kind: PacketKind, profile: int, keyframe: int, start: int, end: int, time_ns: int, levels: int, parts: list[Chunk]
-) -> bytes:
-    return build(Packet(kind, profile, keyframe, start, end, time_ns, (1 << levels) - 1, tuple(parts)))
+def _hash_chunk(number: int, level: AnchorLevel) -> Chunk:
+    return make_chunk(number, ChunkKind.HASH, struct.pack("<I", level.digest()))
+
+
+def _packet(before: Scene, kind: PacketKind, to_version: int, profile: int, time_ns: int, parts: list[Chunk]) -> bytes:
+    mask, versions = (1 << len(before.levels)) - 1, (before.keyframe, before.version, to_version)
+    return build(Packet(kind, profile, *versions, time_ns, mask, before.identifier, tuple(parts)))

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import Scene
 from core.scene.residual import difference
 
@@ -79,4 +78,4 @@ def churn(key: Scene, now: Scene) -> int:
 
 def catch_up_bytes(key: Scene, now: Scene) -> int:
     """Size of the packet from `key` to `now`."""
-    return len(encode_residual(key, difference(key, now), kind=PacketKind.CATCH_UP, time_ns=0))
+    return len(encode_residual(key, difference(key, now), time_ns=0))

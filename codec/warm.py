@@ -9,7 +9,6 @@ import numpy as np
 from codec.coder.trend import add_trend
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import (
     FEATURE_LATENTS,
     HIDDEN,
@@ -34,7 +33,7 @@ def warm_up() -> None:
     decoder = SceneDecoder()
     decoder.push(encode_keyframe(before, time_ns=0))
     add_trend(np.zeros(1, np.int64), np.zeros(1, np.int64))  # which these few anchors do not call for
-    decoder.push(encode_residual(before, difference(before, after), kind=PacketKind.PREDICTED, time_ns=0))
+    decoder.push(encode_residual(before, difference(before, after), time_ns=0))
 
 
 def _scene() -> Scene:

@@ -11,9 +11,7 @@ from codec.coder.entropy import corrupt, decode_scales, encode_items, encode_sca
 from codec.coder.rans import VALUE_LIMIT, Array
 from core.arrays import Int16, Int32, Int64, UInt8
 from core.scene.anchors import LATENTS, AnchorLevel
-from core.scene.entropy_model import SCALES
-
-_SCALE_MASK, _UNSTEADY = 127, 128  # of the position scale's byte
+from core.scene.entropy_model import HIGHEST_SCALE, SCALES
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +26,12 @@ def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, elap
     """The chunk, or None if a number is too large for it; arguments as in `codec.chunks.level.encode_change`."""
     before, latent_before = _plain(level)
     motion = change_model.steady_motion(before, rows, elapsed.age, elapsed.span)
-    errors, unsteady = predicted_positions(position, motion)
+    errors = change_model.position_errors(position, motion)
     if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= VALUE_LIMIT:
         return None
     changed, touched = np.zeros(len(level), np.uint8), history(level)
     changed[rows] = 1
-    position_scale = min(scale_of(float(np.abs(errors).mean()) if len(errors) else 0.0), _SCALE_MASK)
+    position_scale = scale_of(float(np.abs(errors).mean()) if len(errors) else 0.0)
     side, scale = encode_scales(latent[latent.any(axis=1)])
 
     def model_pass(items: Array) -> int:
@@ -42,29 +40,24 @@ def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, elap
         return change_model.latents_items(latent, latent_before[rows], scale, items, count)
 
     lanes, words = encode_items(model_pass, len(level) + 2 * (errors.size + latent.size))
-    return bytes([lanes, position_scale | (_UNSTEADY if unsteady else 0)]) + side + words
-
-
-def predicted_positions(position: Int64, motion: Int64) -> tuple[Int64, bool]:
-    """What the better prediction leaves of `position` [n,3], and whether that is the one without steady `motion`."""
-    errors = [change_model.position_errors(position, part) for part in (motion, np.zeros_like(motion))]
-    sizes = [float(np.log2(1.0 + np.abs(part)).sum()) for part in errors]
-    unsteady = sizes[1] < sizes[0]
-    return errors[unsteady], unsteady
+    return bytes([lanes, position_scale]) + side + words
 
 
 def decode(data: bytes, level: AnchorLevel, elapsed: Elapsed) -> tuple[Int64, Int32, Int32]:
     """Rows [n], position [n,3] and latent [n,24]; BitstreamError `corrupt_chunk`."""
     if len(data) < 2:
         raise corrupt("a change ends before its position scale")
+    if data[1] > HIGHEST_SCALE:
+        raise corrupt("the position scale lies beyond the table")
     scale, at = decode_scales(data, 2, LATENTS)
-    steadily = not data[1] & _UNSTEADY
-    words, start = words_of(data, at), int(SCALES[data[1] & _SCALE_MASK])
+    start = int(SCALES[data[1]])
     sound, rows, position, latent = change_model.decode_change(
-        words, data[0], *_plain(level), history(level), start, steadily, scale, elapsed.age, elapsed.span
+        words_of(data, at), data[0], *_plain(level), history(level), start, scale, elapsed.age, elapsed.span
     )
     if not sound:
         raise corrupt("an entropy-coded chunk does not end as it must")
+    if len(rows) == 0:
+        raise corrupt("a change without rows must be left out")
     return rows, position.astype(np.int32), latent.astype(np.int32)
 
 

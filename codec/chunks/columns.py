@@ -7,25 +7,28 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from codec.chunks.plain import row_count
 from codec.coder import class_model
 from codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
 from codec.coder.rans import VALUE_LIMIT
 from codec.coder.trend import add_trend, trend_errors
-from core.arrays import Int64
+from codec.packet.limits import Room
+from core.arrays import Int32, Int64
 from core.errors import BitstreamError
 from core.scene.quantise import trailing_zeros
 
-_AS_IS, _CENTRED, _PREVIOUS, _TREND = 0, 1, 2, 3
+_AS_IS, _CENTRED, _TREND = 0, 1, 2
 _COUNT = struct.Struct("<I")
 _FEWEST = 16  # rows that are worth a class of their own
+_INT32 = np.iinfo(np.int32)
 
 
 def encode(matrix: Int64, shifted: slice, *, with_count: bool = False) -> bytes | None:
     """The chunk of `matrix` [n,C], or None if a number is too large for it.
 
     Rows whose channels `shifted` are all multiples of a power of two are sent without those zeros at the end, in a
-    class of their own. Each channel is sent as it is, around a centre, or as difference to the row before or to the
-    mean of the last ones, whichever is smallest.
+    class of their own. Each channel is sent as it is, around a centre, or as difference to the mean of the last rows,
+    whichever is smallest.
     """
     modes, centre, used, classes, values = classed(matrix, shifted)
     if np.abs(values).max(initial=0) >= VALUE_LIMIT:
@@ -60,12 +63,9 @@ def _formed(matrix: Int64, most: int, scaled: Int64) -> tuple[Int64, Int64, Int6
     """Each channel's mode and centre, and the values [n,C] that are left; multiples of 2^`most` stay multiples."""
     unit = 1 << most * scaled
     centre = np.asarray(np.round(np.median(matrix, axis=0) / unit), np.int64) * unit
-    previous = np.diff(matrix, axis=0, prepend=0)
-    forms = np.stack([matrix, matrix - centre, previous])
+    forms = np.stack([matrix, matrix - centre])
     sizes: NDArray[np.float64] = np.log2(1.0 + np.abs(forms)).sum(axis=1)
-    sizes += 32 * (np.arange(3)[:, None] == _CENTRED)  # the bits of a centre
-    if most:
-        sizes[_PREVIOUS, scaled > 0] = np.inf  # a difference of unlike rows is a multiple of the finer one only
+    sizes[_CENTRED] += 32  # the bits of a centre
     modes: Int64 = np.argmin(sizes, axis=0).astype(np.int64)
     return modes, centre, np.asarray(np.take_along_axis(forms, modes[None, None], axis=0)[0], np.int64)
 
@@ -88,29 +88,38 @@ def _in_range(channels: int, shifted: slice) -> Int64:
     return scaled
 
 
-def decode(data: bytes, at: int, rows: int, channels: int, shifted: slice) -> Int64:
-    """[rows, channels] of a chunk whose fields begin at byte `at`; BitstreamError `corrupt_chunk`."""
+def decode(data: bytes, at: int, rows: int, channels: int, shifted: slice) -> Int32:
+    """[rows, channels] of a chunk whose fields begin at byte `at`; BitstreamError `corrupt_chunk` or `overflow`."""
     lanes = data[0]
     modes, at = _unpack_modes(data, at, channels)
     centred = np.flatnonzero(modes == _CENTRED)
     if len(data) < at + 4 * len(centred):
         raise corrupt("a chunk ends inside its centres")
-    centres = np.frombuffer(data, "<i4", len(centred), at).astype(np.int64)
+    centres = np.zeros(channels, np.int64)
+    centres[centred] = np.frombuffer(data, "<i4", len(centred), at)
     used, at = _unpack_classes(data, at + 4 * len(centred))
     scales = np.zeros((len(used), channels), np.int64)
     for k in range(len(used)):
         scales[k], at = decode_scales(data, at, channels)
-    values, classes = np.zeros((rows, channels), np.int64), np.zeros(rows, np.int64)
+    values, classes = np.zeros((rows, channels), np.int32), np.zeros(rows, np.uint8)
     if not class_model.decode_rows(words_of(data, at), lanes, values, classes, scales):
         raise corrupt("an entropy-coded chunk does not end as it must")
-    shifts = used[classes][:, None] * _in_range(channels, shifted)
-    for c in np.flatnonzero(modes == _TREND):
-        values[:, c] = add_trend(values[:, c].copy(), shifts[:, c].copy())
-    values[:, modes != _TREND] <<= shifts[:, modes != _TREND]
-    values[:, centred] += centres
-    following = modes == _PREVIOUS
-    values[:, following] = np.cumsum(values[:, following], axis=0)
+    shifts, scaled = used[classes], _in_range(channels, shifted)
+    for c in range(channels):
+        values[:, c] = _restored(values[:, c].astype(np.int64), shifts * scaled[c], int(modes[c]), int(centres[c]))
     return values
+
+
+def _restored(numbers: Int64, shifts: Int64, mode: int, centre: int) -> Int32:
+    """A channel [n] from the numbers that its mode left of it, each in 2^`shifts` [n]."""
+    if mode == _TREND:
+        values = add_trend(numbers, shifts)
+    else:
+        values = numbers << shifts
+        values = values + centre
+    if len(values) and (values.min() < _INT32.min or values.max() > _INT32.max):
+        raise BitstreamError("overflow", "a number leaves the range of its column")
+    return np.asarray(values, np.int32)
 
 
 def _unpack_classes(data: bytes, at: int) -> tuple[Int64, int]:
@@ -120,13 +129,10 @@ def _unpack_classes(data: bytes, at: int) -> tuple[Int64, int]:
     return np.flatnonzero(data[at] >> np.arange(class_model.MOST_CLASSES) & 1), at + 1
 
 
-def decode_counted(data: bytes, most_rows: int, channels: int, shifted: slice) -> Int64:
+def decode_counted(data: bytes, room: Room, channels: int, shifted: slice) -> Int32:
     """[n, channels] of a chunk that begins with its row count; also `limit_exceeded`."""
-    if len(data) < 1 + _COUNT.size:
-        raise corrupt("a chunk ends before its row count")
-    (rows,) = _COUNT.unpack_from(data, 1)
-    if rows > most_rows:
-        raise BitstreamError("limit_exceeded", f"{rows} rows exceed the limit of {most_rows}")
+    rows = row_count(data)
+    room.check_added(rows, channels)
     return decode(data, 1 + _COUNT.size, rows, channels, shifted)
 
 
@@ -141,6 +147,6 @@ def _unpack_modes(data: bytes, at: int, channels: int) -> tuple[Int64, int]:
         raise corrupt("a chunk ends inside its channel modes")
     packed = np.frombuffer(data, np.uint8, end - at, at)
     modes = (packed[:, None] >> np.array([0, 2, 4, 6], np.uint8) & 3).reshape(-1).astype(np.int64)
-    if modes[channels:].any():
-        raise corrupt("unused bits of the channel modes are not zero")
+    if modes[channels:].any() or (modes > _TREND).any():
+        raise corrupt("a channel mode is unknown, or an unused one is not zero")
     return modes[:channels], end

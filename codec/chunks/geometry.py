@@ -6,8 +6,10 @@ import struct
 
 import numpy as np
 
+from codec.chunks.plain import row_count
 from codec.coder import octree_model
 from codec.coder.entropy import corrupt, encode_items, words_of
+from codec.packet.limits import Room
 from core.arrays import Int32
 from core.errors import BitstreamError
 from core.scene.octree import morton_key
@@ -30,18 +32,30 @@ def encode(voxel: Int32) -> bytes | None:
     return _HEAD.pack(lanes, len(voxel), *minimum.tolist(), depth) + words
 
 
-def decode(data: bytes, most_rows: int) -> Int32:
+def table_columns(depth: int) -> int:
+    """What a leaf counts for in the bound on rows: at each depth one node has to be decoded."""
+    return max(3, depth)
+
+
+def depth_of(data: bytes) -> int:
+    """Depth of the octree of a chunk of coding 1 or 4."""
+    return data[_HEAD.size - 1]
+
+
+def decode(data: bytes, room: Room) -> Int32:
     """[N,3] voxels of a chunk of coding 1 or 4; BitstreamError `corrupt_chunk`, `limit_exceeded` or `overflow`."""
+    count = row_count(data)
     if len(data) < _HEAD.size:
-        raise corrupt("octree geometry ends before its counts")
-    lanes, count, *minimum, depth = _HEAD.unpack_from(data)
-    if count > most_rows:
-        raise BitstreamError("limit_exceeded", f"{count} anchors exceed the limit of {most_rows}")
-    if depth > _MAX_DEPTH or count == 0:
-        raise corrupt(f"an octree of depth {depth} with {count} leaves cannot be")
+        raise corrupt("octree geometry ends before its depth")
+    lanes, _, *minimum, depth = _HEAD.unpack_from(data)
+    if depth > _MAX_DEPTH:
+        raise corrupt(f"an octree cannot be {depth} levels deep")
+    room.check_added(count, table_columns(depth))
     sound, nodes = octree_model.decode_octree(words_of(data, _HEAD.size), lanes, depth, count)
     if not sound:
         raise corrupt("octree geometry does not end as it must")
+    if nodes.min(axis=0).any() or int(nodes.max()).bit_length() != depth:
+        raise corrupt("octree geometry is not in the smallest cube at its minimum")
     voxel = nodes + np.array(minimum, np.int64)
     if voxel.max() > np.iinfo(np.int32).max:
         raise BitstreamError("overflow", "a voxel leaves the range of int32")

@@ -29,13 +29,16 @@ _SIZE = struct.Struct("<II")
 _CAMERA_DOUBLES = 9 + 12 + 5
 _MAX_NAME_BYTES = 64
 _MAX_PICTURE = 65535
+_MAX_LENGTH, _MIN_LENGTH = 1e9, 1e-6  # of world units and steps: no float32 of a Gaussian leaves its range with these
+_MAX_FPS, _MIN_FPS = 10_000.0, 0.001
+_MAX_CAMERA_NUMBER = 1e12
 
 
 def encode_header(header: SceneHeader) -> bytes:
     """The HEADER chunk.
 
     Raises:
-        ValueError: more levels, cameras or features than the format holds, or numbers that are not finite and positive.
+        ValueError: more levels, cameras or features than the format holds, or numbers outside its bounds.
     """
     octree, features = header.octree, len(header.feature_steps)
     view_dependent = int(header.view_dependent)
@@ -73,11 +76,16 @@ def decode_header(data: bytes, limits: DecoderLimits) -> SceneHeader:
     if any(data[5:8]):
         raise _bad("reserved bytes are not zero")
     origin_x, origin_y, origin_z, root_cell, distance, fps = _GEOMETRY.unpack(reader.take(_GEOMETRY.size))
-    if not all(math.isfinite(x) and x > 0 for x in (root_cell, distance, fps)):
-        raise _bad("root cell, reference distance and frame rate must be positive and finite")
+    if not all(abs(x) <= _MAX_LENGTH for x in (origin_x, origin_y, origin_z)):
+        raise _bad(f"an origin must lie within {_MAX_LENGTH:g} of 0")
+    if not (_MIN_LENGTH <= root_cell <= _MAX_LENGTH and _MIN_LENGTH <= distance <= _MAX_LENGTH):
+        raise _bad(f"root cell and reference distance must be {_MIN_LENGTH:g} to {_MAX_LENGTH:g}")
+    if not _MIN_FPS <= fps <= _MAX_FPS:
+        raise _bad(f"a frame rate must be {_MIN_FPS:g} to {_MAX_FPS:g}")
     background, *steps = (reader.floats(count) for count in (3, levels, features, 3 * slots, SCALINGS))
-    if not np.isfinite(background).all() or not all((np.isfinite(s) & (s > 0)).all() for s in steps):
-        raise _bad("background must be finite, and steps positive and finite")
+    usable = all(((part > 0) & (part <= _MAX_LENGTH)).all() for part in steps)
+    if not usable or not ((background >= 0) & (background <= 1)).all():
+        raise _bad(f"a background must be 0 to 1, and steps positive and at most {_MAX_LENGTH:g}")
     try:
         octree = Octree(np.array([origin_x, origin_y, origin_z]), root_cell, levels)
         cameras = tuple(_decode_camera(reader) for _ in range(camera_count))
@@ -147,8 +155,8 @@ def _decode_camera(reader: _HeaderReader) -> Camera:
     if max(width, height) > _MAX_PICTURE:
         raise ValueError(f"camera {name} claims pictures of {width}x{height}")
     doubles = np.frombuffer(reader.take(8 * _CAMERA_DOUBLES), "<f8").astype(np.float64)
-    if not (np.abs(doubles) < 1e100).all():  # so that no product in the checks that follow overflows
-        raise ValueError(f"camera {name} holds numbers that are not usable")
+    if not (np.abs(doubles) <= _MAX_CAMERA_NUMBER).all():  # so that no product in the checks that follow overflows
+        raise ValueError(f"camera {name} holds numbers beyond {_MAX_CAMERA_NUMBER:g}")
     pose = np.eye(4)
     pose[:3] = doubles[9:21].reshape(3, 4)
     return Camera(name, doubles[:9].reshape(3, 3).copy(), pose, width, height, doubles[21:].copy())

@@ -16,11 +16,12 @@ from codec.chunks.matrices import (
     shifted_channels,
     shifted_of,
 )
-from core.arrays import Int32, Int64
+from codec.packet.limits import Room
+from core.arrays import Bool, Int32, Int64
 from core.errors import BitstreamError
 from core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
 
-_CHANGE_COLUMNS = 1 + 3 + LATENTS
+CHANGE_COLUMNS = 1 + 3 + LATENTS
 _ENTROPY_CODINGS = (1, 4)
 
 
@@ -43,12 +44,12 @@ def encode_geometry(level: AnchorLevel, profile: int) -> bytes:
     return plain.encode_plain(steps.view(np.int32))
 
 
-def decode_geometry(data: bytes, profile: int, most_rows: int) -> Int32:
+def decode_geometry(data: bytes, profile: int, room: Room) -> Int32:
     """[N,3] voxels of a GEOMETRY chunk."""
     if coding_of(data, profile):
-        return geometry.decode(data, most_rows)
-    steps = plain.decode_plain(data, 3, most_rows)
-    return np.cumsum(steps, axis=0, dtype=np.int32)
+        return geometry.decode(data, room)
+    room.check_added(plain.row_count(data), 3)
+    return np.cumsum(plain.decode_plain(data, 3), axis=0, dtype=np.int32)
 
 
 def encode_base(level: AnchorLevel, profile: int) -> bytes:
@@ -58,15 +59,15 @@ def encode_base(level: AnchorLevel, profile: int) -> bytes:
     return plain.encode_plain(matrix) if coded is None else coded
 
 
-def decode_base(data: bytes, profile: int, header: SceneHeader, voxel: Int32) -> AnchorLevel:
+def decode_base(data: bytes, profile: int, header: SceneHeader, voxel: Int32, room: Room) -> AnchorLevel:
     """The level of a BASE chunk and its voxels."""
-    channels = base_channels(header)
-    if coding_of(data, profile):
+    channels, coding = base_channels(header), coding_of(data, profile)
+    if coding == plain.CODING and plain.row_count(data) != len(voxel):
+        raise BitstreamError("corrupt_chunk", f"{plain.row_count(data)} base rows for {len(voxel)} voxels")
+    room.check(len(voxel), channels)
+    if coding:
         return level_from_base(header, voxel, columns.decode(data, 1, len(voxel), channels, shifted_channels(header)))
-    matrix = plain.decode_plain(data, channels, len(voxel))
-    if len(matrix) != len(voxel):
-        raise BitstreamError("corrupt_chunk", f"{len(matrix)} base rows for {len(voxel)} voxels")
-    return level_from_base(header, voxel, matrix.astype(np.int64))
+    return level_from_base(header, voxel, plain.decode_plain(data, channels))
 
 
 def encode_change(
@@ -79,11 +80,14 @@ def encode_change(
     return plain.encode_plain(np.concatenate([_gaps(rows)[:, None], position, latent], axis=1))
 
 
-def decode_change(data: bytes, profile: int, level: AnchorLevel, elapsed: Elapsed) -> tuple[Int64, Int32, Int32]:
+def decode_change(
+    data: bytes, profile: int, level: AnchorLevel, elapsed: Elapsed, room: Room
+) -> tuple[Int64, Int32, Int32]:
     """Rows [n], position [n,3] and latent [n,24] differences of a CHANGE chunk for `level` as it was before."""
     if coding_of(data, profile):
         return change.decode(data, level, elapsed)
-    matrix = plain.decode_plain(data, _CHANGE_COLUMNS, len(level))
+    _check_existing(plain.row_count(data), CHANGE_COLUMNS, len(level), room)
+    matrix = plain.decode_plain(data, CHANGE_COLUMNS)
     return _rows(matrix[:, 0], len(level)), matrix[:, 1:4].copy(), matrix[:, 4:].copy()
 
 
@@ -92,10 +96,21 @@ def encode_removed(rows: Int64) -> bytes:
     return plain.encode_plain(_gaps(rows)[:, None])
 
 
-def decode_removed(data: bytes, profile: int, count: int) -> Int64:
-    """Rows of a REMOVED chunk of a level with `count` rows."""
+def decode_removed(data: bytes, profile: int, alive: Bool, room: Room) -> Int64:
+    """Rows of a REMOVED chunk of a level whose rows are `alive` [N] before."""
     coding_of(data, profile, plain_only=True)
-    return _rows(plain.decode_plain(data, 1, count)[:, 0], count)
+    _check_existing(plain.row_count(data), 1, len(alive), room)
+    rows = _rows(plain.decode_plain(data, 1)[:, 0], len(alive))
+    if not alive[rows].all():
+        raise BitstreamError("corrupt_chunk", "a row that was removed before cannot be removed again")
+    return rows
+
+
+def _check_existing(rows: int, columns: int, held: int, room: Room) -> None:
+    """Refuse a table of more of a level's rows than are `held`, or with too few bytes behind it."""
+    if rows > held:
+        raise BitstreamError("corrupt_chunk", f"{rows} rows of a level that has {held}")
+    room.check(rows, columns)
 
 
 def encode_added(level: AnchorLevel, profile: int) -> bytes:
@@ -106,12 +121,13 @@ def encode_added(level: AnchorLevel, profile: int) -> bytes:
     return min([*candidates, coded] if coded is not None else candidates, key=len)
 
 
-def decode_added(data: bytes, profile: int, header: SceneHeader, most_rows: int) -> AnchorLevel:
+def decode_added(data: bytes, profile: int, header: SceneHeader, room: Room) -> AnchorLevel:
     """The rows of an ADDED chunk."""
     channels = added_channels(header)
     if coding_of(data, profile):
-        return level_from_added(header, columns.decode_counted(data, most_rows, channels, shifted_channels(header, 3)))
-    return level_from_added(header, plain.decode_plain(data, channels, most_rows).astype(np.int64))
+        return level_from_added(header, columns.decode_counted(data, room, channels, shifted_channels(header, 3)))
+    room.check_added(plain.row_count(data), channels)
+    return level_from_added(header, plain.decode_plain(data, channels))
 
 
 def _gaps(rows: Int64) -> Int64:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from core.arrays import Int32, Int64
+from core.arrays import Int16, Int32, Int64
 from core.errors import BitstreamError
 from core.scene.anchors import LATENTS, SCALINGS, AnchorLevel, SceneHeader
 
 _UNSHIFTED = 1 + 3  # extra level and position
-_INT16, _INT32 = np.iinfo(np.int16), np.iinfo(np.int32)
+_INT16 = np.iinfo(np.int16)
 
 
 def base_channels(header: SceneHeader) -> int:
@@ -44,34 +46,35 @@ def added_matrix(level: AnchorLevel) -> Int64:
     return np.concatenate([column.astype(np.int64) for column in columns], axis=1)
 
 
-def level_from_base(header: SceneHeader, voxel: Int32, matrix: Int64) -> AnchorLevel:
+def level_from_base(header: SceneHeader, voxel: Int32, matrix: Int32) -> AnchorLevel:
     """Inverse of `base_matrix`; BitstreamError `overflow` for numbers outside their columns' types."""
-    latent, alive = np.zeros((len(voxel), LATENTS), np.int64), np.ones((len(voxel), 1), np.int64)
-    return level_from_added(header, np.concatenate([voxel.astype(np.int64), matrix, latent, alive], axis=1))
-
-
-def level_from_added(header: SceneHeader, matrix: Int64) -> AnchorLevel:
-    """Inverse of `added_matrix`; BitstreamError `overflow` for numbers outside their columns' types."""
     features, offsets = len(header.feature_steps), 3 * header.gaussians_per_anchor
-    ends = np.cumsum([3, features, offsets, SCALINGS, 1, 3, LATENTS])
-    voxel, feature, offset, scaling, extra_level, position, latent, alive = np.split(matrix, ends, axis=1)
-    for part in (voxel, position):
-        _check_range(part, _INT32.min, _INT32.max)
-    for part in (feature, offset, scaling, extra_level, latent):
-        _check_range(part, _INT16.min, _INT16.max)
-    _check_range(alive, 0, 1)
+    feature, offset, scaling, extra_level, position = np.split(
+        matrix, np.cumsum([features, offsets, SCALINGS, 1]), axis=1
+    )
     return AnchorLevel(
-        voxel=voxel.astype(np.int32),
-        position=position.astype(np.int32),
-        feature=feature.astype(np.int16),
-        offset=offset.astype(np.int16),
-        scaling=scaling.astype(np.int16),
-        extra_level=extra_level[:, 0].astype(np.int16),
-        latent=latent.astype(np.int16),
-        alive=alive[:, 0].astype(np.bool_),
+        voxel=voxel,
+        position=position.copy(),
+        feature=_int16(feature),
+        offset=_int16(offset),
+        scaling=_int16(scaling),
+        extra_level=_int16(extra_level)[:, 0],
+        latent=np.zeros((len(voxel), LATENTS), np.int16),
+        alive=np.ones(len(voxel), np.bool_),
     )
 
 
-def _check_range(values: Int64, low: int, high: int) -> None:
-    if values.size and (values.min() < low or values.max() > high):
-        raise BitstreamError("overflow", f"a number leaves the range {low} to {high} of its column")
+def level_from_added(header: SceneHeader, matrix: Int32) -> AnchorLevel:
+    """Inverse of `added_matrix`; BitstreamError `overflow` for numbers outside their columns' types."""
+    ends = np.cumsum([3, base_channels(header), LATENTS])
+    voxel, base, latent, alive = np.split(matrix, ends, axis=1)
+    if len(alive) and (alive.min() < 0 or alive.max() > 1):
+        raise BitstreamError("overflow", "whether a row is alive is neither 0 nor 1")
+    level = level_from_base(header, voxel.copy(), base)
+    return replace(level, latent=_int16(latent), alive=alive[:, 0].astype(np.bool_))
+
+
+def _int16(values: Int32) -> Int16:
+    if values.size and (values.min() < _INT16.min or values.max() > _INT16.max):
+        raise BitstreamError("overflow", "a number leaves the range of its 16-bit column")
+    return values.astype(np.int16, order="C")

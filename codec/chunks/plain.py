@@ -24,23 +24,29 @@ def encode_plain(matrix: NDArray[Any]) -> bytes:
     return _HEAD.pack(CODING, len(matrix)) + packer.compress(columns.tobytes()) + packer.flush()
 
 
-def decode_plain(data: bytes, columns: int, most_rows: int) -> Int32:
-    """Matrix [n,`columns`] of a chunk of coding 0.
-
-    Raises:
-        BitstreamError: `limit_exceeded` for more than `most_rows` rows, `corrupt_chunk` for anything else amiss.
-    """
+def row_count(data: bytes) -> int:
+    """The number of rows that a chunk announces behind its coding; BitstreamError `corrupt_chunk` if it is 0."""
     if len(data) < _HEAD.size:
         raise BitstreamError("corrupt_chunk", "a chunk ends before its row count")
-    _, count = _HEAD.unpack_from(data)
-    if count > most_rows:
-        raise BitstreamError("limit_exceeded", f"{count} rows exceed the limit of {most_rows}")
+    count: int = _HEAD.unpack_from(data)[1]
+    if count == 0:
+        raise BitstreamError("corrupt_chunk", "a chunk without rows must be left out")
+    return count
+
+
+def decode_plain(data: bytes, columns: int) -> Int32:
+    """Matrix [n,`columns`], read-only, of a chunk of coding 0 whose row count has been found acceptable.
+
+    Raises:
+        BitstreamError: `corrupt_chunk`, the deflate data are not exactly these numbers.
+    """
+    count = row_count(data)
     wanted = 4 * columns * count
     inflater = zlib.decompressobj(_RAW_DEFLATE)
     try:
-        content = inflater.decompress(data[_HEAD.size :], wanted + 1)  # one more, to see an excess
+        content = inflater.decompress(memoryview(data)[_HEAD.size :], wanted + 1)  # one more, to see an excess
     except zlib.error as error:
         raise BitstreamError("corrupt_chunk", f"deflate data are damaged: {error}") from error
     if len(content) != wanted or not inflater.eof or inflater.unused_data:
         raise BitstreamError("corrupt_chunk", f"deflate data do not hold exactly {wanted} bytes")
-    return np.ascontiguousarray(np.frombuffer(content, "<i4").astype(np.int32).reshape(columns, count).T)
+    return np.asarray(np.frombuffer(content, "<i4").reshape(columns, count).T, np.int32)

@@ -9,8 +9,7 @@ from codec.coder.compiled import compiled
 from codec.coder.rans import Array, begin, finish, magnitude_bin, put_flag, put_value, take_flag, take_value
 
 BLOCK = 64
-BLOCK_MODELS, ROW_MODELS, LATENT_MODELS = 8, 16, 4
-MOST_RAISED = 4  # bins
+BLOCK_MODELS, ROW_MODELS, LATENT_MODELS = 8, 16, 2
 LONGEST_SPAN = 255  # frames; steady motion over more counts as over these
 
 
@@ -94,7 +93,7 @@ def _followed(trend: int, delta: int) -> int:
 
 @compiled
 def position_errors(delta: Array, motion: Array) -> Array:
-    """[n,3] what prediction leaves of `delta` [n,3] where `motion` [n,3] is added to the running mean, all int64."""
+    """[n,3] what prediction leaves of `delta` [n,3] of rows whose steady motion is `motion` [n,3], all int64."""
     trend, errors = np.zeros(3, np.int64), np.zeros_like(delta)
     for i in range(len(delta)):
         for axis in range(3):
@@ -131,16 +130,14 @@ def positions_items(errors: Array, motion: Array, scale: int, items: Array, n: i
 
 
 @compiled
-def _take_positions(
-    words: Array, x: Array, ctl: Array, motion: Array, delta: Array, scale: int, steadily: bool
-) -> None:
+def _take_positions(words: Array, x: Array, ctl: Array, motion: Array, delta: Array, scale: int) -> None:
     average, trend = np.full(3, scale, np.int64), np.zeros(3, np.int64)
     before, mean = 3 * scale, 3 * scale
     for i in range(len(delta)):
         within, steady = 0, _size(motion[i])
         for axis in range(3):
             error = take_value(words, x, ctl, _position_bin(average[axis], before, mean, within, steady, axis))
-            delta[i, axis] = _prediction(motion[i, axis] if steadily else 0, trend[axis]) + error
+            delta[i, axis] = _prediction(motion[i, axis], trend[axis]) + error
             if abs(delta[i, axis]) >= 1 << 31:
                 ctl[2] = 1
             if ctl[2]:
@@ -154,45 +151,27 @@ def _take_positions(
 
 
 @compiled
-def raised_bins(before: Array) -> Array:
-    """[n,C] int64 by how many bins a latent's past raises what is expected of it: -1 (never used) to 4."""
-    raised = np.full(before.shape, -1, np.int64)
-    for i in range(len(before)):
-        for c in range(before.shape[1]):
-            size = abs(np.int64(before[i, c]))
-            while size and raised[i, c] < MOST_RAISED:
-                size >>= 1
-                raised[i, c] += 1
-    return raised
-
-
-@compiled
 def latents_items(latent: Array, before: Array, scale: Array, items: Array, n: int) -> int:
     """Model pass over latent differences [n,C] of rows with latents `before` [n,C]: which have any, then those."""
     models = np.ones((LATENT_MODELS, 2), np.int64)
     used, chosen = rows_with_any(before), np.zeros(len(latent), np.bool_)
-    last = 0
     for i in range(len(latent)):
-        own = 1 if latent[i].any() else 0
-        n = put_flag(items, n, models[2 * last + used[i]], own)
-        chosen[i] = own == 1
-        last = own
-    return columns_items(latent[chosen], raised_bins(before[chosen]), scale, items, n)
+        chosen[i] = latent[i].any()
+        n = put_flag(items, n, models[used[i]], 1 if chosen[i] else 0)
+    return columns_items(latent[chosen], scale, items, n)
 
 
 @compiled
 def _take_latents(words: Array, x: Array, ctl: Array, before: Array, latent: Array, scale: Array) -> None:
     models = np.ones((LATENT_MODELS, 2), np.int64)
     used, chosen = rows_with_any(before), np.zeros(len(latent), np.bool_)
-    last = 0
     for i in range(len(latent)):
-        last = take_flag(words, x, ctl, models[2 * last + used[i]])
-        chosen[i] = last == 1
+        chosen[i] = take_flag(words, x, ctl, models[used[i]]) == 1
     if ctl[2]:
         return
     rows = np.flatnonzero(chosen)
     part = np.zeros((len(rows), latent.shape[1]), np.int64)
-    take_columns(words, x, ctl, part, raised_bins(before[chosen]), scale)
+    take_columns(words, x, ctl, part, scale)
     for k in range(len(rows)):
         for c in range(latent.shape[1]):
             latent[rows[k], c] = part[k, c]
@@ -206,7 +185,6 @@ def decode_change(
     latent_before: Array,
     touched: Array,
     position_scale: int,
-    steadily: bool,
     scale: Array,
     age: int,
     span: int,
@@ -216,7 +194,6 @@ def decode_change(
     Args:
         position_before, latent_before: [N,3] and [N,C] of the level before.
         touched: [N] 1 for rows where these are not all 0.
-        steadily: whether positions are predicted by steady motion, too.
         age, span: frames from the keyframe to before, and from there to after.
     """
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
@@ -236,7 +213,7 @@ def decode_change(
             n += 1
     if ctl[2] == 0:
         motion = steady_motion(position_before, rows, age, span)
-        _take_positions(words, x, ctl, motion, delta, position_scale, steadily)
+        _take_positions(words, x, ctl, motion, delta, position_scale)
     if ctl[2] == 0:
         _take_latents(words, x, ctl, latent_before[rows], latent, scale)
     return finish(words, x, ctl), rows, delta, latent

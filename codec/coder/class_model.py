@@ -13,30 +13,26 @@ MOST_CLASSES = 8
 
 @compiled
 def classes_items(classes: Array, count: int, items: Array, n: int) -> int:
-    """Model pass over the class [rows] of each row, below `count`: in unary, under the class of the row before."""
-    models = np.ones((MOST_CLASSES * MOST_CLASSES, 2), np.int64)
-    before = 0
+    """Model pass over the class [rows] of each row, below `count`, in unary."""
+    models = np.ones((MOST_CLASSES, 2), np.int64)
     for own in classes:
         for k in range(count - 1):
-            n = put_flag(items, n, models[MOST_CLASSES * before + k], 1 if own == k else 0)
+            n = put_flag(items, n, models[k], 1 if own == k else 0)
             if own == k:
                 break
-        before = own
     return n
 
 
 @compiled
 def _take_classes(words: Array, x: Array, ctl: Array, classes: Array, count: int) -> None:
-    models = np.ones((MOST_CLASSES * MOST_CLASSES, 2), np.int64)
-    before = 0
+    models = np.ones((MOST_CLASSES, 2), np.int64)
     for i in range(len(classes)):
         own = count - 1
         for k in range(count - 1):
-            if take_flag(words, x, ctl, models[MOST_CLASSES * before + k]):
+            if take_flag(words, x, ctl, models[k]):
                 own = k
                 break
         classes[i] = own
-        before = own
         if ctl[2]:
             return
 
@@ -45,9 +41,8 @@ def _take_classes(words: Array, x: Array, ctl: Array, classes: Array, count: int
 def rows_items(values: Array, classes: Array, scales: Array, items: Array, n: int) -> int:
     """Model pass over `values` [rows, C]: their classes, then each class with its row of `scales` [classes, C]."""
     n = classes_items(classes, len(scales), items, n)
-    raised = np.zeros((0, 0), np.int64)
     for k in range(len(scales)):
-        n = columns_items(values[classes == k], raised, scales[k], items, n)
+        n = columns_items(values[classes == k], scales[k], items, n)
     return n
 
 
@@ -55,7 +50,6 @@ def rows_items(values: Array, classes: Array, scales: Array, items: Array, n: in
 def decode_rows(words: Array, lanes: int, values: Array, classes: Array, scales: Array) -> bool:
     """Fill `values` [rows, C] and `classes` [rows]; False if the stream is corrupt."""
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
-    raised = np.zeros((0, 0), np.int64)
     begin(words, x, ctl)
     if ctl[2] == 0:
         _take_classes(words, x, ctl, classes, len(scales))
@@ -63,8 +57,8 @@ def decode_rows(words: Array, lanes: int, values: Array, classes: Array, scales:
         if ctl[2]:
             return False
         rows = np.flatnonzero(classes == k)
-        part = np.zeros((len(rows), values.shape[1]), np.int64)
-        take_columns(words, x, ctl, part, raised, scales[k])
+        part = np.zeros((len(rows), values.shape[1]), np.int32)
+        take_columns(words, x, ctl, part, scales[k])
         for i in range(len(rows)):
             for c in range(values.shape[1]):
                 values[rows[i], c] = part[i, c]

@@ -49,12 +49,8 @@ def row_gain(mean: int, total: int, energy: int, seen: int) -> int:
 
 
 @compiled
-def columns_items(values: Array, raised: Array, scale: Array, items: Array, n: int) -> int:
-    """Model pass over `values` [rows, C]; appends to `items` at `n`.
-
-    Args:
-        raised: [rows, C] bins that are added to each number's, or no rows.
-    """
+def columns_items(values: Array, scale: Array, items: Array, n: int) -> int:
+    """Model pass over `values` [rows, C]; appends to `items` at `n`."""
     bins, weight, expected, total = channel_weights(scale)
     if total == 0:
         return n
@@ -66,7 +62,7 @@ def columns_items(values: Array, raised: Array, scale: Array, items: Array, n: i
                 gain = row_gain(mean, total, energy, seen)
             if scale[c]:
                 value = values[i, c]
-                n = put_value(items, n, value, bins[c] + gain + (raised[i, c] if len(raised) else 0))
+                n = put_value(items, n, value, bins[c] + gain)
                 energy += weight[c] * min(abs(value), ENERGY_LIMIT)
                 seen += expected[c]
         mean += (energy - mean) >> 3
@@ -74,7 +70,7 @@ def columns_items(values: Array, raised: Array, scale: Array, items: Array, n: i
 
 
 @compiled
-def take_columns(words: Array, x: Array, ctl: Array, values: Array, raised: Array, scale: Array) -> None:
+def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array) -> None:
     bins, weight, expected, total = channel_weights(scale)
     if total == 0:
         return
@@ -86,7 +82,7 @@ def take_columns(words: Array, x: Array, ctl: Array, values: Array, raised: Arra
             if renews(c):
                 gain = row_gain(mean, total, energy, seen)
             if scale[c]:
-                b = max(bins[c] + gain + (raised[i, c] if len(raised) else 0), 0)
+                b = max(bins[c] + gain, 0)
                 state = x[item & lanes]
                 slot = state & 4095
                 z: Any = np.int64(SYMBOL_OF[min(b, TOP_BIN) * 4096 + slot])
@@ -115,10 +111,10 @@ def take_columns(words: Array, x: Array, ctl: Array, values: Array, raised: Arra
 
 
 @compiled
-def decode_columns(words: Array, lanes: int, values: Array, raised: Array, scale: Array) -> bool:
-    """Fill `values` [rows, C]; False if the stream is corrupt. `raised` as in `columns_items`."""
+def decode_columns(words: Array, lanes: int, values: Array, scale: Array) -> bool:
+    """Fill `values` [rows, C]; False if the stream is corrupt."""
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
     begin(words, x, ctl)
     if ctl[2] == 0:
-        take_columns(words, x, ctl, values, raised, scale)
+        take_columns(words, x, ctl, values, scale)
     return finish(words, x, ctl)

@@ -144,8 +144,8 @@ def value(coder: Coder, b: int, number: int | None) -> int:
     return result
 
 
-def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None, raised: Rows | None = None) -> Rows:
-    """Rows of integers with energy context, FORMAT.md section 6.3; `raised` is added to their bins."""
+def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None) -> Rows:
+    """Rows of integers with energy context, FORMAT.md section 6.3."""
     weight = [65536 // (256 + m) if m else 0 for m in scale]
     expected = [max(1, (w * m + 128) >> 8) if m else 0 for w, m in zip(weight, scale, strict=True)]
     total = sum(expected)
@@ -157,7 +157,7 @@ def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None,
                 gain = magnitude_bin(256 * (mean + 2 * energy) // (total + 2 * seen)) - 24
             number = 0
             if m:
-                b = magnitude_bin(m) + gain + (raised[i][c] if raised else 0)
+                b = magnitude_bin(m) + gain
                 number = value(coder, b, None if numbers is None else numbers[i][c])
             energy += weight[c] * min(abs(number), 65535)
             seen += expected[c]
@@ -169,13 +169,12 @@ def columns(coder: Coder, rows: int, scale: Sequence[int], numbers: Rows | None,
 
 def classes(coder: Coder, rows: int, count: int, wanted: Sequence[int] | None) -> list[int]:
     """Which of `count` classes each row is of, FORMAT.md section 6.4."""
-    models: dict[tuple[int, int], list[int]] = {}
+    models = [[1, 1] for _ in range(count)]
     result: list[int] = []
     for i in range(rows):
         own = count - 1
         for k in range(count - 1):
-            model = models.setdefault((result[-1] if result else 0, k), [1, 1])
-            if flag(coder, model, None if wanted is None else int(wanted[i] == k)):
+            if flag(coder, models[k], None if wanted is None else int(wanted[i] == k)):
                 own = k
                 break
         result.append(own)
@@ -197,7 +196,7 @@ def classed_columns(
 
 
 def trend(numbers: Sequence[int], shifts: Sequence[int]) -> list[int]:
-    """A channel of mode 3 from what 6.4 gives, each number in 2^shift, FORMAT.md section 8."""
+    """A channel of mode 2 from what 6.4 gives, each number in 2^shift, FORMAT.md section 8."""
     total, result = 0, []
     for number, shift in zip(numbers, shifts, strict=True):
         half = (1 << shift) >> 1
@@ -227,14 +226,13 @@ def dynamic_set(coder: Coder, touched: Sequence[int], changed: Sequence[int] | N
 
 def latents(coder: Coder, before: Rows, scale: Sequence[int], numbers: Rows | None) -> Rows:
     """Latent differences of the changed rows, which had latents `before`, FORMAT.md section 9."""
-    models = [[1, 1] for _ in range(4)]
+    models = [[1, 1] for _ in range(2)]
     flags: list[int] = []
     for i, past in enumerate(before):
         wanted = None if numbers is None else int(any(numbers[i]))
-        flags.append(flag(coder, models[2 * (flags[-1] if flags else 0) + int(any(past))], wanted))
+        flags.append(flag(coder, models[int(any(past))], wanted))
     chosen = [i for i, own in enumerate(flags) if own]
-    raised = [[min(abs(y).bit_length(), 5) - 1 for y in before[i]] for i in chosen]
-    found = columns(coder, len(chosen), scale, numbers and [numbers[i] for i in chosen], raised)
+    found = columns(coder, len(chosen), scale, numbers and [numbers[i] for i in chosen])
     result: Rows = [[0] * len(scale) for _ in before]
     for i, row in zip(chosen, found, strict=True):
         result[i] = row
@@ -246,14 +244,14 @@ def steady_motion(positions: Rows, age: int, span: int) -> Rows:
     return [[128 * p * min(span, 255) // age if age else 0 for p in row] for row in positions]
 
 
-def positions(coder: Coder, motion: Rows, scale: int, steadily: bool, delta: Rows | None) -> Rows:
+def positions(coder: Coder, motion: Rows, scale: int, delta: Rows | None) -> Rows:
     """Position differences of the changed rows whose steady motion is `motion`, FORMAT.md section 9."""
     average, before, mean = [scale] * 3, 3 * scale, 3 * scale
     trend, result = [0] * 3, []
     for i, steady in enumerate(motion):
         within, row = 0, []
         for axis in range(3):
-            prediction = (steadily * steady[axis] + trend[axis] + 128) // 256
+            prediction = (steady[axis] + trend[axis] + 128) // 256
             e = 4 * average[axis] + before + 3 * mean + 6 * within + 4 * sum(map(abs, steady))
             b = magnitude_bin(e // (18 + 6 * axis))
             error = value(coder, b, None if delta is None else delta[i][axis] - prediction)

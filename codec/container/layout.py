@@ -28,7 +28,7 @@ class Entry:
         offset: where the packet begins, bytes from the file's start.
         size_bytes: its length.
         kind, keyframe, from_version, to_version, time_ns, level_mask: as in the packet header.
-        coarse_bytes: chunk bytes of levels 0 to 2.
+        coarse_bytes: length of the chunks of levels 0 to 2 together, without header and weights.
     """
 
     offset: int

@@ -70,17 +70,24 @@ class SlodReader:
         mask = 0
         for n in keys:
             mask |= self.entries[n].level_mask
-        best: dict[int, tuple[int, tuple[int, ...]]] = {keyframe: (0, ())}
-        edges = [n for n, e in enumerate(self.entries) if e.kind is not PacketKind.KEY and e.keyframe == keyframe]
+        edges = [
+            n
+            for n, e in enumerate(self.entries)
+            if e.kind is not PacketKind.KEY and e.keyframe == keyframe and e.from_version < e.to_version
+        ]
+        best: dict[int, tuple[int, int]] = {keyframe: (0, -1)}  # bytes to a version, and the last packet on the way
         for n in sorted(edges, key=lambda n: self.entries[n].to_version):
             entry = self.entries[n]
             if entry.from_version in best and entry.level_mask & mask == mask:
-                cost, path = best[entry.from_version]
-                candidate = (cost + entry.size_bytes, (*path, n))
+                candidate = (best[entry.from_version][0] + entry.size_bytes, n)
                 best[entry.to_version] = min(best.get(entry.to_version, candidate), candidate)
         if not keys or version not in best:
             raise InputError(self._path, f"no packets lead to version {version}")
-        return (*keys, *best[version][1])
+        path: list[int] = []
+        while version != keyframe:
+            path.append(best[version][1])
+            version = self.entries[path[-1]].from_version
+        return (*keys, *reversed(path))
 
     def close(self) -> None:
         """Close the file."""
@@ -106,7 +113,8 @@ class SlodReader:
         entries = entries_in(self._at(at, length), checksum) if at >= len(FILE_HEAD) and length > 0 else None
         if entries is None:
             return None
-        inside = all(e.offset + e.size_bytes <= at and e.size_bytes <= self._limits.packet_bytes for e in entries)
+        first, most = len(FILE_HEAD) + SIZE.size, self._limits.packet_bytes
+        inside = all(first <= e.offset <= at - e.size_bytes and e.size_bytes <= most for e in entries)
         return (entries, at, False) if inside else None
 
     def _walk(self) -> tuple[tuple[Entry, ...], int, bool]:

@@ -13,7 +13,7 @@ from core.errors import BitstreamError
 MAGIC = b"SLPK"
 FORMAT_VERSION = 1
 HIGHEST_PROFILE = 1
-_FIXED = struct.Struct("<4sBBBBIIIQHH")
+_FIXED = struct.Struct("<4sBBBBIIIQHHQ")
 _CHECKSUM = struct.Struct("<I")
 ENTRY = struct.Struct("<II")
 HEADER_BYTES = _FIXED.size + _CHECKSUM.size
@@ -40,6 +40,7 @@ def build(packet: Packet) -> bytes:
         packet.time_ns,
         packet.level_mask,
         len(packet.chunks),
+        packet.identifier,
     )
     checksum = _CHECKSUM.pack(zlib.crc32(directory, zlib.crc32(fixed)))
     return b"".join([fixed, checksum, directory, *(chunk.data for chunk in packet.chunks)])
@@ -55,7 +56,8 @@ def parse(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS, *, verify: bool
         raise BitstreamError("too_large", f"a packet of {len(packet)} bytes exceeds the limit {limits.packet_bytes}")
     if len(packet) < HEADER_BYTES:
         raise BitstreamError("truncated", f"{len(packet)} bytes are too few for a packet header of {HEADER_BYTES}")
-    magic, version, profile, kind, reserved, keyframe, start, end, time_ns, mask, count = _FIXED.unpack_from(packet)
+    magic, version, profile, kind, reserved, *numbers = _FIXED.unpack_from(packet)
+    keyframe, start, end, time_ns, mask, count, identifier = numbers
     if magic != MAGIC:
         raise BitstreamError("bad_magic", "the bytes do not begin a packet")
     if version != FORMAT_VERSION:
@@ -70,7 +72,7 @@ def parse(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS, *, verify: bool
     (checksum,) = _CHECKSUM.unpack_from(packet, _FIXED.size)
     if zlib.crc32(packet[HEADER_BYTES:chunks_at], zlib.crc32(packet[: _FIXED.size])) != checksum:
         raise BitstreamError("bad_checksum", "header and directory do not match their checksum")
-    if reserved or kind > PacketKind.CATCH_UP:
+    if reserved or kind > PacketKind.CHANGE:
         raise BitstreamError("bad_header", f"packet kind {kind} with reserved byte {reserved} is not known here")
     try:
         check_fields(PacketKind(kind), keyframe, start, end, time_ns, mask)
@@ -89,7 +91,7 @@ def parse(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS, *, verify: bool
         if verify and zlib.crc32(data) != claimed:
             raise BitstreamError("bad_checksum", f"chunk {word >> 24 & 15} of level {word >> 28} is damaged")
         chunks.append(Chunk(word >> 28, word >> 24 & 15, data, claimed))
-    return Packet(PacketKind(kind), profile, keyframe, start, end, time_ns, mask, tuple(chunks))
+    return Packet(PacketKind(kind), profile, keyframe, start, end, time_ns, mask, identifier, tuple(chunks))
 
 
 def _refuse_impossible(packet: Packet) -> None:
@@ -97,5 +99,7 @@ def _refuse_impossible(packet: Packet) -> None:
         packet.kind, packet.keyframe, packet.from_version, packet.to_version, packet.time_ns, packet.level_mask
     )
     longest = max((len(chunk.data) for chunk in packet.chunks), default=0)
-    if longest > _LENGTH_MASK or packet.to_version >= 1 << 32:
-        raise ValueError(f"a chunk of {longest} bytes or version {packet.to_version} does not fit a packet")
+    if longest > _LENGTH_MASK or packet.to_version >= 1 << 32 or not 0 <= packet.identifier < 1 << 64:
+        raise ValueError(
+            f"a chunk of {longest} bytes, version {packet.to_version} or identifier {packet.identifier} does not fit"
+        )

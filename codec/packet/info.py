@@ -14,8 +14,8 @@ class PacketInfo:
     """What can be said of a packet without decoding its chunks.
 
     Attributes:
-        kind, profile, keyframe, from_version, to_version, time_ns, level_mask: as in the packet header.
-        level_bytes: bytes of each level's chunks, up to the finest level of the mask.
+        kind, profile, keyframe, from_version, to_version, time_ns, level_mask, identifier: as in the packet header.
+        level_bytes: bytes of each level's chunks without header and weights, up to the finest level of the mask.
         chunk_bytes: bytes of each chunk kind, by lower-case name; extensions count as "extension".
         size_bytes: length of the packet.
         has_header: whether a key packet starts a new scene.
@@ -28,6 +28,7 @@ class PacketInfo:
     to_version: int
     time_ns: int
     level_mask: int
+    identifier: int
     level_bytes: tuple[int, ...]
     chunk_bytes: dict[str, int]
     size_bytes: int
@@ -61,6 +62,7 @@ def describe(packet: Packet) -> PacketInfo:
         packet.to_version,
         packet.time_ns,
         packet.level_mask,
+        packet.identifier,
         tuple(level_bytes),
         chunk_bytes,
         size,

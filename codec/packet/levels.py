@@ -24,18 +24,17 @@ def drop_levels(packet: bytes, highest_level: int) -> bytes:
 
 
 def split_levels(packet: bytes) -> tuple[bytes, ...]:
-    """One packet a level, coarse first; of a key packet's parts the first one keeps header and weights.
+    """One packet a level, coarse first; header and weights are part of level 0.
 
     Raises:
         BitstreamError: the packet is not valid.
     """
     whole = parse(packet, verify=False)
-    return tuple(build(_select(whole, 1 << level, first=level == whole.levels[0])) for level in whole.levels)
+    return tuple(build(_select(whole, 1 << level)) for level in whole.levels)
 
 
-def _select(packet: Packet, mask: int, *, first: bool = True) -> Packet:
+def _select(packet: Packet, mask: int) -> Packet:
     kept = packet.level_mask & mask
     if kept == 0:
         raise ValueError(f"no level of the packet (mask {packet.level_mask:#x}) would remain with mask {mask:#x}")
-    chunks = tuple(c for c in packet.chunks if (first if c.belongs_to_scene else kept >> c.level & 1))
-    return replace(packet, level_mask=kept, chunks=chunks)
+    return replace(packet, level_mask=kept, chunks=tuple(c for c in packet.chunks if kept >> c.level & 1))

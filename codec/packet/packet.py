@@ -10,12 +10,10 @@ MAX_LEVELS = 16
 
 
 class PacketKind(IntEnum):
-    """What a packet does to the state it meets."""
+    """What a packet does to the state it meets: sets levels anew, or leads from one version to another."""
 
     KEY = 0
-    PREDICTED = 1
-    SKIP = 2
-    CATCH_UP = 3
+    CHANGE = 1
 
 
 class ChunkKind(IntEnum):
@@ -32,6 +30,7 @@ class ChunkKind(IntEnum):
 
 
 FIRST_EXTENSION = 12  # chunk kinds from here on are skipped, not refused
+PADDING = 15  # the extension that this encoder fills with zeros where a level's chunks are shorter than they may be
 SCENE_CHUNKS = frozenset({ChunkKind.HEADER, ChunkKind.WEIGHTS})
 
 
@@ -46,7 +45,7 @@ class Chunk:
 
     @property
     def belongs_to_scene(self) -> bool:
-        """Whether the chunk is filed under level 0 but concerns the whole scene."""
+        """Whether the chunk is part of level 0 but concerns the whole scene."""
         return self.kind in SCENE_CHUNKS
 
 
@@ -57,7 +56,7 @@ def make_chunk(level: int, kind: int, data: bytes) -> Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """A packet taken apart; chunks in directory order."""
+    """A packet taken apart; fields as in the packet header, chunks in directory order."""
 
     kind: PacketKind
     profile: int
@@ -66,6 +65,7 @@ class Packet:
     to_version: int
     time_ns: int
     level_mask: int
+    identifier: int
     chunks: tuple[Chunk, ...]
 
     @property
@@ -76,3 +76,7 @@ class Packet:
     def chunk(self, level: int, kind: ChunkKind) -> bytes | None:
         """The bytes of chunk (level, kind), if the packet has it."""
         return next((c.data for c in self.chunks if c.level == level and c.kind == kind), None)
+
+    def level_bytes(self, level: int) -> int:
+        """Length of all chunks of `level`, which bounds the rows that they may describe."""
+        return sum(len(c.data) for c in self.chunks if c.level == level)

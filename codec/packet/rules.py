@@ -7,7 +7,7 @@ import itertools
 from codec.packet.packet import FIRST_EXTENSION, MAX_LEVELS, SCENE_CHUNKS, ChunkKind, PacketKind
 from core.errors import BitstreamError
 
-_KEY_CHUNKS = frozenset({ChunkKind.HEADER, ChunkKind.WEIGHTS, ChunkKind.GEOMETRY, ChunkKind.BASE})
+_KEY_CHUNKS = frozenset({ChunkKind.HEADER, ChunkKind.WEIGHTS, ChunkKind.GEOMETRY, ChunkKind.BASE, ChunkKind.HASH})
 _RESIDUAL_CHUNKS = frozenset({ChunkKind.CHANGE, ChunkKind.REMOVED, ChunkKind.ADDED, ChunkKind.HASH})
 
 
@@ -21,8 +21,6 @@ def check_fields(kind: PacketKind, keyframe: int, start: int, end: int, time_ns:
         raise ValueError(f"a key packet cannot lead from version {start} to {end} under keyframe {keyframe}")
     if kind is not PacketKind.KEY and not keyframe <= start < end:
         raise ValueError(f"a packet cannot lead from version {start} to {end} under keyframe {keyframe}")
-    if kind is PacketKind.CATCH_UP and start != keyframe:
-        raise ValueError(f"a catch-up packet starts at its keyframe {keyframe}, not at {start}")
 
 
 def check_directory(kind: PacketKind, mask: int, places: list[int]) -> None:
@@ -38,10 +36,9 @@ def check_directory(kind: PacketKind, mask: int, places: list[int]) -> None:
         level, chunk = place >> 4, place & 15
         if chunk not in known and chunk < FIRST_EXTENSION:
             raise BitstreamError("bad_directory", f"chunk kind {chunk} has no place in a packet of kind {int(kind)}")
-        fits = level == 0 if chunk in SCENE_CHUNKS else mask >> level & 1
-        if not fits:
+        if not mask >> level & 1 or (chunk in SCENE_CHUNKS and level):
             raise BitstreamError(
-                "bad_directory", f"chunk kind {chunk} lies in level {level}, outside the mask {mask:#x}"
+                "bad_directory", f"chunk kind {chunk} has no place in level {level} under the mask {mask:#x}"
             )
     present = frozenset(places)
     _check_pair(present, ChunkKind.HEADER, ChunkKind.WEIGHTS, 0)

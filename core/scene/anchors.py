@@ -6,7 +6,10 @@ state to the bit; floats appear only in `core.scene.expand`, after decoding.
 
 from __future__ import annotations
 
+import hashlib
+import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,11 +68,23 @@ class AnchorLevel:
     def __len__(self) -> int:
         return len(self.voxel)
 
+    @property
+    def row_bytes(self) -> int:
+        """Memory of a row."""
+        return 87 + 2 * int(self.feature.shape[1] + self.offset.shape[1])
+
+    def state(self) -> Iterator[bytes]:
+        """Everything that the level holds, little-endian, what never changes in a row first (FORMAT.md section 11)."""
+        fixed = (self.voxel, self.feature, self.offset, self.scaling, self.extra_level)
+        for values in (*fixed, self.position, self.latent, self.alive):
+            yield values.astype(values.dtype.newbyteorder("<")).tobytes()
+
     def digest(self) -> int:
-        """CRC-32 of the changing state (position, latent, alive; little-endian), to compare decoders with."""
-        crc = zlib.crc32(self.position.astype("<i4").tobytes())
-        crc = zlib.crc32(self.latent.astype("<i2").tobytes(), crc)
-        return zlib.crc32(self.alive.astype(np.uint8).tobytes(), crc)
+        """CRC-32 of the state, to compare decoders with."""
+        crc = 0
+        for column in self.state():
+            crc = zlib.crc32(column, crc)
+        return crc
 
 
 def empty_level(features: int, gaussians_per_anchor: int) -> AnchorLevel:
@@ -167,6 +182,7 @@ class Scene:
         levels: one AnchorLevel for each octree level, coarse to fine.
         keyframe: version at which the header and weights were sent.
         version: number of the state in its epoch.
+        identifier: 64 bits that this keyframe shares with no other, of this or another run; `identify` makes them.
     """
 
     header: SceneHeader
@@ -174,6 +190,7 @@ class Scene:
     levels: tuple[AnchorLevel, ...]
     keyframe: int
     version: int
+    identifier: int = 0
 
     def __post_init__(self) -> None:
         if len(self.levels) != self.header.octree.levels:
@@ -183,3 +200,13 @@ class Scene:
     def anchor_count(self) -> int:
         """Anchors alive on all levels."""
         return sum(int(level.alive.sum()) for level in self.levels)
+
+
+def identify(header: SceneHeader, weights: AnchorWeights, levels: tuple[AnchorLevel, ...], keyframe: int) -> int:
+    """A 64-bit identifier for a keyframe: a hash of its content, so that the same training gives the same bytes."""
+    found = hashlib.blake2b(struct.pack("<I", keyframe), digest_size=8)
+    for values in (header.octree.origin, *(getattr(weights, name) for name in AnchorWeights.__slots__)):
+        found.update(values.tobytes())
+    for level in levels:
+        found.update(struct.pack("<I", level.digest()))
+    return int.from_bytes(found.digest(), "little")

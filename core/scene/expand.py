@@ -6,6 +6,8 @@ and 7 of the paper; conventions in `core.scene.anchors`.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from core.arrays import Float32, Float64, Int64
@@ -15,6 +17,7 @@ from core.scene.octree import level_for_distance
 
 EXTRA_LEVEL_UNIT = 1 / 64
 LOG_SCALE_LIMIT = 20.0  # exp stays finite in float32 whatever the bitstream says
+_SHORTEST, _LONGEST = 1e-12, 1e12  # lengths of quaternions that say a rotation
 
 
 def expand(
@@ -75,7 +78,21 @@ def visible(cloud: GaussianCloud) -> GaussianCloud:
 def expand_slots(
     header: SceneHeader, weights: AnchorWeights, number: int, level: AnchorLevel, rows: Int64, viewpoint: Float64
 ) -> GaussianCloud:
-    """All n * K Gaussians of `rows` of level `number`, K for each; opacity 0 where the network's is not positive."""
+    """All n * K Gaussians of `rows` of level `number`, K to a row; opacity 0 for those that do not exist.
+
+    These are the ones that the network does not want, and those with a number that is not finite or no rotation.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        cloud = _network_outputs(header, weights, number, level, rows, viewpoint)
+        length = np.linalg.norm(cloud.quaternions.astype(np.float64), axis=1)
+        sums = [part.sum(axis=1, dtype=np.float64) for part in (cloud.means, cloud.scales, cloud.colours)]
+    sound = np.isfinite(sum(sums)) & np.isfinite(cloud.opacities) & (length >= _SHORTEST) & (length <= _LONGEST)
+    return cloud if sound.all() else replace(cloud, opacities=np.where(sound, cloud.opacities, np.float32(0)))
+
+
+def _network_outputs(
+    header: SceneHeader, weights: AnchorWeights, number: int, level: AnchorLevel, rows: Int64, viewpoint: Float64
+) -> GaussianCloud:
     count, slots = len(rows), header.gaussians_per_anchor
     feature, offset, scaling = dequantise(header, weights, level, rows)
     anchors = anchor_positions(header, number, level)[rows]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Float32, Int16, Int64
-from core.scene.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from core.scene.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader, identify
 from core.scene.expand import dequantise
 from core.scene.octree import morton_key
 from core.scene.quantise import trailing_zeros
@@ -26,7 +26,8 @@ def as_keyframe(scene: Scene, version: int) -> Scene:
     Positions, scalings, header and weights stay. `keyframe_error` measures the rounding.
     """
     levels = tuple(_fresh(scene.header, scene.weights, level) for level in scene.levels)
-    return replace(scene, levels=levels, keyframe=version, version=version)
+    identifier = identify(scene.header, scene.weights, levels, version)
+    return replace(scene, levels=levels, keyframe=version, version=version, identifier=identifier)
 
 
 def keyframe_error(before: Scene, after: Scene) -> tuple[float, float]:

@@ -19,7 +19,6 @@ import numpy as np
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from codec.refresh import RefreshRule, RefreshSchedule
 from core.camera import Camera
 from core.data import Dataset, linspace_split, open_dataset, prefetch
@@ -121,7 +120,7 @@ class _Trained:
     def changing(self) -> bytes:
         """The packet of the change."""
         assert self.change is not None
-        return encode_residual(*self.change, kind=PacketKind.PREDICTED, time_ns=self.time_ns)
+        return encode_residual(*self.change, time_ns=self.time_ns)
 
 
 def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:

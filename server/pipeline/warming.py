@@ -6,7 +6,6 @@ import numpy as np
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import HIDDEN, LATENTS, OUTPUTS, SCALINGS, AnchorLevel, AnchorWeights, Scene, SceneHeader
 from core.scene.octree import Octree
 from core.scene.residual import LevelResidual, Residual, apply
@@ -23,7 +22,7 @@ def warm_codec() -> None:
     level = scene.levels[0]
     added = AnchorLevel(*(getattr(level, name)[:3] for name in AnchorLevel.__slots__))
     residual = Residual(0, 0, 1, (LevelResidual(rows, *ones, rows[:2], added),))
-    decoder.push(encode_residual(scene, residual, kind=PacketKind.CATCH_UP, time_ns=1))
+    decoder.push(encode_residual(scene, residual, time_ns=1))
     assert decoder.scene is not None
     assert decoder.scene.levels[0].digest() == apply(scene, residual).levels[0].digest()
 

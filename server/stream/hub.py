@@ -17,7 +17,6 @@ from codec.decoder import SceneDecoder
 from codec.encoder import encode_residual
 from codec.packet.levels import select_levels, split_levels
 from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import difference
 from server.protocol.packets import PIECE_BYTES, PacketWindow, StreamPacket, binary_frame
@@ -204,6 +203,5 @@ def _size_bytes(state: _Decoded) -> int:
 
 def _encode(before: _Decoded, after: _Decoded) -> bytes:
     residual = difference(before.scene, after.scene)
-    kind = PacketKind.CATCH_UP if before.scene.version == before.scene.keyframe else PacketKind.SKIP
     info = after.packet.info
-    return encode_residual(before.scene, residual, kind=kind, time_ns=info.time_ns, profile=info.profile)
+    return encode_residual(before.scene, residual, time_ns=info.time_ns, profile=info.profile)

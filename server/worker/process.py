@@ -233,7 +233,7 @@ def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
             if entry.kind is PacketKind.KEY:
                 if not peek(reader.read(number)).has_header:
                     raise InputError(spec.play, "its keyframes are cut into parts, which cannot be streamed")
-            elif entry.kind in (PacketKind.SKIP, PacketKind.CATCH_UP) or entry.from_version != version:
+            elif entry.from_version != version:
                 continue
             version = entry.to_version
             yield number, entry

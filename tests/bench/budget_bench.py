@@ -13,7 +13,6 @@ import time
 import numpy as np
 
 from codec.encoder import encode_residual
-from codec.packet.packet import PacketKind
 from core.data import linspace_split
 from core.frames import FrameSet
 from core.initialise import first_points
@@ -56,7 +55,7 @@ def main() -> None:
             result = trainer.predict(frame)
             assert result.residual is not None
             encoding = time.perf_counter()
-            packet = encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)
+            packet = encode_residual(before, result.residual, time_ns=0)
             end = time.perf_counter()
             trainer.sent(result, len(packet), end - encoding)
             times.append(1000 * (end - begin))

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.chunks.change import Elapsed, history, predicted_positions
+from codec.chunks.change import Elapsed, history
 from codec.coder import change_model
 from codec.coder.entropy import encode_scales, scale_of
 from codec.container import SlodReader, SlodWriter
@@ -69,7 +69,7 @@ def _clip(states: list[Scene]) -> Clip:
 
 
 def _predicted(before: Scene, residual: Residual, profile: int = 1) -> bytes:
-    return encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=0, profile=profile)
+    return encode_residual(before, residual, time_ns=0, profile=profile)
 
 
 def keyframe_report(scene: Scene) -> None:
@@ -110,7 +110,7 @@ def _split(level: LevelResidual, before: AnchorLevel, elapsed: Elapsed) -> Float
     changed[level.rows] = 1
     position, latent = level.position.astype(np.int64), level.latent.astype(np.int64)
     motion = change_model.steady_motion(before.position, level.rows, elapsed.age, elapsed.span)
-    errors, _ = predicted_positions(position, motion)
+    errors = change_model.position_errors(position, motion)
     scale = int(SCALES[scale_of(float(np.abs(errors).mean()) if len(errors) else 0)])
     touched = history(before)
     ends = [0, change_model.rows_items(changed, touched, items, 0)]
@@ -170,12 +170,10 @@ def _by_kind(infos: list[PacketInfo]) -> dict[str, float]:
 def reach_report(clip: Clip) -> None:
     """Skip and catch-up packets against the chain that they replace."""
     sizes = np.cumsum([0] + [len(packet) for packet in clip.packets])
-    first = clip.states[0].version
     for reach in (2, 4, 8, 16, len(clip.states) - 1):
         if reach < len(clip.states):
             a, b = clip.states[-1 - reach], clip.states[-1]
-            kind = PacketKind.CATCH_UP if a.version == first else PacketKind.SKIP
-            size = len(encode_residual(a, difference(a, b), kind=kind, time_ns=0))
+            size = len(encode_residual(a, difference(a, b), time_ns=0))
             chain = sizes[-1] - sizes[-1 - reach]
             print(f"skip over {reach} frames: {size} B, {100 * size / chain:.0f} % of the chain's {chain} B")
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codec.coder import change_model, column_model, rans
-from codec.coder.change_model import raised_bins
 from codec.coder.compiled import compiled
 from codec.coder.entropy import encode_scales
 from core.arrays import Float64, Int16, Int32, Int64
@@ -54,11 +53,10 @@ def latents_report(states: list[Scene], residuals: list[Residual]) -> None:
             np.add.at(flags[half], (_flag_contexts(some, past.any(axis=1), level.position), some.astype(np.int64)), 1)
             values, position = latent[some], level.position[some].astype(np.int64)
             bins = np.empty_like(values)
-            raised = raised_bins(past[some])
-            _context_bins(values, raised, encode_scales(values)[1], bins)
+            _context_bins(values, encode_scales(values)[1], bins)
             np.add.at(by_bin[half], (np.minimum(bins, BINS - 1), values + _CLIP), 1)
             if len(values):
-                np.add.at(by_context[half], (_rich_contexts(values, position, raised), values + _CLIP), 1)
+                np.add.at(by_context[half], (_rich_contexts(values, position, past[some]), values + _CLIP), 1)
             np.add.at(histogram, (np.broadcast_to(np.arange(LATENTS), latent.shape), latent + _CLIP), 1)
             count += latent.size
             columns = latent.astype(np.int8).T.tobytes()
@@ -79,7 +77,7 @@ def latents_report(states: list[Scene], residuals: list[Residual]) -> None:
 
 
 @compiled
-def _context_bins(values: Int64, raised: Int64, scale: Int64, bins_out: Int64) -> None:
+def _context_bins(values: Int64, scale: Int64, bins_out: Int64) -> None:
     """The bin under which each latent is coded, -1 for uncoded channels."""
     bins, weight, expected, total = column_model.channel_weights(scale)
     mean = total
@@ -88,7 +86,7 @@ def _context_bins(values: Int64, raised: Int64, scale: Int64, bins_out: Int64) -
         for c in range(len(scale)):
             if column_model.renews(c) and total:
                 gain = column_model.row_gain(mean, total, energy, seen)
-            bins_out[i, c] = min(max(bins[c] + gain + raised[i, c], 0), rans.TOP_BIN) if scale[c] else -1
+            bins_out[i, c] = min(max(bins[c] + gain, 0), rans.TOP_BIN) if scale[c] else -1
             energy += weight[c] * min(abs(values[i, c]), 65535)
             seen += expected[c]
         mean += (energy - mean) >> 3
@@ -105,7 +103,7 @@ def _flag_contexts(some: NDArray[np.bool_], used: NDArray[np.bool_], position: I
     return np.asarray((2 * before + used) * 4 + motion, np.int64)
 
 
-def _rich_contexts(latent: Int64, position: Int64, raised: Int64) -> Int64:
+def _rich_contexts(latent: Int64, position: Int64, past: Int16) -> Int64:
     """[n,C] a context of the row so far, the rows before, the anchor's motion, the channel's half, and its past."""
     size = np.minimum(np.abs(latent), 6)
     so_far = np.cumsum(size, axis=1) - size
@@ -119,7 +117,7 @@ def _rich_contexts(latent: Int64, position: Int64, raised: Int64) -> Int64:
     motion = np.minimum(np.ceil(np.log2(1 + np.abs(position).sum(axis=1))).astype(np.int64), 2)
     half = np.arange(LATENTS) // (LATENTS // 2)
     context = ((sofar_class * 8 + before_class[:, None]) * 3 + motion[:, None]) * 2 + half
-    return np.asarray(context * 3 + np.minimum(raised + 1, 2), np.int64)
+    return np.asarray(context * 3 + np.minimum(np.abs(past.astype(np.int64)), 2), np.int64)
 
 
 def _held_out(counts: Float64) -> float:

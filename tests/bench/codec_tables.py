@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from codec.chunks import columns
-from codec.chunks.change import Elapsed, predicted_positions
+from codec.chunks.change import Elapsed
 from codec.chunks.matrices import base_matrix, shifted_of
 from codec.coder import oracle
-from codec.coder.change_model import steady_motion
+from codec.coder.change_model import position_errors, steady_motion
 from codec.coder.entropy import encode_scales, scale_of
 from core.arrays import Float64, Int64
 from core.scene.anchors import Scene
@@ -69,9 +69,9 @@ def change_counts(before: Scene, after: Scene) -> tuple[Float64, Float64]:
         if not len(change.rows):
             continue
         motion = steady_motion(level.position, change.rows, elapsed.age, elapsed.span)
-        errors, unsteady = predicted_positions(change.position.astype(np.int64), motion)
+        errors = position_errors(change.position.astype(np.int64), motion)
         scale = int(SCALES[scale_of(float(np.abs(errors).mean()))])
-        oracle.positions(positions, motion.tolist(), scale, not unsteady, change.position.tolist())
+        oracle.positions(positions, motion.tolist(), scale, change.position.tolist())
         scales = encode_scales(change.latent[change.latent.any(axis=1)])[1]
         oracle.latents(latents, level.latent[change.rows].tolist(), scales.tolist(), change.latent.tolist())
     return positions.counts, latents.counts

@@ -13,7 +13,6 @@ from codec.coder import column_model, rans
 from codec.coder.entropy import encode_scales
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import LATENTS, Scene
 from core.scene.residual import Residual
 
@@ -28,9 +27,7 @@ def python_speed(states: list[Scene], residuals: list[Residual]) -> None:
     encoding = decoding = float("inf")
     for _ in range(_ROUNDS):
         begin = time.process_time()
-        packets = [
-            encode_residual(a, r, kind=PacketKind.PREDICTED, time_ns=0) for a, r in zip(states, residuals, strict=False)
-        ]
+        packets = [encode_residual(a, r, time_ns=0) for a, r in zip(states, residuals, strict=False)]
         encoding = min(encoding, time.process_time() - begin)
         decoder = SceneDecoder()
         decoder.push(key)
@@ -48,15 +45,14 @@ def _coder_alone(residuals: list[Residual]) -> None:
     values = np.concatenate([level.latent for r in residuals for level in r.levels]).astype(np.int64)
     _, scale = encode_scales(values)
     items, found = np.empty(200 + 8 * values.size, np.uint32), np.zeros_like(values)
-    raised = np.zeros((0, 0), np.int64)
     encoding = decoding = float("inf")
     for _ in range(_ROUNDS):
         begin = time.process_time()
-        count = column_model.columns_items(values, raised, scale, items, 0)
+        count = column_model.columns_items(values, scale, items, 0)
         words = np.empty(count + 8, np.uint16)
         first = rans.rans_encode(items, count, 4, words)
         middle = time.process_time()
-        column_model.decode_columns(words[first:], 4, found, raised, scale)
+        column_model.decode_columns(words[first:], 4, found, scale)
         encoding, decoding = min(encoding, middle - begin), min(decoding, time.process_time() - middle)
     print(f"Python, entropy coder alone: encoding {values.size / encoding / 1e6:.0f},", end=" ")
     print(f"decoding {values.size / decoding / 1e6:.0f} Msymbol/s")

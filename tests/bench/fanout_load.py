@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.bytes import build, parse
-from codec.packet.packet import FIRST_EXTENSION, PacketKind, make_chunk
+from codec.packet.packet import FIRST_EXTENSION, make_chunk
 from core.scene.anchors import Scene
 from core.scene.residual import difference
 from tests.codec.scenes import make_scene, move
@@ -59,7 +59,7 @@ def make_packets(count: int, size_bytes: int) -> list[bytes]:
             continue
         before, scene = scene, move(scene)
         residual = difference(before, scene)
-        data = encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=version * _STEP_NS, profile=0)
+        data = encode_residual(before, residual, time_ns=version * _STEP_NS, profile=0)
         packets.append(_filled(data, filling))
     return packets
 

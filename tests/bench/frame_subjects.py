@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from codec.encoder import encode_residual
-from codec.packet.packet import PacketKind
 from core.camera import Camera, pinhole
 from core.data import linspace_split
 from core.frames import FrameSet
@@ -81,8 +80,8 @@ class Streaming:
         before, frames = self._trainer.scene, self._case.after
         self.result = self._trainer.predict(frames)
         assert self.result.residual is not None
-        kind, begin = PacketKind.PREDICTED, time.perf_counter()
-        self.packet = encode_residual(before, self.result.residual, kind=kind, time_ns=frames.time_ns)
+        begin = time.perf_counter()
+        self.packet = encode_residual(before, self.result.residual, time_ns=frames.time_ns)
         self.encode_seconds = time.perf_counter() - begin
 
     def draw(self, pictures: int) -> None:

@@ -22,7 +22,6 @@ import numpy as np
 from client.evaluation.measure.truth import dynamic_precision_recall
 from client.evaluation.systems import with_steps
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from codec.refresh import RefreshRule, RefreshSchedule
 from core.arrays import Float32, UInt8
 from core.camera import Camera
@@ -104,7 +103,7 @@ def warm_up(cameras: tuple[Camera, ...], start: Scene, frame: FrameSet) -> None:
     trainer.resume(start)
     residual = trainer.predict(frame).residual
     assert residual is not None
-    encode_residual(start, residual, kind=PacketKind.PREDICTED, time_ns=0)
+    encode_residual(start, residual, time_ns=0)
 
 
 def main() -> None:
@@ -144,7 +143,7 @@ def main() -> None:
             seconds += time.process_time() - begin
             assert result.residual is not None
             encoding = time.process_time()
-            sizes.append(len(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)))
+            sizes.append(len(encode_residual(before, result.residual, time_ns=0)))
             trainer.sent(result, sizes[-1], time.process_time() - encoding)
             scores.append(held_out.quality(result.scene, frame.index))
             if options.errors and frame.index % SHOWN_EVERY == 0:

@@ -19,7 +19,6 @@ from playwright.sync_api import sync_playwright
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene, append_rows
 from core.scene.octree import morton_key
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
@@ -130,9 +129,7 @@ def record_synthetic(file: Path, slots: int, features: int, view_dependent: bool
     with SlodWriter(file) as writer:
         writer.append(encode_keyframe(scene, time_ns=0))
         for number, residual in enumerate(residuals):
-            writer.append(
-                encode_residual(states[number], residual, kind=PacketKind.PREDICTED, time_ns=number * 33_333_333)
-            )
+            writer.append(encode_residual(states[number], residual, time_ns=number * 33_333_333))
 
 
 def codec_times(page: Any, url: str, title: str, file: Path) -> None:

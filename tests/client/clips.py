@@ -10,7 +10,6 @@ import numpy as np
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import Scene
 from core.scene.residual import difference
 from tests.codec.scenes import make_scene, move
@@ -42,7 +41,7 @@ def packets(scenes: list[Scene]) -> list[bytes]:
     for before, after in itertools.pairwise(scenes):
         time_ns = after.version * FRAME_NS
         residual = difference(before, after)
-        found.append(encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=time_ns, profile=0))
+        found.append(encode_residual(before, residual, time_ns=time_ns, profile=0))
     return found
 
 

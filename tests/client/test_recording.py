@@ -13,7 +13,6 @@ from client.recording import decode_frames, decode_version, versions
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.levels import split_levels
-from codec.packet.packet import PacketKind
 from core.errors import InputError
 from core.scene.keyframe import as_keyframe
 from core.scene.residual import difference
@@ -43,7 +42,7 @@ def test_an_early_keyframe_is_replaced_and_a_new_one_counted_apart(tmp_path: Pat
     parts = [
         encode_keyframe(early, time_ns=0, profile=0),
         *split_levels(encode_keyframe(first, time_ns=0, profile=0)),
-        encode_residual(first, difference(first, second), kind=PacketKind.PREDICTED, time_ns=FRAME_NS, profile=0),
+        encode_residual(first, difference(first, second), time_ns=FRAME_NS, profile=0),
         encode_keyframe(fresh, time_ns=FRAME_NS, profile=0),
     ]
     with SlodWriter(tmp_path / "a.slod") as writer:
@@ -58,9 +57,7 @@ def test_an_early_keyframe_is_replaced_and_a_new_one_counted_apart(tmp_path: Pat
 
 def test_skips_that_help_to_seek_are_no_frames(tmp_path: Path) -> None:
     scenes = states(4)
-    skip = encode_residual(
-        scenes[0], difference(scenes[0], scenes[3]), kind=PacketKind.CATCH_UP, time_ns=3 * FRAME_NS, profile=0
-    )
+    skip = encode_residual(scenes[0], difference(scenes[0], scenes[3]), time_ns=3 * FRAME_NS, profile=0)
     with SlodWriter(tmp_path / "a.slod") as writer:
         for packet in [*packets(scenes), skip]:
             writer.append(packet)
@@ -90,7 +87,7 @@ def test_description_adds_up(tmp_path: Path) -> None:
     assert f"{scenes[0].anchor_count} anchors of 4 Gaussians" in text
     assert "cam00 480x270, cam01 480x270" in text
     assert re.search(rf"^key +1 +{len(data[0]) / 1000:.1f} ", text, re.MULTILINE)
-    assert re.search(rf"^predicted +3 +{sum(map(len, data[1:])) / 1000:.1f} ", text, re.MULTILINE)
+    assert re.search(rf"^change +3 +{sum(map(len, data[1:])) / 1000:.1f} ", text, re.MULTILINE)
     by_level, by_chunk = (int(n) for n in (_total(text, "bytes by level"), _total(text, "bytes by chunk")))
     assert 0 < by_level < by_chunk < sum(map(len, data))
 

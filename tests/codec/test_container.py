@@ -10,7 +10,6 @@ from codec.container import SlodReader, SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.levels import split_levels
-from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError
 from core.scene.anchors import Scene
 from core.scene.residual import difference
@@ -26,7 +25,7 @@ def clip() -> tuple[list[Scene], list[bytes]]:
     packets = [encode_keyframe(states[0], time_ns=0, profile=0)]
     for number, (state, residual) in enumerate(zip(states, residuals, strict=False)):
         time_ns = (number + 1) * 1000
-        packets.append(encode_residual(state, residual, kind=PacketKind.PREDICTED, time_ns=time_ns, profile=0))
+        packets.append(encode_residual(state, residual, time_ns=time_ns, profile=0))
     return states, packets
 
 
@@ -94,7 +93,7 @@ def test_a_live_file_is_readable_and_goes_on_after_a_crash(
 def test_seeking_takes_the_cheapest_way(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
     states, packets = clip
     total = difference(states[0], states[5])
-    catch_up = encode_residual(states[0], total, kind=PacketKind.CATCH_UP, time_ns=5000, profile=0)
+    catch_up = encode_residual(states[0], total, time_ns=5000, profile=0)
     path = tmp_path / "a.slod"
     _write(path, [*split_levels(packets[0]), *packets[1:], catch_up])
     with SlodReader(path) as reader:

@@ -32,18 +32,18 @@ PREDICTED = packet(SCENE, NEXT)
 
 def test_the_bytes_of_the_envelope() -> None:
     """An independent reading of FORMAT.md section 2."""
-    fixed = struct.unpack("<4sBBBBIIIQHHI", PREDICTED[:36])
-    assert fixed[:11] == (b"SLPK", 1, 1, 1, 0, 0, 0, 1, 33_366_700, 0b111, 3)
-    entries = struct.unpack("<6I", PREDICTED[36:60])
-    assert [word >> 24 for word in entries[::2]] == [0x04, 0x14, 0x24]
-    assert sum(word & 0xFFFFFF for word in entries[::2]) + 60 == len(PREDICTED)
+    fixed = struct.unpack("<4sBBBBIIIQHHQI", PREDICTED[:44])
+    assert fixed[:11] == (b"SLPK", 1, 1, 1, 0, 0, 0, 1, 33_366_700, 0b111, 6)
+    entries = struct.unpack("<12I", PREDICTED[44:92])
+    assert [word >> 24 for word in entries[::2]] == [0x04, 0x07, 0x14, 0x17, 0x24, 0x27]
+    assert sum(word & 0xFFFFFF for word in entries[::2]) + 92 == len(PREDICTED)
 
 
 @pytest.mark.parametrize("data", [KEY, PREDICTED])
 def test_peek_accounts_for_every_byte(data: bytes) -> None:
     info = peek(data)
     chunks = len(parse(data).chunks)
-    assert info.size_bytes == len(data) == 36 + 8 * chunks + sum(info.chunk_bytes.values())
+    assert info.size_bytes == len(data) == 44 + 8 * chunks + sum(info.chunk_bytes.values())
     scene = info.chunk_bytes.get("header", 0) + info.chunk_bytes.get("weights", 0)
     assert sum(info.level_bytes) == sum(info.chunk_bytes.values()) - scene
     assert info.has_header == (data is KEY)
@@ -54,9 +54,9 @@ def test_levels_drop_and_split_without_a_trace() -> None:
     assert drop_levels(drop_levels(KEY, 1), 0) == drop_levels(KEY, 0)
     parts = split_levels(KEY)
     assert [peek(part).level_mask for part in parts] == [1, 2, 4]
-    assert sum(map(len, parts)) == len(KEY) + 2 * 36
+    assert sum(map(len, parts)) == len(KEY) + 2 * 44
     assert select_levels(PREDICTED, 0b110) == build(
-        replace(parse(PREDICTED), level_mask=6, chunks=parse(PREDICTED).chunks[1:])
+        replace(parse(PREDICTED), level_mask=6, chunks=parse(PREDICTED).chunks[2:])
     )
     with pytest.raises(ValueError, match="no level"):
         select_levels(split_levels(PREDICTED)[2], 0b011)
@@ -66,7 +66,7 @@ def test_levels_drop_and_split_without_a_trace() -> None:
 @given(st.lists(st.tuples(st.integers(0, 3), st.binary(max_size=40)), max_size=4, unique_by=lambda c: c[0]))
 def test_building_and_parsing_are_inverse(contents: list[tuple[int, bytes]]) -> None:
     chunks = tuple(make_chunk(level, 4, data) for level, data in sorted(contents))
-    whole = Packet(PacketKind.SKIP, 1, 3, 5, 2**32 - 1, 2**63 - 1, 15, chunks)
+    whole = Packet(PacketKind.CHANGE, 1, 3, 5, 2**32 - 1, 2**63 - 1, 15, 2**64 - 1, chunks)
     assert parse(build(whole)) == whole
 
 
@@ -92,10 +92,8 @@ def test_the_encoder_refuses_what_is_no_keyframe() -> None:
         encode_keyframe(move(scene), time_ns=0)
     with pytest.raises(ValueError, match="as_keyframe"):
         encode_keyframe(replace(move(scene, share=1.0), version=0), time_ns=0)
-    with pytest.raises(ValueError, match="key packet"):
-        encode_residual(scene, difference(scene, move(scene)), kind=PacketKind.KEY, time_ns=0)
     with pytest.raises(ValueError, match="does not fit"):
-        encode_residual(move(scene), difference(scene, move(scene)), kind=PacketKind.PREDICTED, time_ns=0)
+        encode_residual(move(scene), difference(scene, move(scene)), time_ns=0)
 
 
 def test_header_and_weights_come_back_to_the_bit() -> None:

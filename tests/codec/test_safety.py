@@ -25,7 +25,7 @@ def _refused(decoder: SceneDecoder, data: bytes) -> str:
 @pytest.mark.parametrize("profile", [0, 1])
 def test_truncation_at_every_byte_is_refused(profile: int) -> None:
     scene = small()
-    whole = packet(scene, grow(move(scene)), "skip", profile)
+    whole = packet(scene, grow(move(scene)), profile)
     decoder = SceneDecoder()
     decoder.push(key(scene))
     for length in range(len(whole)):

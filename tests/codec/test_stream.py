@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.info import peek
 from codec.packet.levels import drop_levels, select_levels, split_levels
-from codec.packet.packet import PacketKind
 from core.errors import BitstreamError
 from core.scene.residual import difference
 from tests.codec.scenes import assert_same_level, assert_same_state, grow, make_scene, move, steps
@@ -23,7 +24,7 @@ def test_keyframe_and_chain_arrive_exactly(profile: int) -> None:
     decoder.push(encode_keyframe(states[0], time_ns=5, profile=profile))
     assert_same_state(states[0], decoder.scene)
     for before, after, residual in zip(states, states[1:], residuals, strict=False):
-        packet = encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=9, profile=profile)
+        packet = encode_residual(before, residual, time_ns=9, profile=profile)
         info = decoder.push(packet)
         assert (info.size_bytes, info.time_ns, info.to_version) == (len(packet), 9, after.version)
         assert_same_state(after, decoder.scene)
@@ -39,8 +40,8 @@ def test_skip_equals_the_predicted_packets_it_replaces(profile: int) -> None:
     for decoder in (chain, direct):
         decoder.push(key)
     for a, b in ((first, second), (second, third)):
-        chain.push(encode_residual(a, difference(a, b), kind=PacketKind.PREDICTED, time_ns=1, profile=profile))
-    direct.push(encode_residual(first, difference(first, third), kind=PacketKind.SKIP, time_ns=1, profile=profile))
+        chain.push(encode_residual(a, difference(a, b), time_ns=1, profile=profile))
+    direct.push(encode_residual(first, difference(first, third), time_ns=1, profile=profile))
     assert_same_state(third, chain.scene)
     assert_same_state(third, direct.scene)
 
@@ -49,7 +50,7 @@ def test_skip_equals_the_predicted_packets_it_replaces(profile: int) -> None:
 def test_dropping_levels_commutes_with_decoding(profile: int) -> None:
     states, residuals = steps(make_scene(), 1)
     key = encode_keyframe(states[0], time_ns=0, profile=profile)
-    packet = encode_residual(states[0], residuals[0], kind=PacketKind.PREDICTED, time_ns=1, profile=profile)
+    packet = encode_residual(states[0], residuals[0], time_ns=1, profile=profile)
     decoder = SceneDecoder()
     decoder.push(drop_levels(key, 1))
     decoder.push(drop_levels(packet, 0))
@@ -65,16 +66,13 @@ def test_a_keyframe_trickles_and_lagging_levels_catch_up(profile: int) -> None:
     states, residuals = steps(make_scene(), 2)
     parts = split_levels(encode_keyframe(states[0], time_ns=0, profile=profile))
     assert [peek(part).has_header for part in parts] == [True, False, False]
-    chain = [
-        encode_residual(a, r, kind=PacketKind.PREDICTED, time_ns=1, profile=profile)
-        for a, r in zip(states, residuals, strict=False)
-    ]
+    chain = [encode_residual(a, r, time_ns=1, profile=profile) for a, r in zip(states, residuals, strict=False)]
     decoder = SceneDecoder()
     for packet in (parts[0], chain[0], parts[1], chain[1], parts[2]):
         decoder.push(packet)
     assert decoder.versions == (2, 0, 0)
     total = difference(states[0], states[2])
-    catch_up = encode_residual(states[0], total, kind=PacketKind.CATCH_UP, time_ns=1, profile=profile)
+    catch_up = encode_residual(states[0], total, time_ns=1, profile=profile)
     decoder.push(select_levels(catch_up, 0b110))
     assert decoder.versions == (2, 2, 2)
     assert_same_state(states[2], decoder.scene)
@@ -83,7 +81,7 @@ def test_a_keyframe_trickles_and_lagging_levels_catch_up(profile: int) -> None:
 def test_packets_out_of_place_are_refused_and_change_nothing() -> None:
     states, residuals = steps(make_scene(), 2)
     key = encode_keyframe(states[0], time_ns=0)
-    second = encode_residual(states[1], residuals[1], kind=PacketKind.PREDICTED, time_ns=1)
+    second = encode_residual(states[1], residuals[1], time_ns=1)
     decoder = SceneDecoder()
     with pytest.raises(BitstreamError) as refused:
         decoder.push(second)
@@ -96,8 +94,6 @@ def test_packets_out_of_place_are_refused_and_change_nothing() -> None:
 
 
 def test_a_still_frame_is_tiny() -> None:
-    scene = make_scene()
-    still = move(scene, share=0.0)
-    still = type(scene)(scene.header, scene.weights, scene.levels, 0, still.version)
-    packet = encode_residual(scene, difference(scene, still), kind=PacketKind.PREDICTED, time_ns=1)
+    scene = replace(make_scene(), version=1)
+    packet = encode_residual(scene, difference(scene, replace(scene, version=2)), time_ns=1)
     assert len(packet) <= 64

@@ -23,7 +23,7 @@ def test_nothing_is_left_to_compile() -> None:
     scene = small()
     packets = [
         key(scene),
-        packet(scene, grow(move(scene)), "skip"),
+        packet(scene, grow(move(scene))),
         *read_stream(FOLDER / "valid-growth-profile1.slps"),
     ]
     decoder = SceneDecoder()

@@ -18,7 +18,8 @@ from codec.chunks import level as chunks
 from codec.chunks.change import Elapsed
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
-from codec.packet.limits import DecoderLimits
+from codec.packet.bytes import HEADER_BYTES
+from codec.packet.limits import DecoderLimits, Room
 from core.errors import BitstreamError, InputError, SessionError
 from core.scene.anchors import AnchorLevel, empty_level
 from server.protocol.messages import parse_control, parse_hello
@@ -26,27 +27,26 @@ from tests.codec.scenes import make_header
 from tests.vectors.make import FOLDER, read_stream
 
 LIMITS = DecoderLimits(packet_bytes=1 << 16, anchors=4096)
-_HEADER_BYTES = 36
 _MESSAGE = struct.Struct("<BH")  # of a session: who says it, and how many bytes
 TEXT_TO_VIEWER, PACKET_TO_VIEWER, TEXT_TO_SERVER = range(3)
 
 
 def repair(data: bytes) -> bytes:
     """`data` with the packet checksums that its own directory asks for, so that mutants reach the decoder's inside."""
-    if len(data) < _HEADER_BYTES:
+    if len(data) < HEADER_BYTES:
         return data
     (count,) = struct.unpack_from("<H", data, 30)
-    at, parts = _HEADER_BYTES + 8 * count, []
+    at, parts = HEADER_BYTES + 8 * count, []
     if at > len(data):
         return data
     for number in range(count):
-        (word,) = struct.unpack_from("<I", data, _HEADER_BYTES + 8 * number)
+        (word,) = struct.unpack_from("<I", data, HEADER_BYTES + 8 * number)
         length = word & 0xFFFFFF
         parts.append(struct.pack("<II", word, zlib.crc32(data[at : at + length])))
         at += length
     directory = b"".join(parts)
-    checksum = zlib.crc32(directory, zlib.crc32(data[:32]))
-    return data[:32] + struct.pack("<I", checksum) + directory + data[_HEADER_BYTES + len(directory) :]
+    checksum = zlib.crc32(directory, zlib.crc32(data[: HEADER_BYTES - 4]))
+    return data[: HEADER_BYTES - 4] + struct.pack("<I", checksum) + directory + data[HEADER_BYTES + len(directory) :]
 
 
 def messages(data: bytes) -> list[tuple[int, bytes]]:
@@ -117,12 +117,13 @@ def entropy(data: bytes) -> None:
     empty, touched = empty_level(2, 1), np.tile(np.array([0, 1], np.int16), 100)[:, None].repeat(24, axis=1)
     columns = {n: np.zeros((200, *getattr(empty, n).shape[1:]), getattr(empty, n).dtype) for n in empty.__slots__}
     level = AnchorLevel(**{**columns, "voxel": voxel, "latent": touched})
+    room = Room(4096, len(data))
     for decode in (
-        lambda: chunks.decode_geometry(data, 1, 4096),
-        lambda: chunks.decode_base(data, 1, header, voxel),
-        lambda: chunks.decode_change(data, 1, level, Elapsed(9, 1)),
-        lambda: chunks.decode_removed(data, 1, 200),
-        lambda: chunks.decode_added(data, 1, header, 4096),
+        lambda: chunks.decode_geometry(data, 1, room),
+        lambda: chunks.decode_base(data, 1, header, voxel, room),
+        lambda: chunks.decode_change(data, 1, level, Elapsed(9, 1), room),
+        lambda: chunks.decode_removed(data, 1, level.alive, room),
+        lambda: chunks.decode_added(data, 1, header, room),
     ):
         with suppress(BitstreamError):
             decode()

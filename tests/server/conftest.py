@@ -20,7 +20,6 @@ from websockets.sync.client import ClientConnection, connect
 from codec.container import SlodWriter
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import Scene
 from core.scene.residual import difference
 from server.app import create_app
@@ -53,9 +52,7 @@ def make_clip(path: Path, frames: int, counts: tuple[int, ...] = (10, 40, 120), 
         else:
             before, state = state, move(state, seed=version)
             residual = difference(before, state)
-            packets.append(
-                encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=version * FRAME_NS, profile=0)
-            )
+            packets.append(encode_residual(before, residual, time_ns=version * FRAME_NS, profile=0))
         states.append(state)
     with SlodWriter(path) as writer:
         for packet in packets:

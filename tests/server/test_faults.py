@@ -18,7 +18,6 @@ from websockets.exceptions import ConnectionClosed
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.errors import SessionError
 from core.scene.residual import difference
 from server.pipeline.spec import StreamSpec
@@ -238,7 +237,7 @@ def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
         for version in range(1, 25):
             states.append(move(states[-1], seed=version))
             residual = difference(states[-2], states[-1])
-            packet = encode_residual(states[-2], residual, kind=PacketKind.PREDICTED, time_ns=version, profile=0)
+            packet = encode_residual(states[-2], residual, time_ns=version, profile=0)
             await hub.accept(stream_packet(version, 1, packet))
             match chooser.choice(["nothing", "join", "next", "skip"]):
                 case "join":

@@ -1,11 +1,6 @@
 """Conformance vectors: `python -m tests.vectors.make` writes the streams and manifest.json into this folder.
 
-A stream file is a sequence of ``u32 size, packet`` (little-endian). For a stream of ``valid``, a decoder with the
-default limits accepts every packet, and after packet i the versions and the SHA-256 of each level are those of
-``states[i]``; an absent level counts as one without rows. The hash is over, one after the other, each row-major and
-little-endian: voxel i32, position i32, feature i16, offset i16, scaling i16, extra_level i16, latent i16, alive u8.
-For a stream of ``broken``, all packets but the last are accepted, and the last is refused with code ``refused``, the
-state staying as it was.
+What the files hold is said in codec/FORMAT.md section 16.
 """
 
 from __future__ import annotations
@@ -15,8 +10,6 @@ import json
 import struct
 from pathlib import Path
 
-import numpy as np
-
 from codec.decoder import SceneDecoder
 from core.errors import BitstreamError
 from core.scene.anchors import AnchorLevel
@@ -24,23 +17,13 @@ from tests.vectors.broken import broken_streams
 from tests.vectors.valid import valid_streams
 
 FOLDER = Path(__file__).parent
-_COLUMNS = (
-    ("voxel", "<i4"),
-    ("position", "<i4"),
-    ("feature", "<i2"),
-    ("offset", "<i2"),
-    ("scaling", "<i2"),
-    ("extra_level", "<i2"),
-    ("latent", "<i2"),
-    ("alive", "u1"),
-)
 
 
 def level_hash(level: AnchorLevel) -> str:
-    """SHA-256 of a level's integers, in hexadecimal."""
+    """SHA-256 of a level's state, in hexadecimal."""
     digest = hashlib.sha256()
-    for name, dtype in _COLUMNS:
-        digest.update(np.ascontiguousarray(getattr(level, name)).astype(dtype).tobytes())
+    for column in level.state():
+        digest.update(column)
     return digest.hexdigest()
 
 

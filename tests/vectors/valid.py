@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
+import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from codec.chunks.plain import encode_plain
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.bytes import build, parse
 from codec.packet.levels import drop_levels, select_levels, split_levels
-from codec.packet.packet import PacketKind, make_chunk
-from core.scene.anchors import Scene, empty_level
+from codec.packet.packet import ChunkKind, make_chunk
+from core.scene.anchors import AnchorLevel, Scene, empty_level
+from core.scene.octree import Octree
 from core.scene.residual import difference
 from tests.codec.scenes import grow, make_scene, move
 
 Streams = Iterator[tuple[str, list[bytes]]]
-KINDS = {"predicted": PacketKind.PREDICTED, "skip": PacketKind.SKIP, "catch_up": PacketKind.CATCH_UP}
 
 
 def small(counts: tuple[int, ...] = (4, 20), seed: int = 0) -> Scene:
@@ -29,9 +32,9 @@ def key(scene: Scene, profile: int = 1) -> bytes:
     return encode_keyframe(scene, time_ns=scene.version * 33_366_700, profile=profile)
 
 
-def packet(a: Scene, b: Scene, kind: str = "predicted", profile: int = 1) -> bytes:
+def packet(a: Scene, b: Scene, profile: int = 1) -> bytes:
     """The packet from `a` to `b`."""
-    return encode_residual(a, difference(a, b), kind=KINDS[kind], time_ns=b.version * 33_366_700, profile=profile)
+    return encode_residual(a, difference(a, b), time_ns=b.version * 33_366_700, profile=profile)
 
 
 def later(scene: Scene, **columns: np.ndarray) -> Scene:
@@ -60,6 +63,18 @@ def valid_streams() -> Streams:
     yield "extension-chunk", _extension()
     yield "no-cameras-no-view", _bare()
     yield "classes", _classes()
+    for profile in (0, 1):
+        yield f"padding-profile{profile}", _padding(profile)
+        yield f"rows-that-die-profile{profile}", _deaths(profile)
+        yield f"level-0-empty-profile{profile}", _first_level_empty(profile)
+    yield "another-run", _another_run()
+    yield "numbers-at-their-bounds", _bounds()
+    yield "everything-at-its-most", _most()
+    yield "octree-of-depth-21", _deep()
+    for name, level, strategy in (("stored", 0, 0), ("fixed", 9, zlib.Z_FIXED), ("many-blocks", 9, zlib.Z_FULL_FLUSH)):
+        yield f"deflate-{name}", _deflated(level, strategy)
+    yield "change-of-nothing", _nothing()
+    yield "one-lane-key", _lanes()
 
 
 def _chain(scene: Scene, profile: int, share: float = 0.3) -> list[bytes]:
@@ -110,7 +125,7 @@ def _skip(profile: int) -> list[bytes]:
     first = small()
     second = grow(move(first, 1))
     third = grow(move(second, 2))
-    return [key(first, profile), packet(first, third, "skip", profile)]
+    return [key(first, profile), packet(first, third, profile)]
 
 
 def _extremes(profile: int) -> list[bytes]:
@@ -155,7 +170,7 @@ def _steady() -> list[bytes]:
             for level, slope in zip(scene.levels, slopes, strict=True)
         ]
         following = replace(scene, levels=tuple(levels), version=version)
-        packets.append(packet(scene, following, "predicted" if version == scene.version + 1 else "skip"))
+        packets.append(packet(scene, following))
         scene = following
     return packets
 
@@ -165,7 +180,7 @@ def _trickle() -> list[bytes]:
     second = move(first, 1)
     third = move(second, 2)
     parts = split_levels(key(first))
-    rest = select_levels(packet(first, third, "catch_up"), 0b110)
+    rest = select_levels(packet(first, third), 0b110)
     return [parts[0], packet(first, second), parts[1], packet(second, third), parts[2], rest]
 
 
@@ -207,3 +222,130 @@ def _bare() -> list[bytes]:
     header = replace(scene.header, view_dependent=False, cameras=())
     weights = replace(scene.weights, hidden_weight=scene.weights.hidden_weight[:2].copy())
     return [key(replace(scene, header=header, weights=weights))]
+
+
+def _padding(profile: int) -> list[bytes]:
+    """Rows so alike that their chunks need zeros behind them: all the same, all moving alike, all added, all gone."""
+    scene = small((1, 2))
+    rows = np.arange(4096)
+    voxel = np.stack([rows >> 8, rows >> 4 & 15, rows & 15], axis=1).astype(np.int32)
+    alike = {name: np.repeat(getattr(scene.levels[1], name)[:1], 4096, axis=0) for name in AnchorLevel.__slots__}
+    full = AnchorLevel(**{**alike, "voxel": voxel})
+    scene = replace(scene, levels=(scene.levels[0], full))
+    moved = replace(full, position=full.position + np.int32(3))
+    more = AnchorLevel(*(np.concatenate([getattr(moved, n), getattr(full, n)]) for n in AnchorLevel.__slots__))
+    states = [replace(scene, levels=(scene.levels[0], level), version=n) for n, level in enumerate((full, moved, more))]
+    states.append(
+        replace(states[2], version=3, levels=(scene.levels[0], replace(more, alive=np.zeros(8192, np.bool_))))
+    )
+    pairs = itertools.pairwise(states)
+    return [key(scene, profile), *(packet(a, b, profile=profile) for a, b in pairs)]
+
+
+def _deaths(profile: int) -> list[bytes]:
+    """A row that changes as it dies, one that changes afterwards, one that is added dead."""
+    first = small()
+    level = first.levels[0]
+    alive, position = level.alive.copy(), level.position.copy()
+    alive[1], position[1, 0] = False, position[1, 0] + 5
+    second = later(first, alive=alive, position=position)
+    position = position.copy()
+    position[1, 1] -= 7
+    third = later(second, position=position)
+    fourth = grow(third, added=1, removed=0)
+    alive = fourth.levels[0].alive.copy()
+    alive[-1] = False
+    fifth = later(fourth, alive=alive)
+    ways = ((first, second), (second, third), (third, fifth))
+    return [key(first, profile), *(packet(a, b, profile=profile) for a, b in ways)]
+
+
+def _first_level_empty(profile: int) -> list[bytes]:
+    scene = small((4, 20))
+    scene = replace(scene, levels=(empty_level(2, 1), scene.levels[1]))
+    return [key(scene, profile), packet(scene, grow(scene, removed=0), profile=profile)]
+
+
+def _another_run() -> list[bytes]:
+    """The same keyframe number again, with other content and therefore another identifier."""
+    first, second = replace(small(), identifier=1), replace(small(seed=3), identifier=2**64 - 1)
+    parts = split_levels(key(second))
+    return [key(first), packet(first, move(first)), *parts, packet(second, move(second))]
+
+
+def _bounds() -> list[bytes]:
+    """Header numbers as large and as small as they may be, in a scene of large numbers."""
+    scene = small()
+    header, one = scene.header, np.ones(1, np.float32)
+    camera = replace(
+        header.cameras[0],
+        name="ä" * 32,
+        width=65535,
+        height=1,
+        intrinsics=np.diag([1e12, 1e-12, 1.0]),
+        distortion=np.full(5, -1e12),
+    )
+    header = replace(
+        header,
+        octree=Octree(np.array([-1e9, 1e9, 0.0]), 1e9, 2),
+        reference_distance=1e-6,
+        position_steps=one.repeat(2) * np.float32(1e9),
+        feature_steps=one.repeat(2) * np.float32(1e-45),
+        offset_steps=one.repeat(3) * np.float32(1e9),
+        scaling_steps=one.repeat(6) * np.float32(1e9),
+        background=np.array([0, 1, 1], np.float32),
+        fps=10000.0,
+        cameras=(camera, replace(camera, name="")),
+    )
+    slow = replace(header, octree=Octree(np.zeros(3), 1e-6, 2), reference_distance=1e9, fps=0.001, cameras=())
+    return [key(replace(scene, header=header)), key(replace(scene, header=slow, keyframe=1, version=1))]
+
+
+def _most() -> list[bytes]:
+    """Sixteen levels, sixteen Gaussians an anchor, 64 features, 255 cameras."""
+    scene = make_scene((1,) * 16, slots=16, features=64)
+    camera = scene.header.cameras[0]
+    cameras = tuple(replace(camera, name=str(number)) for number in range(255))
+    scene = replace(scene, header=replace(scene.header, cameras=cameras), identifier=2**63)
+    return [key(scene), packet(scene, move(scene, share=1.0))]
+
+
+def _deep() -> list[bytes]:
+    scene = small((9,))
+    voxel = scene.levels[0].voxel.copy()
+    voxel[-1] = voxel.min(axis=0) + (2**21 - 1)
+    return [key(replace(scene, levels=(replace(scene.levels[0], voxel=voxel),)))]
+
+
+def _deflated(level: int, strategy: int) -> list[bytes]:
+    """Coding 0 with other deflate streams than this encoder writes."""
+    scene = small()
+
+    def again(data: bytes) -> bytes:
+        flush = strategy == zlib.Z_FULL_FLUSH
+        packer = zlib.compressobj(level, zlib.DEFLATED, -15, strategy=0 if flush else strategy)
+        content = zlib.decompress(data[5:], -15)
+        body = packer.compress(content[:50]) + (packer.flush(zlib.Z_FULL_FLUSH) if flush else b"")
+        return data[:5] + body + packer.compress(content[50:]) + packer.flush()
+
+    found = []
+    for data in (key(scene, 0), packet(scene, move(scene, share=0.6), 0)):
+        parsed = parse(data)
+        chunks = (c if c.kind in (0, 1, 7) else make_chunk(c.level, c.kind, again(c.data)) for c in parsed.chunks)
+        found.append(build(replace(parsed, chunks=tuple(chunks))))
+    return found
+
+
+def _nothing() -> list[bytes]:
+    """A row that is named as changed, by nothing: accepted, though an encoder leaves it out."""
+    scene = small()
+    parsed = parse(packet(scene, replace(scene, version=1)))
+    chunk = make_chunk(1, ChunkKind.CHANGE, encode_plain(np.array([[2] + [0] * 27])))
+    chunks = sorted([*parsed.chunks, chunk], key=lambda c: (c.level, c.kind))
+    return [key(scene), build(replace(parsed, chunks=tuple(chunks)))]
+
+
+def _lanes() -> list[bytes]:
+    """An added row under one lane in a level whose keyframe took four."""
+    scene = small((900,))
+    return [key(scene), packet(scene, grow(scene, added=20))]

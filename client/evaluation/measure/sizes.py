@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from codec.encoder import encode_keyframe, encode_residual
 from codec.packet.info import peek
-from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import Residual
 
@@ -31,7 +30,7 @@ def packet_size(before: Scene | None, after: Scene, residual: Residual | None) -
     if before is None or residual is None:
         packet = encode_keyframe(after, time_ns=0)
     else:
-        packet = encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=0)
+        packet = encode_residual(before, residual, time_ns=0)
     return PacketSize(len(packet), peek(packet).level_bytes)
 
 

@@ -1,12 +1,13 @@
 /** CHANGE and REMOVED chunks: which rows of a level differ, and by how much; codec/FORMAT.md sections 9 and 10. */
 
-import { inflateColumns } from "./deflate.js";
-import { must, Reader } from "./packet.js";
+import { inflateColumns, rowCount } from "./deflate.js";
+import { checkTable, must, Reader } from "./packet.js";
 import { BitModels, decodeColumns, RansDecoder, readScales, scale } from "./rans.js";
 import { LATENTS } from "./scene.js";
 import { bin } from "./tables.js";
 
 /** @typedef {import("./scene.js").Level} Level */
+/** @typedef {import("./packet.js").Room} Room */
 /** @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array }} Change */
 /** @typedef {{ age: number, span: number }} Elapsed - frames from the keyframe to before, and from there to after */
 
@@ -15,12 +16,12 @@ const BLOCK = 64, LONGEST_SPAN = 255;
 /** @type {() => Change} */
 export const noChange = () => ({ rows: new Uint32Array(0), position: new Int32Array(0), latent: new Int32Array(0) });
 
-/** @type {(chunk: Uint8Array, level: Level, elapsed: Elapsed) => Change} */
-export function decodeChange(chunk, level, elapsed) {
+/** @type {(chunk: Uint8Array, level: Level, elapsed: Elapsed, room: Room) => Change} */
+export function decodeChange(chunk, level, elapsed, room) {
   const reader = new Reader(chunk, "corrupt_chunk");
   const coding = reader.u8();
   if (coding === 0) {
-    const { rows: count, columns } = inflateColumns(chunk, 4 + LATENTS, level.count);
+    const count = existing(reader, 4 + LATENTS, level, room), columns = inflateColumns(reader, count, 4 + LATENTS);
     const position = new Int32Array(3 * count), latent = new Int32Array(LATENTS * count);
     for (let i = 0; i < count; i++) {
       for (let j = 0; j < 3; j++) position[3 * i + j] = columns[(1 + j) * count + i];
@@ -28,23 +29,35 @@ export function decodeChange(chunk, level, elapsed) {
     }
     return { rows: ascending(columns, count, level.count), position, latent };
   }
-  const first = reader.u8();
-  const start = scale(first & 127), steadily = first < 128;
+  const start = scale(reader.u8());
   const scales = readScales(reader, LATENTS);
   const coder = new RansDecoder(reader.rest(), coding);
   const pairs = new Int32Array(level.latent.buffer, level.latent.byteOffset, level.latent.length / 2); // two latents at once
   const used = rowsWithAny(pairs, LATENTS / 2);
   const rows = decodeRowSet(coder, level, used);
-  const position = decodePositions(coder, rows, level.position, elapsed, start, steadily);
-  const latent = decodeLatents(coder, rows, used, level.latent, scales);
+  must(rows.length, "corrupt_chunk", "a change without rows must be left out");
+  const position = decodePositions(coder, rows, level.position, elapsed, start);
+  const latent = decodeLatents(coder, rows, used, scales);
   coder.end();
   return { rows, position, latent };
 }
 
-/** @type {(chunk: Uint8Array, level: Level) => Uint32Array} */
-export function decodeRemoved(chunk, level) {
-  const { rows, columns } = inflateColumns(chunk, 1, level.count);
-  return ascending(columns, rows, level.count);
+/** @type {(chunk: Uint8Array, level: Level, room: Room) => Uint32Array} */
+export function decodeRemoved(chunk, level, room) {
+  const reader = new Reader(chunk, "corrupt_chunk");
+  reader.u8();
+  const count = existing(reader, 1, level, room);
+  const rows = ascending(inflateColumns(reader, count, 1), count, level.count);
+  must(rows.every((row) => level.alive[row]), "corrupt_chunk", "a row that was removed before cannot be removed again");
+  return rows;
+}
+
+/** The row count of a table of a level's own rows. @type {(reader: Reader, columns: number, level: Level, room: Room) => number} */
+function existing(reader, columns, level, room) {
+  const rows = rowCount(reader);
+  must(rows <= level.count, "corrupt_chunk", `a chunk announces ${rows} rows of a level that has ${level.count}`);
+  checkTable(rows, columns, room);
+  return rows;
 }
 
 /** Row numbers from their gaps. @type {(gaps: Int32Array, count: number, limit: number) => Uint32Array} */
@@ -104,25 +117,14 @@ function decodeRowSet(coder, { count, position }, used) {
  * @param {RansDecoder} coder
  * @param {Uint32Array} rows
  * @param {Uint8Array} used - of all rows, which have latents other than 0 before
- * @param {Int16Array} past - latents of all rows before
  * @param {import("./rans.js").Scales} scales
  * @returns {Int32Array}
  */
-function decodeLatents(coder, rows, used, past, scales) {
-  const models = new BitModels(4), chosen = new Uint8Array(rows.length);
+function decodeLatents(coder, rows, used, scales) {
+  const models = new BitModels(2), chosen = new Uint8Array(rows.length);
   let found = 0;
-  for (let i = 0, before = 0; i < rows.length; i++) {
-    before = coder.flag(models, 2 * before + used[rows[i]]);
-    chosen[i] = before;
-    found += before;
-  }
-  const raised = new Int8Array(found * LATENTS);
-  for (let i = 0, to = 0; i < rows.length; i++) {
-    if (!chosen[i]) continue;
-    const from = rows[i] * LATENTS;
-    for (let c = 0; c < LATENTS; c++) raised[to++] = Math.min(32 - Math.clz32(Math.abs(past[from + c])), 5) - 1;
-  }
-  const part = decodeColumns(coder, found, scales, raised);
+  for (let i = 0; i < rows.length; i++) found += chosen[i] = coder.flag(models, used[rows[i]]);
+  const part = decodeColumns(coder, found, scales);
   const latent = new Int32Array(rows.length * LATENTS);
   for (let i = 0, from = 0; i < rows.length; i++) {
     if (!chosen[i]) continue;
@@ -138,10 +140,9 @@ function decodeLatents(coder, rows, used, past, scales) {
  * @param {Int32Array} position - of all rows, before
  * @param {Elapsed} elapsed
  * @param {number} start - expected magnitude
- * @param {boolean} steadily - whether steady motion is part of the prediction
  * @returns {Int32Array}
  */
-function decodePositions(coder, rows, position, { age, span }, start, steadily) {
+function decodePositions(coder, rows, position, { age, span }, start) {
   const delta = new Int32Array(3 * rows.length);
   const average = [start, start, start], trend = [0, 0, 0], motion = [0, 0, 0];
   const frames = Math.min(span, LONGEST_SPAN);
@@ -155,7 +156,7 @@ function decodePositions(coder, rows, position, { age, span }, start, steadily) 
     for (let a = 0; a < 3; a++) {
       const context = 4 * (average[a] + steady) + before + 3 * mean + 6 * within;
       const error = coder.value(bin(Math.floor(context / (18 + 6 * a))));
-      const value = Math.floor(((steadily ? motion[a] : 0) + trend[a] + 128) / 256) + error;
+      const value = Math.floor((motion[a] + trend[a] + 128) / 256) + error;
       must(value === (value | 0) && value !== -2147483648, "corrupt_chunk", "a position difference is too large");
       delta[3 * i + a] = value;
       trend[a] += 16 * value - Math.floor(trend[a] / 4);

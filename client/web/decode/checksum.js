@@ -22,11 +22,17 @@ export function crc32(bytes, crc = 0) {
   return ~c >>> 0;
 }
 
-/** A level's changing state, as AnchorLevel.digest. @type {(level: import("./scene.js").Level) => number} */
+/** Checksums of what never changes in a row, by the voxels, which are never changed either. @type {WeakMap<Int32Array, number>} */
+const FIXED = new WeakMap();
+
+/** Everything that a level holds, as AnchorLevel.digest. @type {(level: import("./scene.js").Level) => number} */
 export function digest(level) {
-  let crc = crc32(bytesOf(level.position));
-  crc = crc32(bytesOf(level.latent), crc);
-  return crc32(level.alive, crc);
+  let crc = FIXED.get(level.voxel);
+  if (crc === undefined) {
+    crc = [level.voxel, level.feature, level.offset, level.scaling, level.extraLevel].reduce((sum, column) => crc32(bytesOf(column), sum), 0);
+    FIXED.set(level.voxel, crc);
+  }
+  return [level.position, level.latent, level.alive].reduce((sum, column) => crc32(bytesOf(column), sum), crc);
 }
 
 /** @type {(a: ArrayBufferView) => Uint8Array} */

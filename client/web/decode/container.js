@@ -1,12 +1,12 @@
 /** The index of a `.slod` file, codec/FORMAT.md section 15, and the way through it to a version. */
 
 import { crc32 } from "./checksum.js";
-import { KEY, must } from "./packet.js";
+import { KEY, LIMITS, must, parseEnvelope } from "./packet.js";
 
-/** @typedef {{ offset: number, size: number, keyframe: number, fromVersion: number, toVersion: number, timeMs: number, kind: number }} Entry */
+/** @typedef {{ offset: number, size: number, keyframe: number, fromVersion: number, toVersion: number, timeMs: number, kind: number, mask: number }} Entry */
 
 export const FOOTER = 16;
-const ENTRY = 40, MOST_ENTRIES = 1 << 22;
+const ENTRY = 40;
 
 /** Where the index lies. @type {(tail: Uint8Array, size: number) => { start: number, checksum: number } | null} null without a footer */
 export function readFooter(tail, size) {
@@ -16,36 +16,37 @@ export function readFooter(tail, size) {
   return start >= 8 && start + 8 + FOOTER <= size ? { start, checksum: view.getUint32(8, true) } : null;
 }
 
-/** @type {(bytes: Uint8Array, checksum: number, end: number) => Entry[]} `end`: where the records end */
+/** The index, or null if it cannot be believed. @type {(bytes: Uint8Array, checksum: number, end: number) => Entry[] | null} `end`: where the records end */
 export function readIndex(bytes, checksum, end) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  must(bytes.length >= 8 && crc32(bytes) === checksum && view.getUint32(0, true) === 0xffffffff, "bad_file", "the file's index is damaged");
+  if (bytes.length < 8 || crc32(bytes) !== checksum || view.getUint32(0, true) !== 0xffffffff) return null;
   const count = view.getUint32(4, true);
-  must(count <= MOST_ENTRIES && bytes.length === 8 + count * ENTRY, "bad_file", "the file's index has another length than it says");
-  return Array.from({ length: count }, (_, i) => {
+  if (bytes.length !== 8 + count * ENTRY) return null;
+  const entries = Array.from({ length: count }, (_, i) => {
     const at = 8 + i * ENTRY;
-    const entry = {
+    return {
       offset: Number(view.getBigUint64(at, true)), size: view.getUint32(at + 8, true), keyframe: view.getUint32(at + 12, true),
       fromVersion: view.getUint32(at + 16, true), toVersion: view.getUint32(at + 20, true),
-      timeMs: Number(view.getBigUint64(at + 24, true) / 1000n) / 1000, kind: bytes[at + 32],
+      timeMs: Number(view.getBigUint64(at + 24, true) / 1000n) / 1000, kind: bytes[at + 32], mask: view.getUint16(at + 34, true),
     };
-    must(entry.offset >= 12 && entry.offset + entry.size <= end, "bad_file", "an index entry lies outside the file");
-    return entry;
   });
+  const sound = entries.every(({ offset, size, kind }) => offset >= 12 && offset + size <= end && size <= LIMITS.packetBytes && kind <= 1);
+  return sound ? entries : null;
 }
 
-/** The entries of a file without footer: its records up to the first that is incomplete. @type {(bytes: Uint8Array) => Entry[]} */
+/** The entries of a file without a sound index: its records up to the first that is not a whole packet. @type {(bytes: Uint8Array) => Entry[]} */
 export function walkRecords(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   /** @type {Entry[]} */
   const entries = [];
-  for (let at = 8; at + 4 + 36 <= bytes.length; ) {
+  for (let at = 8; at + 4 <= bytes.length; ) {
     const size = view.getUint32(at, true), offset = at + 4;
-    if (size < 36 || offset + size > bytes.length || view.getUint32(offset, true) !== 0x4b504c53) break;
-    entries.push({
-      offset, size, kind: bytes[offset + 6], keyframe: view.getUint32(offset + 8, true), fromVersion: view.getUint32(offset + 12, true),
-      toVersion: view.getUint32(offset + 16, true), timeMs: Number(view.getBigUint64(offset + 20, true) / 1000n) / 1000,
-    });
+    if (offset + size > bytes.length) break;
+    try {
+      entries.push({ ...parseEnvelope(bytes.subarray(offset, offset + size)).fields, offset, size });
+    } catch {
+      break;
+    }
     at = offset + size;
   }
   return entries;
@@ -67,20 +68,16 @@ export function plan(entries, version, from) {
   const best = new Map();
   best.set(keyframe, { bytes: parts.reduce((sum, i) => sum + entries[i].size, 0), via: parts, before: -1 });
   if (from && from.keyframe === keyframe && from.version <= version) best.set(from.version, { bytes: 0, via: [], before: -1 });
-  /** @type {Map<string, { via: number[], bytes: number, fromVersion: number, toVersion: number }>} */
-  const edges = new Map();
-  entries.forEach((entry, i) => {
-    if (entry.kind === KEY || entry.keyframe !== keyframe || entry.toVersion > version) return;
-    const name = `${entry.kind} ${entry.fromVersion} ${entry.toVersion}`;
-    const edge = edges.get(name) ?? { via: [], bytes: 0, fromVersion: entry.fromVersion, toVersion: entry.toVersion };
-    edge.via.push(i);
-    edge.bytes += entry.size;
-    edges.set(name, edge);
+  const keyed = parts.reduce((mask, i) => mask | entries[i].mask, 0);
+  const steps = entries.flatMap((entry, i) => {
+    const leads = entry.kind !== KEY && entry.keyframe === keyframe && entry.fromVersion < entry.toVersion && entry.toVersion <= version;
+    return leads && (entry.mask & keyed) === keyed ? [i] : [];
   });
-  for (const edge of [...edges.values()].sort((a, b) => a.fromVersion - b.fromVersion || a.toVersion - b.toVersion)) {
-    const start = best.get(edge.fromVersion), known = best.get(edge.toVersion);
-    if (!start || (known && known.bytes <= start.bytes + edge.bytes)) continue;
-    best.set(edge.toVersion, { bytes: start.bytes + edge.bytes, via: edge.via, before: edge.fromVersion });
+  for (const i of steps.sort((a, b) => entries[a].toVersion - entries[b].toVersion)) {
+    const { fromVersion, toVersion, size } = entries[i];
+    const start = best.get(fromVersion), known = best.get(toVersion);
+    if (!start || (known && known.bytes <= start.bytes + size)) continue;
+    best.set(toVersion, { bytes: start.bytes + size, via: [i], before: fromVersion });
   }
   /** @type {number[]} */
   const path = [];

@@ -3,9 +3,9 @@
 import { decodeChange, decodeRemoved, noChange } from "./change.js";
 import { digest } from "./checksum.js";
 import { decodeGeometry } from "./geometry.js";
-import { Chunk, KEY, LIMITS, must, parsePacket, Reader } from "./packet.js";
+import { Chunk, KEY, levelBytes, LIMITS, must, parsePacket, Reader } from "./packet.js";
 import { decodeAdded, decodeBase } from "./rows.js";
-import { changed, emptyLevel, HIDDEN } from "./scene.js";
+import { changed, emptyLevel, HIDDEN, rowBytes } from "./scene.js";
 
 /** @typedef {import("./scene.js").Scene} Scene */
 /** @typedef {import("./scene.js").Header} Header */
@@ -42,24 +42,23 @@ export class SceneDecoder {
     const fresh = headerChunk !== undefined && weightsChunk !== undefined;
     let scene = this.scene;
     if (fresh) {
-      scene = readScene(headerChunk, weightsChunk, packet.keyframe);
-    } else {
-      must(scene, "no_keyframe", "no keyframe has come yet");
-      must(scene.keyframe === packet.keyframe, "unknown_keyframe", "the packet belongs to another keyframe");
-    }
+      scene = readScene(headerChunk, weightsChunk, packet);
+    } else scene = held(scene, packet);
     const { header } = scene;
     must(packet.mask >> header.levels === 0, "bad_scene_header", "the packet speaks of more levels than the scene has");
     /** @type {[number, Level][]} */
     const built = [];
-    let room = LIMITS.anchors - scene.levels.reduce((sum, level, l) => sum + ((packet.mask >> l) & 1 ? 0 : level.count), 0);
+    let room = mostRows(header) - scene.levels.reduce((sum, level, l) => sum + ((packet.mask >> l) & 1 ? 0 : level.count), 0);
     for (const number of bitsOf(packet.mask)) {
       const geometry = packet.chunks.get((number << 4) | Chunk.GEOMETRY), base = packet.chunks.get((number << 4) | Chunk.BASE);
       const features = header.featureSteps.length;
       let level = emptyLevel(features, header.slots);
       if (geometry && base) {
-        const voxel = decodeGeometry(checked(geometry, packet), room);
-        level = decodeBase(checked(base, packet), voxel, features, header.slots);
+        const own = { rows: room, bytes: levelBytes(packet, number) };
+        const voxel = decodeGeometry(checked(geometry, packet), own);
+        level = decodeBase(checked(base, packet), voxel, features, header.slots, own);
       }
+      checkHash(packet.chunks.get((number << 4) | Chunk.HASH), level);
       room -= level.count;
       built.push([number, level]);
     }
@@ -74,9 +73,7 @@ export class SceneDecoder {
 
   /** @param {Packet} packet @returns {Effect} */
   #change(packet) {
-    const { scene } = this;
-    must(scene, "no_keyframe", "no keyframe has come yet");
-    must(scene.keyframe === packet.keyframe, "unknown_keyframe", "the packet belongs to another keyframe");
+    const scene = held(this.scene, packet);
     must(packet.mask >> scene.header.levels === 0, "bad_scene_header", "the packet speaks of more levels than the scene has");
     const levels = bitsOf(packet.mask).filter((level) => scene.versions[level] === packet.fromVersion);
     must(levels.length, "version_mismatch", `no level is at version ${packet.fromVersion}`);
@@ -84,7 +81,7 @@ export class SceneDecoder {
     /** @type {Effect["levels"]} */
     const effects = [];
     for (const number of levels) {
-      const room = LIMITS.anchors - next.levels.reduce((sum, { count }) => sum + count, 0);
+      const room = mostRows(scene.header) - next.levels.reduce((sum, { count }) => sum + count, 0);
       const { rows, level } = changedLevel(packet, number, scene, room);
       effects.push({ level: number, rows, from: scene.levels[number].count });
       next.levels[number] = level;
@@ -104,20 +101,36 @@ function changedLevel(packet, number, scene, room) {
     [Chunk.CHANGE, Chunk.REMOVED, Chunk.ADDED, Chunk.HASH].map(chunk);
   const { keyframe, fromVersion, toVersion } = packet;
   const elapsed = { age: fromVersion - keyframe, span: toVersion - fromVersion };
-  const change = changeChunk ? decodeChange(checked(changeChunk, packet), level, elapsed) : noChange();
-  const removed = removedChunk ? decodeRemoved(checked(removedChunk, packet, false), level) : new Uint32Array(0);
-  const added = addedChunk ? decodeAdded(checked(addedChunk, packet), header.featureSteps.length, header.slots, room) : null;
+  const own = { rows: room, bytes: levelBytes(packet, number) };
+  const change = changeChunk ? decodeChange(checked(changeChunk, packet), level, elapsed, own) : noChange();
+  const removed = removedChunk ? decodeRemoved(checked(removedChunk, packet, false), level, own) : new Uint32Array(0);
+  const added = addedChunk ? decodeAdded(checked(addedChunk, packet), header.featureSteps.length, header.slots, own) : null;
   const next = changeChunk || removedChunk || addedChunk ? changed(level, { ...change, removed, added }) : level;
-  if (hashChunk) {
-    const reader = new Reader(hashChunk, "corrupt_chunk");
-    const wanted = reader.u32();
-    reader.end();
-    must(digest(next) === wanted, "state_mismatch", "the state differs from the sender's");
-  }
+  checkHash(hashChunk, next);
   const rows = new Uint32Array(change.rows.length + removed.length);
   rows.set(change.rows);
   rows.set(removed, change.rows.length);
   return { rows, level: next };
+}
+
+/** The scene that a packet needs. @type {(scene: Scene | null, packet: Packet) => Scene} */
+function held(scene, { keyframe, identifier }) {
+  must(scene, "no_keyframe", "no keyframe has come yet");
+  const same = scene.keyframe === keyframe && scene.identifier === identifier;
+  must(same, "unknown_keyframe", "the packet belongs to another keyframe");
+  return scene;
+}
+
+/** The most rows of all levels. @type {(header: Header) => number} */
+const mostRows = ({ featureSteps, slots }) => Math.min(LIMITS.anchors, Math.floor(LIMITS.stateBytes / rowBytes(featureSteps.length, slots)));
+
+/** @type {(chunk: Uint8Array | undefined, level: Level) => void} */
+function checkHash(chunk, level) {
+  if (!chunk) return;
+  const reader = new Reader(chunk, "corrupt_chunk");
+  const wanted = reader.u32();
+  reader.end();
+  must(digest(level) === wanted, "state_mismatch", "the state differs from the sender's");
 }
 
 /** A chunk whose coding may occur there. @type {(chunk: Uint8Array, packet: Packet, coded?: boolean) => Uint8Array} */
@@ -131,8 +144,8 @@ function checked(chunk, { profile }, coded = true) {
 /** @type {(mask: number) => number[]} */
 const bitsOf = (mask) => Array.from({ length: 16 }, (_, i) => i).filter((i) => (mask >> i) & 1);
 
-/** FORMAT.md sections 4 and 5. @type {(header: Uint8Array, weights: Uint8Array, keyframe: number) => Scene} */
-function readScene(headerChunk, weightsChunk, keyframe) {
+/** FORMAT.md sections 4 and 5. @type {(header: Uint8Array, weights: Uint8Array, packet: Packet) => Scene} */
+function readScene(headerChunk, weightsChunk, { keyframe, identifier }) {
   const header = readHeader(headerChunk);
   const { slots, levels } = header, features = header.featureSteps.length;
   const reader = new Reader(weightsChunk, "bad_weights");
@@ -147,7 +160,7 @@ function readScene(headerChunk, weightsChunk, keyframe) {
   };
   reader.end();
   const empty = Array.from({ length: levels }, () => emptyLevel(features, slots));
-  return { header, weights, levels: empty, versions: new Array(levels).fill(-1), keyframe };
+  return { header, weights, levels: empty, versions: new Array(levels).fill(-1), keyframe, identifier };
 }
 
 /** @type {(chunk: Uint8Array) => Header} */
@@ -162,8 +175,10 @@ function readHeader(chunk) {
   const background = reader.f32(3);
   const positionSteps = reader.f32(levels), featureSteps = reader.f32(features);
   const offsetSteps = reader.f32(3 * slots), scalingSteps = reader.f32(6);
-  const positive = [rootCell, referenceDistance, fps, ...positionSteps, ...featureSteps, ...offsetSteps, ...scalingSteps];
-  must(positive.every((x) => x > 0), "bad_scene_header", "a step, distance or rate is not positive");
+  const lengths = [rootCell, referenceDistance].every((x) => x >= 1e-6 && x <= 1e9) && origin.every((x) => Math.abs(x) <= 1e9);
+  const steps = [...positionSteps, ...featureSteps, ...offsetSteps, ...scalingSteps].every((x) => x > 0 && x <= 1e9);
+  const others = fps >= 0.001 && fps <= 10000 && background.every((x) => x >= 0 && x <= 1);
+  must(lengths && steps && others, "bad_scene_header", "a number of the scene header is out of its bounds");
   const cameras = Array.from({ length: cameraCount }, () => readCamera(reader));
   reader.end();
   return {
@@ -186,7 +201,7 @@ function readCamera(reader) {
   must(width >= 1 && width <= 65535 && height >= 1 && height <= 65535, "bad_scene_header", "a camera has no size");
   const intrinsics = reader.f64(9), worldToCamera = [...reader.f64(12), 0, 0, 0, 1];
   const distortion = reader.f64(5);
-  const modest = [...intrinsics, ...worldToCamera, ...distortion].every((x) => Math.abs(x) < 1e100);
+  const modest = [...intrinsics, ...worldToCamera, ...distortion].every((x) => Math.abs(x) <= 1e12);
   must(modest && intrinsics[0] > 0 && intrinsics[4] > 0 && isRotation(worldToCamera), "bad_scene_header", "a camera is impossible");
   return { name, intrinsics, worldToCamera, width, height };
 }

@@ -1,26 +1,24 @@
 /** Coding 0: columns of i32 under raw deflate (codec/FORMAT.md 6.1, RFC 1951). The browser's own inflater is not strict about the end. */
 
-import { must, Reader } from "./packet.js";
+import { must } from "./packet.js";
 
-const GAIN = 1040; // deflate expands to at most 1032 times its length
+/** @typedef {import("./packet.js").Reader} Reader */
+
 const MOST_BITS = 15;
 const LENGTH_ORDER = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
 
-/**
- * @param {Uint8Array} chunk - from the coding byte on
- * @param {number} channels
- * @param {number} most - rows that are possible here
- * @returns {{ rows: number, columns: Int32Array }} column after column
- */
-export function inflateColumns(chunk, channels, most) {
-  const reader = new Reader(chunk, "corrupt_chunk");
-  reader.u8();
+/** The number of rows that a chunk announces behind its coding. @type {(reader: Reader) => number} */
+export function rowCount(reader) {
   const rows = reader.u32();
-  must(rows <= most, "limit_exceeded", `a chunk announces ${rows} rows where ${most} are possible`);
-  must(4 * channels * rows <= GAIN * chunk.length, "corrupt_chunk", "a chunk announces more than it can hold");
+  must(rows > 0, "corrupt_chunk", "a chunk without rows must be left out");
+  return rows;
+}
+
+/** The rest of a chunk of coding 0, column after column; `rows` has been found acceptable. @type {(reader: Reader, rows: number, channels: number) => Int32Array} */
+export function inflateColumns(reader, rows, channels) {
   const columns = new Int32Array(rows * channels);
   inflate(reader.rest(), new Uint8Array(columns.buffer));
-  return { rows, columns };
+  return columns;
 }
 
 /** Base values and extra bits of lengths and distances. @type {(first: number, extra: (i: number) => number, count: number) => { base: Uint16Array, extra: Uint8Array }} */

@@ -16,6 +16,7 @@ export const ROW_SPLATS = 512; // splats in one row of the renderer's texture
 export const LEAST_ALPHA = 1 / 255; // weaker splats are not drawn
 const VIEW_INPUTS = 4;
 const LOG_SCALE_LIMIT = 20;
+const SHORTEST = 1e-12, LONGEST = 1e12; // lengths of quaternions that say a rotation
 const BATCH = 256; // anchors in the kernel's memory at once
 
 /**
@@ -254,7 +255,7 @@ export class Expander {
         }
         const l = 3 * (r * slots + k), c = out + slots + 3 * k, s = out + 4 * slots + 3 * k, q = out + rotations + 4 * k;
         let qw = y[q], qx = y[q + 1], qy = y[q + 2], qz = y[q + 3];
-        const n = 1 / Math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz + 1e-24);
+        const length = Math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz), n = 1 / length;
         qw *= n; qx *= n; qy *= n; qz *= n;
         const a = y[s] * sx, b = y[s + 1] * sy, d = y[s + 2] * sz;
         // Columns of rotation x diag(scale); the covariance is their outer sum.
@@ -271,6 +272,12 @@ export class Expander {
         numbers[o + 7] = m1 * m1 + m4 * m4 + m7 * m7;
         numbers[o + 8] = m1 * m2 + m4 * m5 + m7 * m8;
         numbers[o + 9] = m2 * m2 + m5 * m5 + m8 * m8;
+        let sum = 0; // of finite float32 numbers it is finite, too
+        for (let j = 0; j < 10; j++) sum += numbers[o + j];
+        if (!Number.isFinite(sum) || !(length >= SHORTEST && length <= LONGEST)) {
+          numbers[o + 3] = 0;
+          continue;
+        }
         splats[o + 10] = (y[c] * 65535 + 0.5) | ((y[c + 1] * 65535 + 0.5) << 16);
         splats[o + 11] = y[c + 2] * 65535 + 0.5;
       }

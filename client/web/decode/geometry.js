@@ -1,21 +1,23 @@
 /** Voxels of a level as a breadth-first octree, codec/FORMAT.md section 7. */
 
-import { must, Reader } from "./packet.js";
-import { inflateColumns } from "./deflate.js";
+import { checkAdded, must, Reader } from "./packet.js";
+import { inflateColumns, rowCount } from "./deflate.js";
 import { BitModels, RansDecoder } from "./rans.js";
 
 const CLASS_OF = [0, 0, 1, 2, 2, 3, 3, 3, 3]; // by number of children
 
-/** @type {(chunk: Uint8Array, most: number) => Int32Array} [N, 3], at most `most` */
-export function decodeGeometry(chunk, most) {
+/** @type {(chunk: Uint8Array, room: import("./packet.js").Room) => Int32Array} [N, 3] */
+export function decodeGeometry(chunk, room) {
   const reader = new Reader(chunk, "corrupt_chunk");
-  const coding = reader.u8();
-  if (coding === 0) return differences(inflateColumns(chunk, 3, most));
-  const count = reader.u32();
-  must(count <= most, "limit_exceeded", `a level announces ${count} anchors`);
+  const coding = reader.u8(), count = rowCount(reader);
+  if (coding === 0) {
+    checkAdded(count, 3, room);
+    return differences(inflateColumns(reader, count, 3), count);
+  }
   const minimum = [reader.i32(), reader.i32(), reader.i32()];
   const depth = reader.u8();
-  must(depth <= 21 && count > 0, "corrupt_chunk", "an octree announces impossible sizes");
+  must(depth <= 21, "corrupt_chunk", "an octree announces an impossible depth");
+  checkAdded(count, Math.max(3, depth), room);
   const coder = new RansDecoder(reader.rest(), coding);
   const models = new BitModels(4 * 4 * 256);
   let nodes = new Int32Array(3), classes = new Uint8Array(1), length = 1;
@@ -46,6 +48,14 @@ export function decodeGeometry(chunk, most) {
   }
   coder.end();
   must(length === count, "corrupt_chunk", "an octree ends with another number of anchors than it announces");
+  const least = [Infinity, Infinity, Infinity];
+  let greatest = 0;
+  for (let i = 0; i < 3 * count; i++) {
+    least[i % 3] = Math.min(least[i % 3], nodes[i]);
+    greatest = Math.max(greatest, nodes[i]);
+  }
+  const smallest = least.every((x) => x === 0) && 32 - Math.clz32(greatest) === depth;
+  must(smallest, "corrupt_chunk", "an octree is not in the smallest cube at its minimum");
   const voxel = new Int32Array(3 * count);
   for (let i = 0; i < voxel.length; i++) {
     const sum = nodes[i] + minimum[i % 3];
@@ -55,8 +65,8 @@ export function decodeGeometry(chunk, most) {
   return voxel;
 }
 
-/** @type {(inflated: { rows: number, columns: Int32Array }) => Int32Array} */
-function differences({ rows, columns }) {
+/** @type {(columns: Int32Array, rows: number) => Int32Array} */
+function differences(columns, rows) {
   const voxel = new Int32Array(3 * rows);
   for (let c = 0; c < 3; c++) {
     for (let i = 0, sum = 0; i < rows; i++) {

@@ -4,12 +4,16 @@ import { crc32 } from "./checksum.js";
 import { BitstreamError } from "./scene.js";
 
 export const KEY = 0;
+const CHANGE = 1, FIRST_EXTENSION = 12;
 export const Chunk = Object.freeze({ HEADER: 0, WEIGHTS: 1, GEOMETRY: 2, BASE: 3, CHANGE: 4, REMOVED: 5, ADDED: 6, HASH: 7 });
 
 /** What a decoder takes at most. */
-export const LIMITS = Object.freeze({ packetBytes: 16 << 20, levels: 16, anchors: 1 << 20, slots: 16, features: 64 });
+export const LIMITS = Object.freeze({
+  packetBytes: 16 << 20, levels: 16, anchors: 1 << 20, stateBytes: 256 << 20, slots: 16, features: 64,
+});
 
-const FIXED = 36;
+export const HEADER = 44; // bytes before the directory
+const NUMBERS_A_BYTE = 64;
 
 /**
  * @typedef {object} Packet
@@ -20,6 +24,7 @@ const FIXED = 36;
  * @property {number} toVersion
  * @property {number} timeMs - presentation time
  * @property {number} mask
+ * @property {bigint} identifier - of the keyframe
  * @property {Map<number, Uint8Array>} chunks - by level << 4 | chunk kind
  */
 
@@ -28,60 +33,90 @@ export function must(condition, code, detail) {
   if (!condition) throw new BitstreamError(code, detail);
 }
 
+/** What the chunks of one level may describe: rows that may be added to the state, and the length of all these chunks. @typedef {{ rows: number, bytes: number }} Room */
+
+/** Refuse a table with too few bytes behind it (codec/FORMAT.md section 6). @type {(rows: number, columns: number, room: Room) => void} */
+export function checkTable(rows, columns, { bytes }) {
+  must(rows * columns <= NUMBERS_A_BYTE * bytes, "limit_exceeded", `${bytes} bytes cannot carry ${rows} rows of ${columns} numbers`);
+}
+
+/** The same for rows that the state does not have yet. @type {(rows: number, columns: number, room: Room) => void} */
+export function checkAdded(rows, columns, room) {
+  must(rows <= room.rows, "limit_exceeded", `a chunk announces ${rows} rows, more than this page takes`);
+  checkTable(rows, columns, room);
+}
+
+/** Length of the chunks of a level. @type {(packet: Packet, level: number) => number} */
+export function levelBytes({ chunks }, level) {
+  let bytes = 0;
+  for (const [key, chunk] of chunks) if (key >> 4 === level) bytes += chunk.length;
+  return bytes;
+}
+
+/** What a packet's header and directory say: its fields without chunks, and for each chunk where it lies. @typedef {{ fields: Omit<Packet, "chunks">, directory: { key: number, at: number, length: number, crc: number }[] }} Envelope */
+
+/**
+ * @param {Uint8Array} bytes - a packet
+ * @returns {Envelope}
+ * @throws {BitstreamError} header or directory are not sound; chunks are not looked at
+ */
+export function parseEnvelope(bytes) {
+  must(bytes.length <= LIMITS.packetBytes, "too_large", `the packet has ${bytes.length} bytes`);
+  must(bytes.length >= HEADER, "truncated", "the packet ends inside its header");
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  must(view.getUint32(0, true) === 0x4b504c53, "bad_magic", "this is not a packet");
+  must(bytes[4] === 1, "unsupported_version", `format version ${bytes[4]}, this page knows 1`);
+  must(bytes[5] <= 1, "unsupported_profile", `profile ${bytes[5]}`);
+  const start = HEADER + 8 * view.getUint16(30, true);
+  must(bytes.length >= start, "truncated", "the packet ends inside its directory");
+  const checksum = crc32(bytes.subarray(HEADER, start), crc32(bytes.subarray(0, HEADER - 4)));
+  must(view.getUint32(HEADER - 4, true) === checksum, "bad_checksum", "the packet's header is damaged");
+
+  const kind = bytes[6], keyframe = view.getUint32(8, true), mask = view.getUint16(28, true);
+  const fromVersion = view.getUint32(12, true), toVersion = view.getUint32(16, true);
+  const ordered = kind === KEY ? keyframe === fromVersion && fromVersion === toVersion : keyframe <= fromVersion && fromVersion < toVersion;
+  const timed = view.getUint32(24, true) < 0x80000000;
+  must(kind <= CHANGE && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header", "the packet's header contradicts itself");
+
+  /** @type {Envelope["directory"]} */
+  const directory = [], places = new Set();
+  let before = -1, end = start;
+  for (let at = HEADER; at < start; at += 8) {
+    const entry = view.getUint32(at, true);
+    const level = entry >>> 28, chunk = (entry >>> 24) & 15, key = entry >>> 24, length = entry & 0xffffff;
+    const allowed = chunk >= FIRST_EXTENSION || chunk === Chunk.HASH || (chunk < Chunk.HASH && chunk < Chunk.CHANGE === (kind === KEY));
+    must(key > before && allowed, "bad_directory", "the packet's directory is out of order or holds an unknown chunk");
+    must((mask >>> level) & 1 && (chunk > Chunk.WEIGHTS || level === 0), "bad_directory", "a chunk belongs to a level that cannot have it");
+    before = key;
+    places.add(key);
+    directory.push({ key, at: end, length, crc: view.getUint32(at + 4, true) });
+    end += length;
+  }
+  must(places.has(Chunk.HEADER) === places.has(Chunk.WEIGHTS), "missing_chunk", "a key packet needs header and weights together");
+  for (let level = 0; level < 16; level++) {
+    const [geometry, base] = [Chunk.GEOMETRY, Chunk.BASE].map((k) => places.has((level << 4) | k));
+    must(geometry === base, "missing_chunk", "a level needs geometry and base together");
+  }
+  must(end <= bytes.length, "truncated", "the packet ends inside its chunks");
+  must(end === bytes.length, "trailing_bytes", "bytes follow the last chunk");
+  const timeMs = Number(view.getBigUint64(20, true) / 1000n) / 1000, identifier = view.getBigUint64(32, true);
+  return { fields: { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeMs, mask, identifier }, directory };
+}
+
 /**
  * @param {Uint8Array} bytes
  * @returns {Packet} its chunks are views into `bytes`
  * @throws {BitstreamError}
  */
 export function parsePacket(bytes) {
-  must(bytes.length <= LIMITS.packetBytes, "too_large", `the packet has ${bytes.length} bytes`);
-  must(bytes.length >= FIXED, "truncated", "the packet ends inside its header");
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  must(view.getUint32(0, true) === 0x4b504c53, "bad_magic", "this is not a packet");
-  must(bytes[4] === 1, "unsupported_version", `format version ${bytes[4]}, this page knows 1`);
-  must(bytes[5] <= 1, "unsupported_profile", `profile ${bytes[5]}`);
-  const count = view.getUint16(30, true);
-  const start = FIXED + 8 * count;
-  must(bytes.length >= start, "truncated", "the packet ends inside its directory");
-  const checksum = crc32(bytes.subarray(FIXED, start), crc32(bytes.subarray(0, 32)));
-  must(view.getUint32(32, true) === checksum, "bad_checksum", "the packet's header is damaged");
-
-  const kind = bytes[6], keyframe = view.getUint32(8, true), mask = view.getUint16(28, true);
-  const fromVersion = view.getUint32(12, true), toVersion = view.getUint32(16, true);
-  const ordered = kind === KEY ? keyframe === fromVersion && fromVersion === toVersion
-    : keyframe <= fromVersion && fromVersion < toVersion && (kind !== 3 || fromVersion === keyframe);
-  const timed = view.getUint32(24, true) < 0x80000000;
-  must(kind <= 3 && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header", "the packet's header contradicts itself");
-
-  /** @type {{ key: number, length: number, crc: number }[]} */
-  const directory = [];
-  let before = -1;
-  for (let at = FIXED; at < start; at += 8) {
-    const entry = view.getUint32(at, true);
-    const level = entry >>> 28, chunk = (entry >>> 24) & 15, key = entry >>> 24;
-    const allowed = chunk >= 12 || (chunk < 8 && (kind === KEY ? chunk < 4 : chunk >= 4));
-    must(key > before && allowed, "bad_directory", "the packet's directory is out of order or holds an unknown chunk");
-    must(chunk < 2 ? level === 0 : (mask >>> level) & 1, "bad_directory", "a chunk belongs to a level outside the mask");
-    before = key;
-    directory.push({ key, length: entry & 0xffffff, crc: view.getUint32(at + 4, true) });
-  }
-  const end = directory.reduce((sum, entry) => sum + entry.length, start);
-  must(end <= bytes.length, "truncated", "the packet ends inside its chunks");
-  must(end === bytes.length, "trailing_bytes", "bytes follow the last chunk");
+  const { fields, directory } = parseEnvelope(bytes);
   const chunks = new Map();
-  let at = start;
-  for (const { key, length, crc } of directory) {
-    const chunk = bytes.subarray(at, (at += length));
+  for (const { key, at, length, crc } of directory) {
+    const chunk = bytes.subarray(at, at + length);
     must(crc32(chunk) === crc, "bad_checksum", "a chunk is damaged");
     chunks.set(key, chunk);
   }
-  must(chunks.has(Chunk.HEADER) === chunks.has(Chunk.WEIGHTS), "missing_chunk", "a key packet needs header and weights together");
-  for (let level = 0; level < 16; level++) {
-    const [geometry, base] = [Chunk.GEOMETRY, Chunk.BASE].map((k) => chunks.has((level << 4) | k));
-    must(geometry === base, "missing_chunk", "a level needs geometry and base together");
-  }
-  const timeMs = Number(view.getBigUint64(20, true) / 1000n) / 1000;
-  return { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeMs, mask, chunks };
+  return { ...fields, chunks };
 }
 
 /** Reads numbers one after the other; running out of bytes is a refusal. */

@@ -139,10 +139,9 @@ export function scale(q) {
  * @param {RansDecoder} coder
  * @param {number} rows
  * @param {Scales} scales
- * @param {Int8Array | null} raised - [rows, channels] bins that are added to each number's
  * @returns {Int32Array} [rows, channels]
  */
-export function decodeColumns(coder, rows, { magnitude, channels }, raised = null) {
+export function decodeColumns(coder, rows, { magnitude, channels }) {
   const result = new Int32Array(rows * channels);
   const weight = new Int32Array(channels), share = new Int32Array(channels), bins = new Int32Array(channels);
   let total = 0;
@@ -163,7 +162,7 @@ export function decodeColumns(coder, rows, { magnitude, channels }, raised = nul
     for (let c = 0; c < channels; c++, place++) {
       if (!(c & 1)) g = bin(Math.floor((256 * (energy + 2 * t)) / (total + 2 * r))) - 24;
       if (!magnitude[c]) continue;
-      const b = Math.max(bins[c] + g + (raised ? raised[place] : 0), 0);
+      const b = Math.max(bins[c] + g, 0);
       const step = b > TOP_BIN ? ESCAPE << 25 : STEPS[(b << 12) | (state[lane] & 4095)];
       const z = step >>> 25;
       let v = 0;

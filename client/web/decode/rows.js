@@ -1,23 +1,29 @@
 /** Rows of a level: BASE and ADDED chunks, codec/FORMAT.md sections 8 and 10. */
 
-import { inflateColumns } from "./deflate.js";
-import { must, Reader } from "./packet.js";
+import { inflateColumns, rowCount } from "./deflate.js";
+import { checkAdded, checkTable, must, Reader } from "./packet.js";
 import { BitModels, decodeColumns, RansDecoder, readScales } from "./rans.js";
 import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
 
+const CENTRED = 1, TREND = 2; // channel modes
+
 /** @typedef {import("./scene.js").Level} Level */
+/** @typedef {import("./packet.js").Room} Room */
 
 /**
  * @param {Uint8Array} chunk
  * @param {Int32Array} voxel - of the level
  * @param {number} features
  * @param {number} slots
+ * @param {Room} room
  * @returns {Level}
  */
-export function decodeBase(chunk, voxel, features, slots) {
-  const count = voxel.length / 3;
-  const columns = decodeRows(chunk, features + 3 * slots + 10, count, count, 0, features + 3 * slots + SCALINGS);
-  must(columns.rows === count, "corrupt_chunk", "a level has another number of voxels than of rows");
+export function decodeBase(chunk, voxel, features, slots, room) {
+  const count = voxel.length / 3, channels = features + 3 * slots + 10;
+  const reader = new Reader(chunk, "corrupt_chunk"), coding = reader.u8();
+  must(coding || rowCount(reader) === count, "corrupt_chunk", "a level has another number of voxels than of rows");
+  checkTable(count, channels, room);
+  const columns = decodeRows(reader, coding, count, channels, 0, channels - 4);
   const level = emptyLevel(features, slots, count);
   level.voxel.set(voxel);
   level.alive.fill(1);
@@ -25,16 +31,18 @@ export function decodeBase(chunk, voxel, features, slots) {
   return level;
 }
 
-/** @type {(chunk: Uint8Array, features: number, slots: number, most: number) => Level} */
-export function decodeAdded(chunk, features, slots, most) {
+/** @type {(chunk: Uint8Array, features: number, slots: number, room: Room) => Level} */
+export function decodeAdded(chunk, features, slots, room) {
   const channels = features + 3 * slots + 38;
-  const table = decodeRows(chunk, channels, null, most, 3, 3 + features + 3 * slots + SCALINGS);
-  const level = emptyLevel(features, slots, table.rows);
+  const reader = new Reader(chunk, "corrupt_chunk"), coding = reader.u8(), rows = rowCount(reader);
+  checkAdded(rows, channels, room);
+  const table = decodeRows(reader, coding, rows, channels, 3, 3 + features + 3 * slots + SCALINGS);
+  const level = emptyLevel(features, slots, rows);
   fill(level.voxel, 3, table, 0);
   fillBase(level, table, 3, features, slots);
   fill(level.latent, LATENTS, table, channels - 1 - LATENTS);
   fill(level.alive, 1, table, channels - 1);
-  must(level.alive.every((x) => x <= 1), "corrupt_chunk", "a flag is neither 0 nor 1");
+  must(level.alive.every((x) => x <= 1), "overflow", "whether a row is alive is neither 0 nor 1");
   return level;
 }
 
@@ -61,38 +69,32 @@ function fill(column, width, { rows, values, rowStep, channelStep }, first) {
 }
 
 /**
- * @param {Uint8Array} chunk
+ * @param {Reader} reader - behind the row count
+ * @param {number} coding
+ * @param {number} rows
  * @param {number} channels
- * @param {number | null} count - null where the chunk says it
- * @param {number} most - rows that are possible
  * @param {number} first - channels from here on are shifted by their row's class
  * @param {number} end - up to here
  * @returns {Table}
  */
-function decodeRows(chunk, channels, count, most, first, end) {
-  const reader = new Reader(chunk, "corrupt_chunk");
-  const coding = reader.u8();
-  if (coding === 0) {
-    const { rows, columns } = inflateColumns(chunk, channels, most);
-    return { rows, values: columns, rowStep: 1, channelStep: rows };
-  }
-  const rows = count ?? reader.u32();
-  must(rows <= most, "limit_exceeded", `a chunk announces ${rows} rows`);
+function decodeRows(reader, coding, rows, channels, first, end) {
+  if (coding === 0) return { rows, values: inflateColumns(reader, rows, channels), rowStep: 1, channelStep: rows };
   const packed = reader.take(Math.ceil(channels / 4));
   const modes = Array.from({ length: channels }, (_, c) => (packed[c >> 2] >> (2 * (c & 3))) & 3);
   must(channels % 4 === 0 || packed[channels >> 2] >> (2 * (channels & 3)) === 0, "corrupt_chunk", "an unused field is not 0");
-  const centres = modes.map((mode) => (mode === 1 ? reader.i32() : 0));
+  must(modes.every((mode) => mode <= TREND), "corrupt_chunk", "a channel mode is unknown");
+  const centres = modes.map((mode) => (mode === CENTRED ? reader.i32() : 0));
   const { values, shifts } = decodeClasses(reader, coding, rows, channels);
   for (let c = 0; c < channels; c++) {
     const shifted = c >= first && c < end;
     if (modes[c] === 0 && !shifted) continue;
-    if (modes[c] === 3) {
+    if (modes[c] === TREND) {
       addTrend(values, c, channels, shifted ? shifts : null);
       continue;
     }
     for (let i = 0, at = c; i < rows; i++, at += channels) {
       const value = shifted ? values[at] * (1 << shifts[i]) : values[at];
-      const sum = value + (modes[c] === 1 ? centres[c] : modes[c] === 2 && i ? values[at - channels] : 0);
+      const sum = value + centres[c];
       must(sum === (sum | 0), "overflow", "a number leaves its column's type");
       values[at] = sum;
     }
@@ -100,7 +102,7 @@ function decodeRows(chunk, channels, count, most, first, end) {
   return { rows, values, rowStep: channels, channelStep: 1 };
 }
 
-/** Mode 3: channel c holds differences to a running mean. @type {(values: Int32Array, c: number, channels: number, shifts: Uint8Array | null) => void} */
+/** Mode 2: channel c holds differences to a running mean. @type {(values: Int32Array, c: number, channels: number, shifts: Uint8Array | null) => void} */
 function addTrend(values, c, channels, shifts) {
   let total = 0;
   for (let i = 0, at = c; at < values.length; i++, at += channels) {
@@ -118,11 +120,10 @@ function decodeClasses(reader, coding, rows, channels) {
   must(mask > 0, "corrupt_chunk", "a chunk has no class of rows");
   const scales = used.map(() => readScales(reader, channels));
   const coder = new RansDecoder(reader.rest(), coding);
-  const models = new BitModels(64), classes = new Uint8Array(rows), counts = used.map(() => 0);
-  for (let i = 0, own = 0; i < rows; i++) {
-    const before = 8 * own;
-    own = 0;
-    while (own < used.length - 1 && !coder.flag(models, before + own)) own++;
+  const models = new BitModels(8), classes = new Uint8Array(rows), counts = used.map(() => 0);
+  for (let i = 0; i < rows; i++) {
+    let own = 0;
+    while (own < used.length - 1 && !coder.flag(models, own)) own++;
     classes[i] = own;
     counts[own]++;
   }

@@ -59,6 +59,7 @@ export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
  * @property {Level[]} levels
  * @property {number[]} versions - one a level, -1 where the level is absent
  * @property {number} keyframe
+ * @property {bigint} identifier - of the keyframe; no other has it
  */
 
 /**
@@ -107,6 +108,9 @@ function joined(first, second) {
   result.set(second, first.length);
   return result;
 }
+
+/** Memory of a row of a level. @type {(features: number, slots: number) => number} */
+export const rowBytes = (features, slots) => 87 + 2 * features + 6 * slots;
 
 /** The rows of `first`, then those of `second`. @type {(first: Level, second: Level) => Level} */
 export function appendRows(first, second) {

@@ -85,8 +85,8 @@ export class Recording {
     const tail = await this.reader.tail(FOOTER);
     const { size } = this.reader;
     const footer = readFooter(tail, size);
-    if (footer) this.entries = readIndex(await this.reader.read(footer.start, size - FOOTER), footer.checksum, footer.start);
-    else this.entries = walkRecords(await this.reader.read(0, size));
+    const index = footer && readIndex(await this.reader.read(footer.start, size - FOOTER), footer.checksum, footer.start);
+    this.entries = index ?? walkRecords(await this.reader.read(0, size));
     this.moments = moments(this.entries);
     must(this.moments.length, "bad_file", "the recording is empty or not a .slod file");
     const oldest = { epoch: 1, version: this.moments[0].version };

@@ -8,7 +8,16 @@ from torch import Tensor
 
 from core.arrays import Float32, Int64
 from core.camera import Camera
-from core.scene.anchors import FEATURE_LATENTS, LATENTS, OFFSET_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from core.scene.anchors import (
+    FEATURE_LATENTS,
+    LATENTS,
+    OFFSET_LATENTS,
+    AnchorLevel,
+    AnchorWeights,
+    Scene,
+    SceneHeader,
+    identify,
+)
 from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, dequantise
 from core.scene.keyframe import coarseness
 from core.scene.octree import morton_key
@@ -59,7 +68,8 @@ def scene_of(
     )
     here = field.to("cpu")
     levels = tuple(_level_of(here, number, header) for number in range(field.octree.levels))
-    return Scene(header, weights, levels, keyframe=version, version=version)
+    identifier = identify(header, weights, levels, version)
+    return Scene(header, weights, levels, keyframe=version, version=version, identifier=identifier)
 
 
 def precision_of(scene: Scene, rows: Tensor) -> Precision:

@@ -18,7 +18,6 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from fastapi.staticfiles import StaticFiles
 
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import Scene
 from core.scene.residual import difference
 from server.http.static_page import PageFiles
@@ -42,11 +41,9 @@ class Clip:
     def residual(self, before: int, after: int) -> bytes:
         """From one state to a later one."""
         if (before, after) not in self._made:
-            far = PacketKind.SKIP if before else PacketKind.CATCH_UP
-            kind = PacketKind.PREDICTED if after == before + 1 else far
             change = difference(self.states[before], self.states[after])
             time_ns = after * 33_333_333
-            packet = encode_residual(self.states[before], change, kind=kind, time_ns=time_ns, profile=self.profile)
+            packet = encode_residual(self.states[before], change, time_ns=time_ns, profile=self.profile)
             self._made[before, after] = packet
         return self._made[before, after]
 

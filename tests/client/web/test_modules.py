@@ -16,7 +16,6 @@ import pytest
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import Scene
 from core.scene.expand import expand
 from core.scene.residual import difference
@@ -104,7 +103,7 @@ def _walk(first: Scene, profile: int) -> tuple[list[Scene], list[bytes]]:
     packets = [encode_keyframe(first, time_ns=0, profile=profile)]
     for before, after in itertools.pairwise(states):
         change = difference(before, after)
-        packets.append(encode_residual(before, change, kind=PacketKind.PREDICTED, time_ns=1, profile=profile))
+        packets.append(encode_residual(before, change, time_ns=1, profile=profile))
     return states, packets
 
 
@@ -123,6 +122,29 @@ def test_same_state_and_splats_as_python(node: str, tmp_path: Path, kind: str, p
     log = json.loads(out.with_suffix(".json").read_text())
     assert [entry["digests"] for entry in log] == [[level.digest() for level in state.levels] for state in states]
     assert_same_splats(np.fromfile(out.with_suffix(".bin"), np.float32).reshape(-1, 12), states[-1], EYE)
+
+
+@pytest.mark.parametrize("bias", [-1.0, 0.0])
+@pytest.mark.parametrize("step", [0.1, 1e9])
+def test_the_same_gaussians_exist_as_in_python(node: str, tmp_path: Path, bias: float, step: float) -> None:
+    """With quaternions that are 0, and features so large that quaternions say nothing, both draw the same, or none."""
+    scene = codec_scenes.make_scene((5, 20), slots=2, features=3)
+    matrix, output = scene.weights.output_weight.copy(), np.ones(22, np.float32)
+    if bias:
+        matrix[:, 14:18] = 0
+    output[14:18] = (bias, 0, 0, 0)
+    weights = replace(scene.weights, output_weight=matrix, output_bias=output)
+    header = replace(scene.header, feature_steps=np.full(3, step, np.float32))
+    scene = replace(scene, header=header, weights=weights)
+    file, out = tmp_path / "scene.slod", tmp_path / "out"
+    with SlodWriter(file) as writer:
+        writer.append(encode_keyframe(scene, time_ns=0))
+    subprocess.run([node, str(HERE / "decode.mjs"), str(file), str(out), *map(str, EYE), "16"], check=True, timeout=60)
+    found = np.fromfile(out.with_suffix(".bin"), np.float32).reshape(-1, 12)
+    shown = expand(scene, EYE)
+    assert len(found) == (shown.opacities >= 1 / 255).sum()
+    assert np.isfinite(found[:, :10]).all()
+    assert (len(found) < 2 * scene.anchor_count) == (bias != 0 or step > 1)
 
 
 @pytest.mark.parametrize("reach", [0.5, 1.0, 2.0])

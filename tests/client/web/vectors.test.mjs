@@ -8,7 +8,7 @@ import { BitstreamError } from "../../../client/web/decode/scene.js";
 
 const folder = new URL("../../vectors/", import.meta.url);
 const manifest = JSON.parse(readFileSync(new URL("manifest.json", folder), "utf8"));
-const COLUMNS = ["voxel", "position", "feature", "offset", "scaling", "extraLevel", "latent", "alive"];
+const COLUMNS = ["voxel", "feature", "offset", "scaling", "extraLevel", "position", "latent", "alive"];
 
 function packets(file) {
   const bytes = new Uint8Array(readFileSync(new URL(file, folder)));

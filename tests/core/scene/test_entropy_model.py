@@ -34,8 +34,6 @@ def test_the_table_matches_coded_bytes(mean: float) -> None:
     expected = np.abs(values).mean()
     q = int(np.clip(round(8 * np.log2(expected * 256)), 0, 191))
     scale = np.full(8, SCALES[q])
-    _, data = encode_items(
-        lambda items: column_model.columns_items(values, np.zeros((0, 0), np.int64), scale, items, 0), values.size
-    )
+    _, data = encode_items(lambda items: column_model.columns_items(values, scale, items, 0), values.size)
     model = magnitude_bits(100)[bin_of(float(expected))][np.abs(values)].sum()
     assert len(data) * 8 == pytest.approx(model, rel=0.08)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from core.arrays import Float64
 from core.scene.anchors import Scene
-from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, expand
+from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, expand, expand_slots
+from core.scene.octree import Octree
 from tests.codec.scenes import make_scene, move
 
 EYE = np.array([0.4, 0.2, -3.5])
@@ -98,3 +100,63 @@ def test_huge_scalings_stay_finite() -> None:
     cloud = expand(replace(SCENE, levels=(huge, SCENE.levels[1])), EYE)
     assert np.isfinite(cloud.means).all()
     assert np.isfinite(cloud.scales).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"octree": Octree(np.full(3, 1e308), 1e300, 2)},
+        {"position_steps": np.full(2, 3e38, np.float32)},
+        {"offset_steps": np.full(6, 3e38, np.float32)},
+        {"feature_steps": np.full(3, 3e38, np.float32)},
+        {"reference_distance": 1e-300},
+    ],
+    ids=lambda wrong: next(iter(wrong)),
+)
+def test_a_gaussian_with_a_number_that_is_not_finite_does_not_exist(wrong: dict[str, Any]) -> None:
+    """Headers that no bitstream can hold; what is left is finite, and there is less of it than of the sound scene."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        cloud = expand(replace(SCENE, header=replace(SCENE.header, **wrong)), EYE)
+    for part in (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.colours):
+        assert np.isfinite(part).all()
+    assert len(cloud) < len(expand(SCENE, EYE))
+
+
+@pytest.mark.parametrize("length", [0.0, 1e13])
+def test_a_gaussian_without_rotation_does_not_exist(length: float) -> None:
+    """The first of two Gaussians an anchor has a quaternion that is 0, or too long to say anything."""
+    weights = SCENE.weights
+    bias, matrix = np.ones(22, np.float32), np.zeros_like(weights.output_weight)
+    bias[14:18] = (length - 1, 0, 0, 0)
+    cloud = expand(replace(SCENE, weights=replace(weights, output_weight=matrix, output_bias=bias)), EYE)
+    assert len(cloud) == sum(int(level.alive.sum()) for level in SCENE.levels)
+
+
+def test_the_largest_numbers_of_a_header_stay_finite() -> None:
+    """At the bounds of FORMAT.md section 4 and the largest integers and weights, nothing overflows."""
+    most = np.float32(65504)
+    levels = tuple(
+        replace(
+            level,
+            **{n: np.full_like(getattr(level, n), np.iinfo(getattr(level, n).dtype).max) for n in _NUMBERS},
+        )
+        for level in SCENE.levels
+    )
+    header = replace(
+        SCENE.header,
+        octree=Octree(np.full(3, 1e9), 1e9, 2),
+        reference_distance=1e-6,
+        position_steps=np.full(2, 1e9, np.float32),
+        feature_steps=np.full(3, 1e9, np.float32),
+        offset_steps=np.full(6, 1e9, np.float32),
+        scaling_steps=np.full(6, 1e9, np.float32),
+    )
+    weights = replace(SCENE.weights, **{n: np.full_like(getattr(SCENE.weights, n), most) for n in _FACTORS})
+    rows = np.arange(len(levels[1]))
+    found = expand_slots(header, weights, 1, levels[1], rows, EYE)
+    for part in (found.means, found.quaternions, found.scales, found.opacities, found.colours):
+        assert np.isfinite(part).all()
+
+
+_NUMBERS = ("voxel", "position", "feature", "offset", "scaling", "latent")
+_FACTORS = ("hidden_weight", "hidden_bias", "output_weight", "output_bias", "feature_decoder", "offset_decoder")

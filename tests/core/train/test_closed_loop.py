@@ -10,7 +10,6 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.arrays import UInt8
 from core.data import Dataset
 from core.frames import FrameSet, PointCloud
@@ -66,7 +65,7 @@ def loop(trainer: Trainer, scene: Scene, pictures: Iterable[UInt8]) -> list[Trai
     for index, picture in enumerate(pictures, start=scene.version + 1):
         before, result = trainer.scene, trainer.predict(frame_set(index, picture))
         assert result.residual is not None
-        decoder.push(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=index))
+        decoder.push(encode_residual(before, result.residual, time_ns=index))
         assert decoder.scene is not None
         for mine, theirs in zip(decoder.scene.levels, result.scene.levels, strict=True):
             for name in AnchorLevel.__slots__:

@@ -11,7 +11,6 @@ import pytest
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.camera import Camera
 from core.data import Dataset
 from core.errors import ModelError
@@ -85,8 +84,7 @@ def test_the_decoder_holds_the_trainers_state_bit_for_bit(trained: list[TrainedF
     decoder.push(encode_keyframe(trained[0].scene, time_ns=0))
     for before, result in pairwise(trained):
         assert result.residual is not None
-        kind = PacketKind.PREDICTED
-        decoder.push(encode_residual(before.scene, result.residual, kind=kind, time_ns=0))
+        decoder.push(encode_residual(before.scene, result.residual, time_ns=0))
         assert decoder.scene is not None
         for mine, theirs in zip(decoder.scene.levels, result.scene.levels, strict=True):
             for name in AnchorLevel.__slots__:
@@ -114,7 +112,7 @@ def test_nothing_moves_nothing_is_sent(clip: Dataset, frames: list[FrameSet], tr
     result = trainer.predict(FrameSet(2, 2, noisy, frames[0].present))
     assert result.report.dynamic == 0
     assert result.residual is not None
-    packet = encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0)
+    packet = encode_residual(before, result.residual, time_ns=0)
     assert len(packet) <= 64
 
 

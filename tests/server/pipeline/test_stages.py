@@ -189,7 +189,7 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
             data = ours.recv_bytes()
             messages.append((Tag(data[0]), data[1:]))
     packets = [body for tag, body in messages if tag is Tag.PACKET]
-    assert [peek(packet).kind for packet in packets] == [PacketKind.KEY, PacketKind.PREDICTED, PacketKind.PREDICTED]
+    assert [peek(packet).kind for packet in packets] == [PacketKind.KEY, PacketKind.CHANGE, PacketKind.CHANGE]
     assert [peek(packet).to_version for packet in packets] == [2, 3, 4]
     for packet in packets:
         decoder.push(packet)
@@ -201,7 +201,7 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
 def test_keyframes_come_at_the_interval() -> None:
     frames = list(train_stream(open_job(replace(JOB, keyframe_interval=2))))
     kinds = [[peek(packet).kind for packet in frame.packets] for frame in frames]
-    key, predicted = PacketKind.KEY, PacketKind.PREDICTED
+    key, predicted = PacketKind.KEY, PacketKind.CHANGE
     assert kinds == [[key], [predicted], [predicted, key], [predicted]]
     decoder = SceneDecoder()
     for frame in frames:

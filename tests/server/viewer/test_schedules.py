@@ -18,7 +18,6 @@ import server.stream.hub
 import server.stream.stream
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.residual import difference
 from server.pipeline.spec import StreamSpec
@@ -60,7 +59,7 @@ class Clip:
             else:
                 before, scene = scene, (grow if version % 5 == 2 else move)(scene, seed=version)
                 residual, time_ns = difference(before, scene), version * 4_000_000
-                packets.append(encode_residual(before, residual, kind=PacketKind.PREDICTED, time_ns=time_ns, profile=0))
+                packets.append(encode_residual(before, residual, time_ns=time_ns, profile=0))
             self.states[epoch, version] = scene
         return packets
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from codec.encoder import encode_residual
-from codec.packet.packet import PacketKind
 from core.arrays import UInt8
 from core.data import Dataset
 from core.frames import FrameSet
@@ -119,7 +118,7 @@ def test_a_burst_stays_within_the_buffer_and_quality_returns(
     for index, images in enumerate([*pictures, *[pictures[-1]] * 20], start=1):
         before, result = trainer.scene, trainer.predict(FrameSet(index, index, images, PRESENT))
         assert result.residual is not None
-        size = len(encode_residual(before, result.residual, kind=PacketKind.PREDICTED, time_ns=0))
+        size = len(encode_residual(before, result.residual, time_ns=0))
         trainer.sent(result, size)
         held = max(held - drain, 0.0) + size
         assert held <= 1.1 * capacity

@@ -10,7 +10,6 @@ import torch
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
 from core.data import Dataset
 from core.frames import FrameSet
 from core.initialise import first_points
@@ -87,7 +86,7 @@ def test_catches_up_and_goes_on(clip: Dataset, frames: list[FrameSet], first: Sc
     after = trainer.predict(frames[5])
     assert after.residual is not None
     assert after.residual.changed > 0
-    decoder.push(encode_residual(renewed.scene, after.residual, kind=PacketKind.PREDICTED, time_ns=1))
+    decoder.push(encode_residual(renewed.scene, after.residual, time_ns=1))
     assert decoder.scene is not None
     for mine, theirs in zip(decoder.scene.levels, after.scene.levels, strict=True):
         for name in AnchorLevel.__slots__:
@@ -148,7 +147,7 @@ def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: lis
     decoder.push(encode_keyframe(renewed.scene, time_ns=0))
     after = trainer.predict(pictures[last + 1])
     assert after.residual is not None
-    decoder.push(encode_residual(renewed.scene, after.residual, kind=PacketKind.PREDICTED, time_ns=1))
+    decoder.push(encode_residual(renewed.scene, after.residual, time_ns=1))
     assert decoder.scene is not None
     assert [level.digest() for level in decoder.scene.levels] == [level.digest() for level in after.scene.levels]
 

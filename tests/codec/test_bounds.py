@@ -1,0 +1,211 @@
+"""What a packet may cost: memory and time bounded by its length, tried in a process of its own with little memory."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.chunks.plain import encode_plain
+from codec.coder import oracle
+from codec.decoder import SceneDecoder
+from codec.packet.bytes import build, parse
+from codec.packet.limits import MAX_NUMBERS_A_BYTE, DecoderLimits
+from codec.packet.packet import PADDING, ChunkKind, make_chunk
+from core.errors import BitstreamError
+from core.scene.anchors import AnchorLevel, Scene
+from tests.codec.scenes import grow, make_scene, move
+from tests.vectors.make import FOLDER, read_stream
+from tests.vectors.valid import key, packet, small
+
+_MEMORY = 192 << 20  # bytes that the process may take beside what Python and its libraries have taken
+_CHILD = """
+import resource, sys, time
+from codec.decoder import SceneDecoder
+from codec.warm import warm_up
+from core.errors import BitstreamError
+from tests.vectors.make import read_stream
+from pathlib import Path
+warm_up()
+*before, last = read_stream(Path(sys.argv[1]))
+decoder = SceneDecoder()
+for packet in before:
+    decoder.push(packet)
+taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (taken + int(sys.argv[2]),) * 2)
+begin = time.process_time()
+try:
+    decoder.push(last)
+    code = "accepted"
+except BitstreamError as error:
+    code = error.code
+print(code, time.process_time() - begin)
+"""
+
+
+def _in_little_memory(tmp_path: Path, packets: list[bytes]) -> tuple[str, float]:
+    """What the last of `packets` comes to in a process that may take `_MEMORY` for it, and its processor seconds."""
+    path = tmp_path / "stream.slps"
+    path.write_bytes(b"".join(struct.pack("<I", len(data)) + data for data in packets))
+    done = subprocess.run(
+        [sys.executable, "-c", _CHILD, str(path), str(_MEMORY)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    code, seconds = done.stdout.split()
+    return code, float(seconds)
+
+
+def _with(data: bytes, level: int, kind: int, content: bytes) -> bytes:
+    """The packet with one chunk exchanged or added."""
+    parsed = parse(data)
+    chunks = [c for c in parsed.chunks if (c.level, c.kind) != (level, kind)] + [make_chunk(level, kind, content)]
+    return build(replace(parsed, chunks=tuple(sorted(chunks, key=lambda c: (c.level, c.kind)))))
+
+
+def _uncoded(rows: int, columns: int) -> bytes:
+    """An ADDED chunk of rows that cost no items at all."""
+    words = np.array(oracle.Encoder().words(1), "<u2").tobytes()
+    fields = bytes(-(-columns // 4)) + b"\1" + bytes(1 + -(-columns // 2))
+    return struct.pack("<BI", 1, rows) + fields + words
+
+
+def _hostile() -> dict[str, list[bytes]]:
+    """Streams whose last packet announces far more than its bytes can carry."""
+    scene = make_scene((5, 5))
+    first, change = key(scene), packet(scene, grow(scene))
+    rows, columns = 1 << 18, 32 + 12 + 38
+    plain = key(scene, 0)
+    base_rows = 1 << 17
+    base = _with(plain, 1, ChunkKind.GEOMETRY, encode_plain(np.zeros((base_rows, 3), np.int64)))
+    return {
+        "added for nothing": [first, _with(change, 1, ChunkKind.ADDED, _uncoded(rows, columns))],
+        "added under deflate": [first, _with(change, 1, ChunkKind.ADDED, encode_plain(np.zeros((20_000, columns))))],
+        "keyframe under deflate": [_with(base, 1, ChunkKind.BASE, encode_plain(np.zeros((base_rows, 54), np.int32)))],
+        "octree": [_with(first, 1, ChunkKind.GEOMETRY, _octree(rows, 18))],
+    }
+
+
+def _octree(rows: int, depth: int) -> bytes:
+    return struct.pack("<BIiiiB", 1, rows, 0, 0, 0, depth) + b"\0\0\1\0" * 40
+
+
+@pytest.mark.parametrize("name", sorted(_hostile()))
+def test_what_announces_too_much_costs_nothing(name: str, tmp_path: Path) -> None:
+    packets = _hostile()[name]
+    code, seconds = _in_little_memory(tmp_path, packets)
+    assert code == "limit_exceeded"
+    assert seconds < 0.2 + 20e-6 * len(packets[-1])
+
+
+def test_the_densest_packets_cost_in_proportion(tmp_path: Path) -> None:
+    """Rows for nothing, as many as the bytes allow: twice the bytes take about twice the time, in little memory."""
+    scene = make_scene((5, 5))
+    columns, times = 32 + 12 + 38, []
+    for rows in (20_000, 40_000):
+        content = _uncoded(rows, columns)
+        change = _with(packet(scene, grow(scene)), 1, ChunkKind.ADDED, content)
+        change = _with(change, 1, PADDING, bytes(-(-rows * columns // MAX_NUMBERS_A_BYTE) - len(content)))
+        parsed = parse(change)
+        change = build(replace(parsed, chunks=tuple(c for c in parsed.chunks if c.kind != ChunkKind.HASH)))
+        code, seconds = _in_little_memory(tmp_path, [key(scene), change])
+        assert code == "accepted"
+        assert seconds < 0.2 + 20e-6 * len(change)
+        times.append(seconds)
+    assert times[1] < 4 * times[0] + 0.1
+
+
+def test_decoded_state_is_limited_in_bytes() -> None:
+    scene = make_scene((5, 30))
+    rows, row_bytes = sum(map(len, scene.levels)), scene.levels[0].row_bytes
+    assert row_bytes == 87 + 2 * 32 + 6 * 4
+    SceneDecoder(DecoderLimits(state_bytes=rows * row_bytes)).push(key(scene))
+    with pytest.raises(BitstreamError) as refused:
+        SceneDecoder(DecoderLimits(state_bytes=rows * row_bytes - 1)).push(key(scene))
+    assert refused.value.code == "limit_exceeded"
+
+
+@pytest.mark.parametrize("profile", [0, 1])
+def test_the_encoder_pads_what_would_be_refused(profile: int) -> None:
+    """What an encoder writes is never refused for having too few bytes, however alike its rows are."""
+    packets = read_stream(FOLDER / f"valid-padding-profile{profile}.slps")
+    padded = [any(chunk.kind == PADDING for chunk in parse(data).chunks) for data in packets]
+    assert any(padded)
+    decoder = SceneDecoder()
+    for data in packets:
+        decoder.push(data)
+    bare = parse(packets[padded.index(True)])
+    bare = replace(bare, chunks=tuple(chunk for chunk in bare.chunks if chunk.kind != PADDING))
+    again = SceneDecoder()
+    for data in packets[: padded.index(True)]:
+        again.push(data)
+    with pytest.raises(BitstreamError) as refused:
+        again.push(build(bare))
+    assert refused.value.code == "limit_exceeded"
+
+
+def test_a_key_part_of_another_run_is_refused() -> None:
+    first, second = replace(small(), identifier=7), replace(small(seed=1), identifier=8)
+    decoder = SceneDecoder()
+    decoder.push(key(first))
+    for data in (packet(second, move(second)), _part(second)):
+        with pytest.raises(BitstreamError) as refused:
+            decoder.push(data)
+        assert refused.value.code == "unknown_keyframe"
+    assert decoder.scene is not None
+    assert decoder.scene.identifier == 7
+
+
+def _part(scene: Scene) -> bytes:
+    """The second level of a keyframe alone."""
+    parsed = parse(key(scene))
+    return build(replace(parsed, level_mask=2, chunks=tuple(c for c in parsed.chunks if c.level == 1)))
+
+
+@pytest.mark.parametrize("column", AnchorLevel.__slots__)
+def test_the_state_hash_sees_every_column(column: str) -> None:
+    """A decoder whose state differs in one number of any column learns it with the keyframe or the next packet."""
+    level = small().levels[1]
+    values = getattr(level, column).copy()
+    values.reshape(-1)[-1] ^= 1
+    assert replace(level, **{column: values}).digest() != level.digest()
+
+
+def test_hashes_come_with_a_keyframe_after_it_and_over_more_than_one_version() -> None:
+    scene = small()
+    second, third = move(scene), move(move(scene))
+    later = replace(third, version=30)
+
+    def hashed(data: bytes) -> bool:
+        return any(chunk.kind == ChunkKind.HASH for chunk in parse(data).chunks)
+
+    assert hashed(key(scene))
+    assert hashed(packet(scene, second))
+    assert not hashed(packet(second, third))
+    assert hashed(packet(scene, third))
+    assert hashed(packet(replace(third, version=29), later))
+
+
+def test_time_does_not_grow_with_what_is_announced() -> None:
+    """A refusal takes as long for a million rows as for ten thousand."""
+    scene = small()
+    times = []
+    for rows in (10_000, 1_000_000):
+        data = _with(packet(scene, grow(scene)), 1, ChunkKind.ADDED, _uncoded(rows, 43))
+        begin = time.process_time()
+        for _ in range(20):
+            decoder = SceneDecoder()
+            decoder.push(key(scene))
+            with pytest.raises(BitstreamError):
+                decoder.push(data)
+        times.append(time.process_time() - begin)
+    assert times[1] < 3 * times[0] + 0.1
