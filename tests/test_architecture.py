@@ -54,6 +54,7 @@ LIGHT_CLIENT = {
     "inspection",
 }
 GUARDED_UNPICKLER = "core/metrics/lpips_weights.py"  # reads arrays from published weights, refuses all else
+SAME_THING = {"Views"}  # the pictures of one instant, as core.initialise and as core.train need them
 LONGEST_FILE = 600  # aim for 120, argue for 400
 PATHS = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
@@ -200,3 +201,12 @@ def test_nothing_unpickles_or_evaluates() -> None:
 def test_files_stay_short() -> None:
     lengths = {name_of(path): len(path.read_text(encoding="utf-8").splitlines()) for path in PATHS}
     assert {name: count for name, count in lengths.items() if count > LONGEST_FILE} == {}
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for path in PATHS:
+        for node in ast.walk(parse(path)):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(name_of(path))
+    assert {name: paths for name, paths in homes.items() if len(paths) > 1 and name not in SAME_THING} == {}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from client.evaluation.measure.sizes import stream_bytes
-from client.evaluation.systems import Run, TrainedScore
+from client.evaluation.systems import SystemRun, TrainedScore
 
 # The figures of a run that tables show; means over its frames unless the name says otherwise. The rendering speed is a
 # median, so that another process of the machine spoils a few frames and not the figure.
@@ -38,7 +38,7 @@ FIGURES = (
 )
 
 
-def run_figures(run: Run) -> dict[str, Any]:
+def run_figures(run: SystemRun) -> dict[str, Any]:
     """Every figure of one run, all frames included."""
     later = [frame for frame in run.frames if frame.frame > 0]
     first = [frame for frame in run.frames if frame.frame == 0]

@@ -57,7 +57,7 @@ class CapScore:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class SystemRun:
     """All that one configuration gave with one seed.
 
     Attributes:
@@ -130,7 +130,7 @@ def run_system(
     frozen: bool = False,
     perception: Perception | None = None,
     spec: SyntheticSpec | None = None,
-) -> Run:
+) -> SystemRun:
     """Train `config` (its seed included) over the footage and measure every frame.
 
     Args:
@@ -172,7 +172,9 @@ def run_system(
         for levels in range(1, len(scene.levels) + 1)
     )
     peak = max(peak, peak_bytes())
-    return Run(config.seed, footage.training.fps, tuple(scores), caps, truth[0], drawn[0], peak, scene.anchor_count)
+    return SystemRun(
+        config.seed, footage.training.fps, tuple(scores), caps, truth[0], drawn[0], peak, scene.anchor_count
+    )
 
 
 def _trained_frames(

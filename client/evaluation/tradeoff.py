@@ -21,7 +21,7 @@ from client.evaluation.report.svg import Axis, Dot, scatter
 from client.evaluation.report.tables import number, table
 from client.evaluation.resume import as_json, earlier_report
 from client.evaluation.summary import mean, run_figures
-from client.evaluation.systems import FirstFrames, Run, run_system
+from client.evaluation.systems import FirstFrames, SystemRun, run_system
 from core.files import write_text
 
 _log = logging.getLogger(__name__)
@@ -141,7 +141,7 @@ def _known_runs(earlier: dict[str, Any]) -> dict[tuple[str, int], dict[str, Any]
     return {(_identity(point), run["seed"]): run for point in earlier.get("points", []) for run in point["runs"]}
 
 
-def _figures(run: Run) -> dict[str, Any]:
+def _figures(run: SystemRun) -> dict[str, Any]:
     figures = run_figures(run)
     figures["render_milliseconds"] = 1000 / figures["render_fps"]
     return {key: figures[key] for key in ("seed", *_MEASURED)}

@@ -25,7 +25,7 @@ class _Crowded(Exception):
     """Makes the parser stop; uvicorn answers 400 and closes."""
 
 
-class GuardedProtocol(HttpToolsProtocol):
+class LimitedProtocol(HttpToolsProtocol):
     """One HTTP connection.
 
     Attributes:
@@ -120,6 +120,6 @@ class GuardedProtocol(HttpToolsProtocol):
         self.transport.close()
 
 
-def http_class(limits: Limits, turned_away: Counter[str]) -> type[GuardedProtocol]:
+def http_class(limits: Limits, turned_away: Counter[str]) -> type[LimitedProtocol]:
     """The protocol class for uvicorn's ``http`` option."""
-    return type("GuardedProtocol", (GuardedProtocol,), {"limits": limits, "turned_away": turned_away})
+    return type("LimitedProtocol", (LimitedProtocol,), {"limits": limits, "turned_away": turned_away})
