@@ -49,10 +49,10 @@ class Playback:
         return json.dumps(message)
 
     def receive_text(self, text: str) -> list[Event]:
-        """A control message.
+        """Handle a control message.
 
         Raises:
-            SessionError: it is not one.
+            SessionError: it is malformed, or not a control message.
         """
         message = _object(text)
         kind = message["type"]
@@ -69,10 +69,10 @@ class Playback:
         return [Notice(name, fields)]
 
     def receive_packet(self, packet: bytes, now: float) -> list[Event]:
-        """A packet.
+        """Handle a packet.
 
         Args:
-            now: seconds of a clock that never goes back.
+            now: seconds of a monotonic clock.
 
         Raises:
             SessionError: a packet came before the welcome, or the decoder refuses it, because something was lost.

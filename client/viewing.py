@@ -43,7 +43,7 @@ async def record_stream(
         Number of pictures.
 
     Raises:
-        InputError: nobody answers, the viewpoint does not exist, or nothing could be recorded.
+        InputError: no server answers, the viewpoint does not exist, or nothing could be recorded.
         SessionError: the server refuses us or breaks the protocol.
     """
     take = _Take(out, viewpoint, tell)
@@ -55,7 +55,7 @@ async def record_stream(
                         event = await anext(events)
                 except (StopAsyncIteration, TimeoutError):
                     break
-                await take.hear(event)
+                await take.handle(event)
     except BaseException as error:
         take.close(error)
         raise
@@ -91,7 +91,7 @@ class _Take:
         before, after = self._path(self.count - 1), self._path(self.count)
         return bool((before.world_to_camera != after.world_to_camera).any())
 
-    async def hear(self, event: Event) -> None:
+    async def handle(self, event: Event) -> None:
         """Draw a new scene; report other events."""
         if isinstance(event, NewScene):
             await self.draw(event)

@@ -1,8 +1,8 @@
-"""The packets of one stream, from the newest back to the oldest that is retained: in memory, and on disk before that.
+"""The retained packets of one stream: the newest in memory, older ones on disk.
 
-This is where a network would come between a worker and several servers: a bus that spans machines has to offer what
-`Bus` does and nothing more: publish a packet, read a range of positions, and say what is retained. Viewers at the
-live edge do not subscribe here; the hub of their server writes to them.
+For several servers, a bus across machines would take this place. It has to offer what `Bus` does and nothing more:
+publish a packet, read a range of positions, and say what is retained. Viewers at the live edge do not read here; the
+hub of their server writes to them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class Bus:
 
     Args:
         memory_bytes: packets kept in memory.
-        recording: where everything goes as well, or None.
+        recording: where packets are also recorded, or None.
     """
 
     def __init__(self, memory_bytes: int, recording: Recording | None = None) -> None:
@@ -27,7 +27,7 @@ class Bus:
         self.recording = recording
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
-        """Add the newest packet; never waits. What is not to be recorded is lost when memory forgets it."""
+        """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""
         self.window.append(packet.without_frames())
         if self.recording is not None and record:
             self.recording.append(packet)

@@ -55,9 +55,9 @@ class ViewerSession:
         self._replay = Replay(stream.bus, self._delivery, self._levels)
         self._playhead = Playhead(hello.start)
         self._tell_levels = False
-        self._windowed_at = now
+        self._window_sent_at = now
         self._allowance = Allowance(limits.messages_per_second, now)
-        self._begun = now
+        self._began_at = now
 
     def on_control(self, message: Control) -> None:
         """Take a control message; it takes effect with the next step.
@@ -123,7 +123,7 @@ class ViewerSession:
             self._follower.leave_broadcast()
             stream.hub.listeners.discard(self._notify)
             stream.unlisten(events)
-            seconds = time.monotonic() - self._begun
+            seconds = time.monotonic() - self._began_at
             _LOG.info("stream %s: viewer %s left after %.1f s, %d bytes", stream.spec.id, self.id, seconds,
                       self._delivery.receiver.sent)  # fmt: skip
 
@@ -160,8 +160,8 @@ class ViewerSession:
             await self._delivery.event(event("levels", levels=self._follower.shown_levels, reason="requested"))
         if self._playhead.mode == "paused" or self._delivery.must_wait(now):
             return False
-        if now - self._windowed_at >= _TICK_SECONDS and self._stream.window is not None:
-            self._windowed_at = now
+        if now - self._window_sent_at >= _TICK_SECONDS and self._stream.window is not None:
+            self._window_sent_at = now
             await self._delivery.event(event("window", **self._stream.window))
         if self._playhead.mode == "live":
             return await self._follower.step(now)
