@@ -7,7 +7,6 @@ from typing import Literal
 
 LevelSelection = Literal["all", "distance"]
 Heads = Literal["shared", "separate"]
-MotionCue = Literal["difference", "previous", "canonical"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +91,7 @@ class PredictConfig:
         final_rate: both decay to this share over the frame.
         feature_step, offset_step: size of a latent quantum in feature and offset units.
         rate_weight: weight in the loss of the bits of the residual, divided by the numbers of a picture.
-        cue: whose gradient shows motion (paper: canonical).
+        cue: motion cue, a name in `core.train.motion.cues` (paper: canonical).
         posterior: of the mixture's dynamic component, from which an anchor is taken to move (paper: 0.8).
         changed_posterior: the same, from which an anchor is trained because what it shows has changed, moving or not:
             shadows, reflections, what was uncovered (paper: only what moves).
@@ -117,7 +116,7 @@ class PredictConfig:
     position_steps_per_cell: int = 32
     rate_weight: float = 0.005
     dssim_weight: float = 0.2
-    cue: MotionCue = "difference"
+    cue: str = "difference"
     posterior: float = 0.2
     changed_posterior: float = 0.05
     noise_floor: float = 0.02

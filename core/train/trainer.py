@@ -19,7 +19,7 @@ from core.scene.keyframe import as_keyframe
 from core.scene.residual import apply
 from core.train.config import PredictConfig, TrainConfig
 from core.train.control.frame_budget import FrameBudget, Pace, StepPace
-from core.train.control.rate_control import RateControl
+from core.train.control.rate_control import RateControl, RatePlan
 from core.train.field.convert import scene_of
 from core.train.field.exposure import fitted, neutral
 from core.train.field.field import Field
@@ -27,8 +27,9 @@ from core.train.field.rendered import rendered
 from core.train.field.rounding import Precision
 from core.train.keyframe.seeding import seed_field
 from core.train.keyframe.trainer import KeyframeTrainer
-from core.train.motion.drift import drifting
-from core.train.motion.partition import Parts, change_masks, partition
+from core.train.motion.cues import MotionCue, cue_of
+from core.train.motion.partition import Observation, Partition, change_masks
+from core.train.motion.steady import moves_steadily
 from core.train.pictures.uploading import Uploader
 from core.train.pictures.views import Views
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
@@ -217,8 +218,8 @@ class Trainer:
         state, watch, views = self._require(), Stopwatch(self._clock), self._views(frames)
         if self._budget is not None:
             self._budget.start()
-        plan = None if self._rate is None else self._rate.plan()
-        config = self._config.predict if plan is None else plan.applied(self._config.predict)
+        plan, config = self._planned()
+        cue = cue_of(config)
         with watch.stage("compare"):
             state, unknown = self._with_pictures(state, views)
             references, shown = state.references, state.shown
@@ -226,26 +227,26 @@ class Trainer:
             assert shown is not None
             masks = change_masks(references, views, config.noise_floor)
         with watch.stage("partition"):
-            parts, renewed = self._parts(state, frames, views, masks, config)
-        rows = torch.from_numpy(np.flatnonzero(parts.trained)).to(self._device)
+            partition, renewed = self._partition(cue, state, frames, views, masks)
+        rows = torch.from_numpy(np.flatnonzero(partition.trained)).to(self._device)
         quanta, trainer = no_quanta(0), None
         if len(rows):
             with watch.stage("train"):
-                useful = _by_news(views, references, masks, config)
-                trainer = ResidualTrainer(state, parts, views, self._exposure, useful, config.memory)
+                useful = _by_change(views, references, masks) if cue.only_changed_views else views.usable
+                trainer = ResidualTrainer(state, partition, views, self._exposure, useful, config.memory)
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
             if plan is not None:
-                assert parts.dynamic is not None
-                quanta = strongest_changes(quanta, plan.most_anchors, parts.dynamic[parts.trained])
+                assert partition.dynamic is not None
+                quanta = strongest_changes(quanta, plan.most_anchors, partition.dynamic[partition.trained])
             # what had no time or no bytes counts as changed again, and goes on where it ended
             done = quanta.complete and (plan is None or not plan.strained)
             residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
             scene = apply(state.scene, residual)
             before = quanta.sent * 0 if state.change is None else state.change[rows].cpu().numpy()
             start = quanta.continued(config.continuation, before, done=done)
-            after = state.after(residual, scene, parts, rows, quanta.sent, start)
+            after = state.after(residual, scene, partition, rows, quanta.sent, start)
         with watch.stage("settle"):
             if trainer is not None:
                 alive = after.alive
@@ -263,7 +264,7 @@ class Trainer:
             with watch.stage("renew"):
                 self._upcoming.train(state, self._state, views, self._exposure)
         self._learn_costs(watch.seconds)
-        moving = len(rows) if parts.dynamic is None else int(parts.dynamic.sum())
+        moving = len(rows) if partition.dynamic is None else int(partition.dynamic.sum())
         report = FrameReport(
             watch.seconds,
             quanta.steps,
@@ -274,7 +275,7 @@ class Trainer:
             tuple(watch.spans),
             changed=len(rows) - moving,
         )
-        return TrainedFrame(scene, residual, report, parts.dynamic)
+        return TrainedFrame(scene, residual, report, partition.dynamic)
 
     def sent(self, frame: TrainedFrame, size_bytes: int, seconds: float = 0.0) -> None:
         """Learn what `frame` took as a packet; the frame budget and the rate control go by it.
@@ -299,20 +300,34 @@ class Trainer:
     def _pace(self, steps: int) -> Pace:
         return StepPace(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
 
-    def _parts(
-        self, state: State, frames: FrameSet, views: Views, masks: Tensor, config: PredictConfig
-    ) -> tuple[Parts, bool]:
+    def _planned(self) -> tuple[RatePlan | None, PredictConfig]:
+        """What the next frame may spend, None for any, and its configuration under that plan."""
+        plan = None if self._rate is None else self._rate.plan()
+        return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
+
+    def _partition(
+        self, cue: MotionCue, state: State, frames: FrameSet, views: Views, masks: Tensor
+    ) -> tuple[Partition, bool]:
         """What to train, and whether that was found anew: where it is due and there is time; as before otherwise."""
         alive = state.alive
-        known = state.parts.among(alive.cpu().numpy())
+        previous = state.partition.among(alive.cpu().numpy())
         late = self._budget is not None and not self._budget.allows("partition", *_AFTER_TRAINING)
-        if late or (frames.index % config.partition_interval and known.trained.any()):
-            return known, False
-        field = state.canonical if config.cue == "canonical" else state.field
+        if late or (frames.index % self._config.predict.partition_interval and previous.trained.any()):
+            return previous, False
         assert state.references is not None
-        moves = drifting(state.motion if self._label else None, state.field.position, self._cameras)
-        pictures = (state.references, views, masks)
-        return partition(field, alive, *pictures, known, moves, config, self._backend, label=self._label), True
+        seen = Observation(
+            field=state.field,
+            canonical=state.canonical,
+            alive=alive,
+            views=views,
+            references=state.references,
+            masks=masks,
+            previous=previous,
+            steady=moves_steadily(state.motion if self._label else None, state.field.position, self._cameras),
+            backend=self._backend,
+            label=self._label,
+        )
+        return cue.partition(seen), True
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()
@@ -378,10 +393,8 @@ def _moved_on(references: Tensor, before: Tensor | None, shown: Tensor) -> Tenso
     return _where_known(torch.where(missing.isnan(), shown, shown + missing), references)
 
 
-def _by_news(views: Views, references: Tensor, masks: Tensor, config: PredictConfig) -> list[int]:
-    """Cameras to train on, those that see most change first; one that sees none has nothing to teach."""
-    if config.everything or config.cue != "difference":
-        return views.usable
-    news = ((views.targets - references).nan_to_num().square().mean(dim=3) * masks).sum(dim=(1, 2))
-    order = torch.argsort(news, descending=True, stable=True).tolist()
+def _by_change(views: Views, references: Tensor, masks: Tensor) -> list[int]:
+    """Usable cameras in which pixels of `masks` [C,H,W] changed, those that see most change first."""
+    change = ((views.targets - references).nan_to_num().square().mean(dim=3) * masks).sum(dim=(1, 2))
+    order = torch.argsort(change, descending=True, stable=True).tolist()
     return [number for number in order if number in views.usable and masks[number].any()]

@@ -14,8 +14,8 @@ from core.scene.expand import anchor_positions, dequantise
 from core.scene.residual import Residual
 from core.train.field.convert import field_of, level_starts
 from core.train.field.field import Field
-from core.train.motion.drift import mean_motion
-from core.train.motion.partition import Parts, no_parts
+from core.train.motion.partition import Partition, all_static
+from core.train.motion.steady import mean_motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +27,7 @@ class State:
         canonical: the keyframe's field, for the paper's motion cue.
         references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
-        parts: what the latest frame trained.
+        partition: what the latest frame trained.
         change: [N,27] of the latest frame, latents and positions in quanta; None for zeros.
         start: [N,27] likewise, where training of the next frame begins.
         motion: [N,3] world units a frame, mean over the latest frames; None for none.
@@ -38,7 +38,7 @@ class State:
     canonical: Field
     references: Tensor | None
     shown: Tensor | None
-    parts: Parts
+    partition: Partition
     change: Tensor | None = None
     start: Tensor | None = None
     motion: Tensor | None = None
@@ -58,7 +58,7 @@ class State:
         return all(torch.equal(getattr(self.field, name), getattr(self.canonical, name)) for name in names)
 
     def after(
-        self, residual: Residual, scene: Scene, parts: Parts, rows: Tensor, change: Float32, start: Float32
+        self, residual: Residual, scene: Scene, partition: Partition, rows: Tensor, change: Float32, start: Float32
     ) -> State:
         """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
 
@@ -66,7 +66,7 @@ class State:
             rows: [n] trained rows, with their `change` [n,27] and where to `start` [n,27] in the next frame.
         """
         if any(len(part.added) for part in residual.levels):
-            return self._relaid(residual, scene, parts)
+            return self._relaid(residual, scene, partition)
         field, starts = self.field, level_starts(scene)
         device = field.feature.device
         feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
@@ -82,9 +82,11 @@ class State:
         field = replace(field, feature=feature, offset=offset, position=position)
         changes, starts_at = torch.zeros(2, len(field), start.shape[1], device=device)
         changes[rows], starts_at[rows] = torch.from_numpy(change).to(device), torch.from_numpy(start).to(device)
-        return replace(self, scene=scene, field=field, parts=parts, change=changes, start=starts_at, motion=motion)
+        return replace(
+            self, scene=scene, field=field, partition=partition, change=changes, start=starts_at, motion=motion
+        )
 
-    def _relaid(self, residual: Residual, scene: Scene, parts: Parts) -> State:
+    def _relaid(self, residual: Residual, scene: Scene, partition: Partition) -> State:
         """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
         device = str(self.field.feature.device)
         before, origins = level_starts(self.scene), []
@@ -95,7 +97,7 @@ class State:
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         canonical = self.canonical.with_rows(known).with_values(new, field)
-        laid = replace(self, scene=scene, field=field, canonical=canonical, parts=parts.relaid(origin))
+        laid = replace(self, scene=scene, field=field, canonical=canonical, partition=partition.reordered(origin))
         return replace(laid, change=None, start=None, motion=None)
 
 
@@ -109,4 +111,4 @@ def fresh_state(
 ) -> State:
     """The state of a keyframe; `by_distance` as in `Field`."""
     field = replace(field_of(scene).to(device), by_distance=by_distance)
-    return State(scene, field, field, references, shown, no_parts(len(field)))
+    return State(scene, field, field, references, shown, all_static(len(field)))

@@ -24,7 +24,7 @@ from core.train.field.field import Field
 from core.train.field.rounding import dead_zone
 from core.train.growth.new_anchors import added_levels, newcomers, strongest
 from core.train.growth.rule import GrowthStatistics, grow
-from core.train.motion.partition import Parts
+from core.train.motion.partition import Partition
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.convergence import Epochs
 from core.train.optimise.losses import photometric_loss
@@ -45,7 +45,7 @@ class ResidualTrainer:
 
     Args:
         state: the state before.
-        parts: which anchors to train.
+        partition: which anchors to train.
         views: pictures of the instant.
         exposure: of the cameras.
         useful: cameras to train on, the most important first.
@@ -55,14 +55,14 @@ class ResidualTrainer:
     def __init__(
         self,
         state: State,
-        parts: Parts,
+        partition: Partition,
         views: Views,
         exposure: Exposure,
         useful: list[int],
         memory: float = 0.9,
     ) -> None:
         scene, field = state.scene, state.field
-        trained = torch.from_numpy(parts.trained).to(field.feature.device)
+        trained = torch.from_numpy(partition.trained).to(field.feature.device)
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
         self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
         self._known, self._useful = len(rows), useful

@@ -12,7 +12,7 @@ from core.camera import look_at, pinhole
 from core.train.field.field import Field, visible_levels
 from core.train.field.rendered import rendered
 from core.train.motion.coverage import coverage
-from core.train.motion.partition import tiles_of
+from core.train.motion.scores import tiles_of
 from core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 

@@ -24,7 +24,7 @@ from core.train.config import PredictConfig
 from core.train.field.convert import scene_of
 from core.train.field.exposure import neutral
 from core.train.keyframe.trainer import Views
-from core.train.motion.partition import Parts
+from core.train.motion.partition import Partition
 from core.train.optimise.schedule import ViewOrder
 from core.train.residual.state import State, fresh_state
 from core.train.residual.trainer import ResidualTrainer
@@ -96,7 +96,7 @@ def prepared(view_dependent: bool) -> ResidualTrainer:
     state: State = fresh_state(scene_of(field, PredictConfig(), (camera,), 30.0, 0), "cpu")
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
-    trainer = ResidualTrainer(state, Parts(None, some), views, neutral(1), [0])
+    trainer = ResidualTrainer(state, Partition(None, some), views, neutral(1), [0])
     trainer._stages[0] = trainer._stage(0, trainer._dynamic_splats(0), "cuda")
     return trainer
 

@@ -1,8 +1,8 @@
-"""Which anchors training keeps moving.
+"""Which anchors move steadily.
 
 Something slow or smooth changes few pixels from one picture to the next, but training moves its anchors the same way
-frame after frame, while those that only change their looks tremble in place. So the mean of an anchor's latest motions
-tells more than one frame's pictures do.
+frame after frame, while anchors that only look different tremble in place. So the mean of an anchor's latest motions
+says more than one frame's pictures do.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from torch import Tensor
 from core.arrays import Bool
 from core.camera import Camera
 
-_LATEST = 0.1  # share of the latest motion in the mean
+_LATEST = 0.1  # weight of the latest motion in the mean
 _PIXELS = 1 / 20  # a frame, in the camera that sees most of it
 
 
 def mean_motion(before: Tensor | None, motion: Tensor) -> Tensor:
-    """[N,3] world units a frame: the mean that a frame before left, None for no motion, with the latest `motion`."""
+    """[N,3] running mean in world units a frame, of the mean `before` (None at first) and the latest `motion`."""
     return _LATEST * motion if before is None else torch.lerp(before, motion, _LATEST)
 
 
-def drifting(motion: Tensor | None, positions: Tensor, cameras: Sequence[Camera]) -> Bool:
-    """[N] whose mean motion [N,3] at `positions` [N,3] is a twentieth of a pixel a frame, or more, to some camera."""
+def moves_steadily(motion: Tensor | None, positions: Tensor, cameras: Sequence[Camera]) -> Bool:
+    """[N] bool: whose mean `motion` [N,3] at `positions` [N,3] is a twentieth of a pixel a frame to any camera."""
     if motion is None:
         return np.zeros(len(positions), np.bool_)
     most = torch.zeros(len(positions), device=positions.device)

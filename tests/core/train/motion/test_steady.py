@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from core.synthetic import SyntheticSpec, cameras
-from core.train.motion.drift import drifting, mean_motion
+from core.train.motion.steady import mean_motion, moves_steadily
 
 RIG = cameras(SyntheticSpec(cameras=3, width=240, height=136))
 
@@ -31,20 +31,20 @@ def test_what_moves_steadily_is_told_from_what_trembles() -> None:
         step[2, 2] = 0.04 * width[2]
         motion = mean_motion(motion, step)
         if frame == 0:
-            assert not drifting(motion, positions, RIG).any()  # a single step is no habit
-    assert drifting(motion, positions, RIG).tolist() == [True, False, False, False]
+            assert not moves_steadily(motion, positions, RIG).any()  # a single step is no habit
+    assert moves_steadily(motion, positions, RIG).tolist() == [True, False, False, False]
 
 
 def test_one_large_step_counts_until_it_is_forgotten() -> None:
     positions = torch.tensor([[0.0, 1.0, 0.0]])
     motion = mean_motion(None, torch.tensor([[2.0, 0.0, 0.0]]) * pixel(positions))
     frames = 0
-    while drifting(motion, positions, RIG).all():
+    while moves_steadily(motion, positions, RIG).all():
         motion, frames = mean_motion(motion, torch.zeros(1, 3)), frames + 1
     assert 13 <= frames <= 15  # 0.2 pixels to a twentieth: 0.9^14 is 0.23
 
 
 def test_nothing_known_is_no_motion() -> None:
-    assert drifting(None, torch.zeros(5, 3), RIG).tolist() == [False] * 5
+    assert moves_steadily(None, torch.zeros(5, 3), RIG).tolist() == [False] * 5
     far = torch.from_numpy(RIG[0].centre).float()[None]  # at a camera's very centre
-    assert drifting(torch.zeros(1, 3), far, RIG).tolist() == [False]
+    assert moves_steadily(torch.zeros(1, 3), far, RIG).tolist() == [False]

@@ -1,0 +1,155 @@
+"""Motion cues: rules that say which anchors a frame trains (paper section IV-B), by name.
+
+To add one, write a frozen dataclass with a `partition` method here and name it in `CUES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Bool
+from core.errors import InputError
+from core.train.config import PredictConfig
+from core.train.motion.masks import dynamic_anchors, moved_pixels
+from core.train.motion.partition import Observation, Partition, all_static
+from core.train.motion.scores import change_scores, error_scores, shown_shares
+
+_HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
+_SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion
+_SHOWS = 0.1  # share of moved pixels from which an anchor that moves steadily is taken to move
+_MOST_CHANGED = 0.5  # share of changed pixels above which nothing stands still for the mixture to separate
+
+
+class MotionCue(Protocol):
+    """Decides which anchors a frame trains."""
+
+    @property
+    def only_changed_views(self) -> bool:
+        """Whether cameras in which no pixel changed are left out of the frame's training."""
+
+    def partition(self, seen: Observation) -> Partition:
+        """The partition of the anchors that `seen` shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Gradient of the new pictures' error less that of the reference pictures', on changed pixels only (our default).
+
+    Attributes:
+        posterior: of the mixture's dynamic component, from which an anchor is taken to move.
+        changed_posterior: the same, from which it is trained because it looks different.
+        noise_floor: smallest change of grey value that counts, in units of [0, 1].
+    """
+
+    posterior: float
+    changed_posterior: float
+    noise_floor: float
+
+    @property
+    def only_changed_views(self) -> bool:
+        """As `MotionCue.only_changed_views`."""
+        return True
+
+    def partition(self, seen: Observation) -> Partition:
+        """As `MotionCue.partition`."""
+        if not seen.masks.any():
+            return all_static(len(seen.field))
+        rows, lowest = torch.nonzero(seen.alive)[:, 0], self.changed_posterior
+        scores = change_scores(seen, rows, rows[:0], seen.masks)
+        changed = dynamic_anchors(scores, seen.previous.trained, lowest, lowest * _HYSTERESIS)
+        if seen.masks[seen.views.usable].float().mean() > _MOST_CHANGED:
+            changed = scores > 0
+        if not changed.any():
+            return all_static(len(seen.field))
+        return Partition(self._moving(seen, changed) if seen.label else None, changed)
+
+    def _moving(self, seen: Observation, changed: Bool) -> Bool:
+        """[N] which of the anchors `changed` [N] move.
+
+        They explain changes that no light does and show little else, or show some of them and move steadily.
+        """
+        moved = self._moved_pixels(seen)
+        chosen = torch.from_numpy(changed).to(seen.alive.device)
+        rows, others = torch.nonzero(chosen)[:, 0], torch.nonzero(seen.alive & ~chosen)[:, 0]
+        scores = change_scores(seen, rows, others, moved)
+        shares = shown_shares(seen, rows, others, moved)
+        previous = np.zeros(len(seen.field), np.bool_) if seen.previous.dynamic is None else seen.previous.dynamic
+        explained = scores * shares**_SHARE_POWER
+        moving = dynamic_anchors(explained, previous, self.posterior, self.posterior * _HYSTERESIS)
+        return moving | (changed & seen.steady & (shares >= _SHOWS))
+
+    def _moved_pixels(self, seen: Observation) -> Tensor:
+        """[C,H,W] bool: changed pixels that no change of light explains."""
+        moved = torch.zeros_like(seen.masks)
+        for number in seen.views.usable:
+            if seen.masks[number].any():
+                pictures = seen.references[number].cpu().numpy(), seen.views.targets[number].cpu().numpy()
+                moved[number] = torch.from_numpy(moved_pixels(*pictures, self.noise_floor)).to(moved.device)
+        return moved & seen.masks
+
+
+@dataclass(frozen=True, slots=True)
+class RenderingError:
+    """Gradient of the error between a rendering and the new pictures; all that is trained is taken to move.
+
+    Attributes:
+        posterior: of the mixture's dynamic component, from which an anchor is dynamic.
+        of_keyframe: render the keyframe's state, as the paper does (its cue, `canonical`), not the latest (`previous`).
+    """
+
+    posterior: float
+    of_keyframe: bool
+
+    @property
+    def only_changed_views(self) -> bool:
+        """As `MotionCue.only_changed_views`."""
+        return False
+
+    def partition(self, seen: Observation) -> Partition:
+        """As `MotionCue.partition`."""
+        if not seen.masks.any():  # where no pixel changed, the error is static
+            return all_static(len(seen.field))
+        scores = error_scores(seen.canonical if self.of_keyframe else seen.field, seen)
+        dynamic = dynamic_anchors(scores, seen.previous.trained, self.posterior, self.posterior * _HYSTERESIS)
+        return Partition(dynamic, dynamic)
+
+
+@dataclass(frozen=True, slots=True)
+class Everything:
+    """Every living anchor is dynamic in every frame, changed or not: a bound for studies."""
+
+    @property
+    def only_changed_views(self) -> bool:
+        """As `MotionCue.only_changed_views`."""
+        return False
+
+    def partition(self, seen: Observation) -> Partition:
+        """As `MotionCue.partition`."""
+        alive = np.asarray(seen.alive.cpu().numpy())
+        return Partition(alive, alive)
+
+
+CUES: dict[str, Callable[[PredictConfig], MotionCue]] = {
+    "difference": lambda config: Difference(config.posterior, config.changed_posterior, config.noise_floor),
+    "previous": lambda config: RenderingError(config.posterior, of_keyframe=False),
+    "canonical": lambda config: RenderingError(config.posterior, of_keyframe=True),
+}
+
+
+def cue_of(config: PredictConfig) -> MotionCue:
+    """The cue that a configuration names.
+
+    Raises:
+        InputError: no cue has that name.
+    """
+    if config.everything:
+        return Everything()
+    if config.cue not in CUES:
+        raise InputError(f"motion cue {config.cue!r}", f"unknown; choose one of {', '.join(CUES)}")
+    return CUES[config.cue](config)

@@ -1,0 +1,113 @@
+"""Scores of change for anchors, from gradients and blending weights (paper section IV-B, equations 6 and 7)."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from core.arrays import Float64
+from core.render.backends import Backend
+from core.render.differentiable import rasterise
+from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
+from core.train.field.decode import Splats
+from core.train.field.field import Field
+from core.train.motion.coverage import coverage
+from core.train.motion.partition import Observation
+from core.train.pictures.views import Views
+
+
+def error_scores(field: Field, seen: Observation) -> Float64:
+    """[N] mean norm of the view-space gradient of the squared error between `field` as drawn and the new pictures.
+
+    The mean is over an anchor's visible Gaussians and the views that see it. Static error counts like motion.
+    """
+    rows = torch.nonzero(seen.alive)[:, 0]
+    mean = _GradientMean(field, rows, rows[:0])
+    for number in seen.views.usable:
+        mean.add(number, seen.views, None, None, seen.backend)
+    return mean.value()
+
+
+def change_scores(seen: Observation, rows: Tensor, others: Tensor, masks: Tensor) -> Float64:
+    """[N] as `error_scores`, of MSE(new picture) - MSE(reference picture) over the pixels of `masks` [C,H,W].
+
+    The difference cancels the static error and is linear in the render (QUEEN). 0 but for `rows`; `others` are only
+    drawn.
+    """
+    mean = _GradientMean(seen.field, rows, others)
+    for number in seen.views.usable:
+        if masks[number].any():
+            mean.add(number, seen.views, seen.references[number], masks[number], seen.backend)
+    return mean.value()
+
+
+def shown_shares(seen: Observation, rows: Tensor, others: Tensor, masks: Tensor) -> Float64:
+    """[N] share of what an anchor shows that lies on `masks` [C,H,W], over the views in which any pixel does.
+
+    0 but for `rows`; `others` are only drawn.
+    """
+    inside, total = torch.zeros(len(rows), device=rows.device), torch.zeros(len(rows), device=rows.device)
+    for number in seen.views.usable:
+        mask = masks[number]
+        if not mask.any():
+            continue
+        maps = torch.stack([torch.ones_like(mask), mask], dim=2).float()
+        camera, tiles = seen.views.cameras[number], tiles_of(mask, room=1)
+        sums = coverage(seen.field, rows, others, camera, maps, seen.backend, tiles)
+        total += sums[:, 0]
+        inside += sums[:, 1]
+    shares = np.zeros(len(seen.field))
+    shares[rows.cpu().numpy()] = (inside / total.clamp_min(1e-6)).double().cpu().numpy()
+    return shares
+
+
+def tiles_of(mask: Tensor, room: int = 0) -> Tensor:
+    """[tiles_y,tiles_x] bool: tiles that hold a pixel of `mask` [H,W], and `room` more on every side."""
+    height, width = mask.shape
+    rows, columns = tile_grid(width, height)
+    padding = (0, columns * TILE_WIDTH - width, 0, rows * TILE_HEIGHT - height)
+    padded = functional.pad(mask.float(), padding)[None, None]
+    tiles = functional.max_pool2d(padded, (TILE_HEIGHT, TILE_WIDTH))
+    if room:
+        tiles = functional.max_pool2d(tiles, 2 * room + 1, stride=1, padding=room)
+    return tiles[0, 0] > 0
+
+
+class _GradientMean:
+    """View-space gradient norms of the anchors, averaged over Gaussians and views."""
+
+    def __init__(self, field: Field, rows: Tensor, others: Tensor) -> None:
+        self._field, self._rows, self._wanted = field, torch.cat([rows, others]), len(rows)
+        self._total, self._views_seen = np.zeros(len(field)), np.zeros(len(field))
+        self._splats: Splats | None = None
+
+    def add(self, number: int, views: Views, base: Tensor | None, mask: Tensor | None, backend: Backend) -> None:
+        """One view. `base` [H,W,3] stands in for the render in the error's derivative; `mask` [H,W] limits it."""
+        field, rows, camera = self._field, self._rows, views.cameras[number]
+        if self._splats is None or field.view_dependent:
+            with torch.no_grad():
+                self._splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
+        splats = self._splats
+        raster = rasterise(
+            splats.means.detach().requires_grad_(),
+            *splats.astuple()[1:],
+            camera=camera,
+            background=torch.zeros(3, device=rows.device),
+            gradient_rows=self._wanted * field.slots,
+            tile_mask=None if mask is None else tiles_of(mask),
+            backend=backend,
+        )
+        shown = raster.image.detach() if base is None else base
+        gradient = 2 * (shown - views.targets[number]) / shown.numel()
+        raster.image.backward(gradient if mask is None else gradient * mask[..., None])  # type: ignore[no-untyped-call]
+        anchors = rows[raster.probe.visible // field.slots].cpu().numpy()
+        norms = raster.probe.gradients.norm(dim=1).double().cpu().numpy()
+        count = np.bincount(anchors, minlength=len(field))
+        self._total += np.bincount(anchors, norms, minlength=len(field)) / np.maximum(count, 1)
+        self._views_seen += count > 0
+
+    def value(self) -> Float64:
+        """[N] mean over the views that see an anchor."""
+        return np.asarray(self._total / np.maximum(self._views_seen, 1))
