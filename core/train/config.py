@@ -63,6 +63,8 @@ class KeyframeConfig:
     progressive_until: float = 0.0  # levels unlock until this fraction of the run; 0: all from the start
     level_cap_share: float = 0.15  # share of steps that draw only levels up to a random one
     level_cap_weight: float = 0.2  # of their loss: large gradients of coarse pictures slow Adam down for the whole one
+    optimiser: str = "adam"  # a name in `core.train.optimise.optimisers`
+    growth_rule: str = "gradient"  # a name in `core.train.growth.rules`
     growth_interval: int = 50
     growth_from: float = 0.05
     growth_until: float = 0.65
@@ -85,6 +87,7 @@ class PredictConfig:
         least_gain: where an epoch gains less than this share of what epochs did on average before, the frame moves on
             faster (paper: 0).
         latent_rate, position_rate: Adam rates in quanta.
+        optimiser: a name in `core.train.optimise.optimisers`.
         memory: Adam's beta_1 (usual: 0.9). A few dozen steps are too few for a long one.
         continuation: share of the latest change that an anchor's training begins with, where the one before it pointed
             the same way (paper: 0): what moves mostly goes on.
@@ -97,6 +100,7 @@ class PredictConfig:
             shadows, reflections, what was uncovered (paper: only what moves).
         noise_floor: smallest change of grey value, in units of [0, 1], that counts as motion.
         partition_interval: frames between partitions (paper's star variant: 4).
+        growth_rule: a name in `core.train.growth.rules`.
         growth_at: share of the frame's steps after which anchors are added where Gaussians pull hard.
         growth_threshold: view-space gradient norm from which that happens.
         growth_share: added anchors a frame, at most this share of all; 0 adds none, which measured best.
@@ -108,6 +112,7 @@ class PredictConfig:
     least_gain: float = 0.3
     latent_rate: float = 0.3
     position_rate: float = 1.4
+    optimiser: str = "adam"
     memory: float = 0.6
     continuation: float = 0.9
     final_rate: float = 0.1
@@ -121,6 +126,7 @@ class PredictConfig:
     changed_posterior: float = 0.05
     noise_floor: float = 0.02
     partition_interval: int = 1
+    growth_rule: str = "gradient"
     growth_at: float = 0.3
     growth_threshold: float = 1e-4
     growth_share: float = 0.0

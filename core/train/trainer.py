@@ -30,6 +30,8 @@ from core.train.keyframe.trainer import KeyframeTrainer
 from core.train.motion.cues import MotionCue, cue_of
 from core.train.motion.partition import Observation, Partition, change_masks
 from core.train.motion.steady import moves_steadily
+from core.train.optimise.loop import run_steps
+from core.train.optimise.optimisers import optimiser
 from core.train.pictures.uploading import Uploader
 from core.train.pictures.views import Views
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
@@ -113,13 +115,8 @@ class Trainer:
         def preview() -> Scene:
             return self._scene_of(trainer.field, frames.index, trainer.precision)
 
-        losses = list[Tensor]()
         with watch.stage("train"):
-            while trainer.progress < 1:
-                losses.append(trainer.step())
-                if on_progress is not None and len(losses) % _REPORT_EVERY == 0:
-                    mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
-                    on_progress(Progress("first frame", trainer.progress, mean, len(trainer.field), preview))
+            losses = _run(trainer, "first frame", on_progress, preview)
         with watch.stage("round"):
             scene = preview()
             self._exposure = trainer.exposure
@@ -166,16 +163,12 @@ class Trainer:
             count = scene.anchor_count
             report = FrameReport(watch.seconds, successor.taken, count, count, 0.0, spans=tuple(watch.spans))
             return TrainedFrame(scene, None, report)
-        views, losses = self._views(frames), list[Tensor]()
+        views = self._views(frames)
         with watch.stage("renew"):
             field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
             config = renewal_config(self._config, field, state.scene.version)
             trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure)
-            while trainer.progress < 1:
-                losses.append(trainer.step())
-                if on_progress is not None and len(losses) % _REPORT_EVERY == 0:
-                    mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
-                    on_progress(Progress("keyframe", trainer.progress, mean, len(trainer.field)))
+            losses = _run(trainer, "keyframe", on_progress)
             scene = self._scene_of(trainer.field, state.scene.version, trainer.precision)
             self._exposure = trainer.exposure
             references = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
@@ -233,7 +226,9 @@ class Trainer:
         if len(rows):
             with watch.stage("train"):
                 useful = _by_change(views, references, masks) if cue.only_changed_views else views.usable
-                trainer = ResidualTrainer(state, partition, views, self._exposure, useful, config.memory)
+                trainer = ResidualTrainer(
+                    state, partition, views, self._exposure, useful, optimiser(config.optimiser, config.memory)
+                )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 quanta = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
@@ -374,6 +369,22 @@ class Trainer:
         if self._state is None:
             raise ModelError("there is no state to go on from: train a keyframe or resume a scene first")
         return self._state
+
+
+def _run(
+    trainer: KeyframeTrainer,
+    stage: str,
+    on_progress: ProgressCallback | None,
+    preview: Callable[[], Scene] | None = None,
+) -> list[Tensor]:
+    """Train to the end, telling `on_progress` now and then; returns the losses."""
+
+    def tell(losses: list[Tensor]) -> None:
+        if on_progress is not None and len(losses) % _REPORT_EVERY == 0:
+            mean = float(torch.stack(losses[-_REPORT_EVERY:]).mean())
+            on_progress(Progress(stage, trainer.progress, mean, len(trainer.field), preview))
+
+    return run_steps(trainer.step, lambda _: trainer.progress, tell)
 
 
 def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:

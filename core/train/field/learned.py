@@ -11,7 +11,7 @@ from core.train.field.decode import Network
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.field.heads import separate_heads
-from core.train.optimise.adam import RowAdam
+from core.train.optimise.optimisers import Optimiser
 
 ROW_PARAMETERS = ("feature", "offset", "scaling")
 _GRID = ("level", "voxel", "extra_level", "position")
@@ -25,9 +25,10 @@ class LearnedField:
         start: first anchors.
         separate: keep the output weights zero between the parts of `core.train.field.heads`.
         exposure: gains and offsets that learn along, None for none.
+        optimiser: of all that learns.
     """
 
-    def __init__(self, start: Field, exposure: Exposure | None, *, separate: bool) -> None:
+    def __init__(self, start: Field, exposure: Exposure | None, optimiser: Optimiser, *, separate: bool) -> None:
         rows = {name: getattr(start, name).clone().requires_grad_() for name in ROW_PARAMETERS}
         network = {name: getattr(start.network, name).clone().requires_grad_() for name in NETWORK_PARAMETERS}
         if separate:
@@ -36,7 +37,7 @@ class LearnedField:
         light = {}
         if exposure is not None:
             light = {"gain": exposure.gain.requires_grad_(), "exposure_offset": exposure.offset.requires_grad_()}
-        self._optimiser = RowAdam({**rows, **network, **light})
+        self._optimiser = optimiser.start({**rows, **network, **light})
         self._grid = start
         self._mean: dict[str, Tensor] = {}
         self._averaged = 0

@@ -1,4 +1,4 @@
-"""Anchors that come in during a later frame: chosen, started, and put into integers (paper section V-A, refinement)."""
+"""New anchors: which of them, their first values, and the integers that are sent (paper section V-A, refinement)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from core.scene.anchors import AnchorLevel, SceneHeader
 from core.train.field.field import Field
 from core.train.growth.rule import NewAnchors
 
-_SPREAD = 0.3  # of first offsets, in multiples of the cell: equal ones would never part
+_SPREAD = 0.3  # of first offsets, in multiples of the cell: equal Gaussians would stay equal
 
 
 def strongest(new: NewAnchors, pull: Tensor, limit: int) -> NewAnchors:
@@ -23,29 +23,35 @@ def strongest(new: NewAnchors, pull: Tensor, limit: int) -> NewAnchors:
     return NewAnchors(new.voxel[order], new.level[order], new.parent[order])
 
 
-def newcomers(base: Field, parents: Field, new: NewAnchors, header: SceneHeader) -> Field:
-    """`base` with `new` appended; they start with their parents' present features, on the grids of `header`.
-
-    Args:
-        base: the dynamic anchors, without residuals.
-        parents: the same rows with residuals.
-    """
-    device = base.feature.device
-    parent, level = torch.from_numpy(new.parent).to(device), torch.from_numpy(new.level).to(device)
-    voxel = torch.from_numpy(new.voxel).to(device)
-    cell = base.octree.root_cell / 2.0 ** level.double()
-    generator = torch.Generator().manual_seed(len(base))
-    offset = _SPREAD * torch.randn(len(new), base.slots, 3, generator=generator)
-    first = {
+def first_values(parents: Field, new: NewAnchors, generator: torch.Generator) -> dict[str, Tensor]:
+    """The seven arrays of `new` anchors: on their nodes, as wide as their cells, with their parents' features."""
+    device = parents.feature.device
+    level, voxel = torch.from_numpy(new.level).to(device), torch.from_numpy(new.voxel).to(device)
+    cell = parents.octree.root_cell / 2.0 ** level.double()
+    offset = torch.randn(len(new), parents.slots, 3, generator=generator, device=generator.device)
+    return {
         "level": level,
         "voxel": voxel,
         "extra_level": torch.zeros(len(new), device=device),
-        "position": (torch.from_numpy(base.octree.origin).to(device) + voxel * cell[:, None]).float(),
-        "feature": _on_grid(parents.feature[parent], header.feature_steps),
-        "offset": _on_grid(offset.reshape(len(new), -1).to(device), header.offset_steps).reshape(offset.shape),
-        "scaling": _on_grid(cell.log().float()[:, None].repeat(1, 6), header.scaling_steps),
+        "position": (torch.from_numpy(parents.octree.origin).to(device) + voxel * cell[:, None]).float(),
+        "feature": parents.feature[torch.from_numpy(new.parent).to(device)],
+        "offset": _SPREAD * offset.to(device),
+        "scaling": cell.log().float()[:, None].repeat(1, 6),
     }
-    return base.with_appended(first)
+
+
+def with_new_anchors(base: Field, parents: Field, new: NewAnchors, header: SceneHeader) -> Field:
+    """`base` with `new` appended, their first values rounded to the steps of `header`.
+
+    Args:
+        base: the dynamic anchors, without residuals.
+        parents: the same rows with residuals, whose features the new anchors start with.
+    """
+    values = first_values(parents, new, torch.Generator().manual_seed(len(base)))
+    values["feature"] = _on_grid(values["feature"], header.feature_steps)
+    values["offset"] = _on_grid(values["offset"].flatten(1), header.offset_steps).reshape(values["offset"].shape)
+    values["scaling"] = _on_grid(values["scaling"], header.scaling_steps)
+    return base.with_appended(values)
 
 
 def added_levels(field: Field, latent: Int32, position: Int32, header: SceneHeader) -> tuple[AnchorLevel, ...]:

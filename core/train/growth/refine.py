@@ -6,14 +6,11 @@ import torch
 from torch import Tensor
 
 from core.render.raster import Raster
-from core.train.config import KeyframeConfig
 from core.train.field.decode import Splats
-from core.train.field.field import Field
 from core.train.field.learned import LearnedField
-from core.train.growth.new_anchors import strongest
-from core.train.growth.rule import GrowthStatistics, NewAnchors, earned_extra_level, grow
-
-_OFFSET_SPREAD = 0.3
+from core.train.growth.new_anchors import first_values
+from core.train.growth.rule import GrowthStatistics
+from core.train.growth.rules import GrowthRule
 
 
 def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Tensor | None, slots: int) -> None:
@@ -28,39 +25,22 @@ def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Te
 def refine(
     learned: LearnedField,
     statistics: GrowthStatistics,
-    config: KeyframeConfig,
+    rule: GrowthRule,
     highest: int,
     most_anchors: int,
     generator: torch.Generator,
 ) -> None:
-    """Grow and prune `learned`.
+    """Add and remove anchors of `learned` by `rule`.
 
     Args:
         statistics: of the steps since the last time.
         highest: finest level that may receive anchors.
         most_anchors: that there may be.
     """
-    field, gradient = learned.settled, statistics.mean_gradient()
-    extra = earned_extra_level(field, gradient, config).float() * config.extra_level_gain
-    new = grow(field, gradient, config.growth_threshold, highest)
-    new = strongest(new, gradient.reshape(len(field), -1), max(most_anchors - len(field), 0))
-    kept = torch.nonzero(~statistics.faint(config.prune_opacity))[:, 0]
+    field = learned.settled
+    extra = rule.extra_levels(field, statistics)
+    new = rule.new_anchors(field, statistics, highest, max(most_anchors - len(field), 0))
+    kept = torch.nonzero(~rule.removed(statistics))[:, 0]
     if len(kept) + len(new) == 0:  # nothing would ever grow again
         return
-    learned.keep(kept, _children(field, new, generator), extra)
-
-
-def _children(field: Field, new: NewAnchors, generator: torch.Generator) -> dict[str, Tensor]:
-    """The seven arrays of `new` anchors, with their parents' features, on their nodes."""
-    device = field.feature.device
-    level, voxel = torch.from_numpy(new.level).to(device), torch.from_numpy(new.voxel).to(device)
-    cells = field.octree.root_cell / 2.0 ** level.double()
-    return {
-        "level": level,
-        "voxel": voxel,
-        "extra_level": torch.zeros(len(new), device=device),
-        "position": (torch.from_numpy(field.octree.origin).to(device) + voxel * cells[:, None]).float(),
-        "feature": field.feature[torch.from_numpy(new.parent).to(device)],
-        "offset": _OFFSET_SPREAD * torch.randn(len(new), field.slots, 3, generator=generator, device=device),
-        "scaling": cells.log().float()[:, None].repeat(1, 6),
-    }
+    learned.keep(kept, first_values(field, new, generator), extra)

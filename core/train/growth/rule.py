@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from core.arrays import Float64, Int32, Int64
-from core.train.config import KeyframeConfig
 from core.train.field.field import Field
 
 _LEVEL_FACTOR = 2**0.2  # thresholds grow with the level
@@ -97,11 +96,11 @@ def grow(
     )
 
 
-def earned_extra_level(field: Field, gradient: Tensor, config: KeyframeConfig) -> Tensor:
+def earned_extra_level(field: Field, gradient: Tensor, first_threshold: float) -> Tensor:
     """[N] anchors whose mean gradient earns them extra level (paper section IV-A)."""
     per_slot = gradient.reshape(len(field), field.slots)
     mean = per_slot.sum(dim=1) / (per_slot > 0).sum(dim=1).clamp_min(1)
-    threshold = config.growth_threshold * _LEVEL_FACTOR ** field.level.float()
+    threshold = first_threshold * _LEVEL_FACTOR ** field.level.float()
     return mean >= _EXTRA_SHARE * threshold
 
 

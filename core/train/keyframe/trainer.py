@@ -18,10 +18,12 @@ from core.train.field.learned import ROW_PARAMETERS, LearnedField
 from core.train.field.rounding import Precision, usual_precision
 from core.train.growth.refine import count, refine
 from core.train.growth.rule import GrowthStatistics
+from core.train.growth.rules import growth_rule
 from core.train.keyframe.drawing import Easel
 from core.train.keyframe.levels import needed_levels
 from core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
 from core.train.optimise.convergence import Course, Run
+from core.train.optimise.optimisers import optimiser
 from core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from core.train.pictures.views import Views
 
@@ -62,8 +64,12 @@ class KeyframeTrainer:
         first = views.halved() if self._config.half_size_until > 0 else views
         self._easel = Easel(first, self._exposure, self._config, backend)
         self._learned = LearnedField(
-            field, self._exposure if config.model.exposure else None, separate=config.model.heads == "separate"
+            field,
+            self._exposure if config.model.exposure else None,
+            optimiser(self._config.optimiser),
+            separate=config.model.heads == "separate",
         )
+        self._growth = growth_rule(self._config)
         self._statistics = _no_statistics(field)
         self._highest = field.octree.levels - 1
         self._precision = precision
@@ -140,7 +146,7 @@ class KeyframeTrainer:
             self._learned.average()
         if self._steps % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             limits = self._highest, self._model.max_anchors
-            refine(self._learned, self._statistics, config, *limits, self._generator)
+            refine(self._learned, self._statistics, self._growth, *limits, self._generator)
             self._statistics = _no_statistics(self._learned.live)
         if progress < config.growth_until <= self._run.progress:
             self._drop_idle_levels()

@@ -20,6 +20,7 @@ from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.field.rounding import Precision
 from core.train.keyframe.trainer import KeyframeTrainer
+from core.train.optimise.loop import run_steps
 from core.train.pictures.views import Views
 from core.train.refresh.config import renewal_config
 from core.train.residual.state import State
@@ -76,11 +77,12 @@ class Successor:
         names, rows = ("feature", "offset", "position"), self._rows
         changes = {name: (getattr(after, name) - getattr(before, name))[rows] for name in names}
         self._trainer.follow(changes, views)
-        count = 0
-        while (part := pace.progress(count)) < 1:
-            self._course.part = part
-            self._trainer.step()
-            count += 1
+
+        def progress(steps: int) -> float:
+            self._course.part = min(pace.progress(steps), 1.0)
+            return self._course.part
+
+        count = len(run_steps(self._trainer.step, progress))
         self._course.next_frame()
         self.taken += count
         return count

@@ -22,12 +22,14 @@ from core.train.field.decode import Splats
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.field.rounding import dead_zone
-from core.train.growth.new_anchors import added_levels, newcomers, strongest
-from core.train.growth.rule import GrowthStatistics, grow
+from core.train.growth.new_anchors import added_levels, with_new_anchors
+from core.train.growth.rule import GrowthStatistics
+from core.train.growth.rules import growth_rule
 from core.train.motion.partition import Partition
-from core.train.optimise.adam import RowAdam
 from core.train.optimise.convergence import Epochs
+from core.train.optimise.loop import run_steps
 from core.train.optimise.losses import photometric_loss
+from core.train.optimise.optimisers import Adam, Optimiser
 from core.train.optimise.rate import residual_bits
 from core.train.optimise.schedule import ViewOrder
 from core.train.pictures.views import Views
@@ -49,7 +51,7 @@ class ResidualTrainer:
         views: pictures of the instant.
         exposure: of the cameras.
         useful: cameras to train on, the most important first.
-        memory: share of the mean gradient that each of Adam's steps keeps.
+        optimiser: of latents and positions.
     """
 
     def __init__(
@@ -59,7 +61,7 @@ class ResidualTrainer:
         views: Views,
         exposure: Exposure,
         useful: list[int],
-        memory: float = 0.9,
+        optimiser: Optimiser = Adam(),  # noqa: B008 (frozen)
     ) -> None:
         scene, field = state.scene, state.field
         trained = torch.from_numpy(partition.trained).to(field.feature.device)
@@ -76,7 +78,7 @@ class ResidualTrainer:
         start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
         begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
-        self._optimiser = RowAdam(leaves, memory)
+        self._optimiser = optimiser.start(leaves)
         static_splats = _static_splats(field, static, self._centres)
         self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
         self._shown = state.shown
@@ -100,14 +102,24 @@ class ResidualTrainer:
         views = self._prepare(pace, backend)
         if not views:
             return no_quanta(self._known)
-        order, losses, grown = ViewOrder(views, generator), list[Tensor](), False
-        epochs = Epochs(len(views), config.least_gain)
-        while (progress := pace.progress(epochs.done)) < 1:
-            losses.append(self._step(order.next(), config, config.final_rate**progress))
-            epochs.advance(losses[-1])
-            if config.growth_share and not grown and progress >= config.growth_at:
-                grown = True
+        order, epochs = ViewOrder(views, generator), Epochs(len(views), config.least_gain)
+        progress, has_grown = 0.0, False
+
+        def reached(_: int) -> float:
+            nonlocal progress
+            progress = pace.progress(epochs.done)
+            return progress
+
+        def step() -> Tensor:
+            nonlocal has_grown
+            loss = self._step(order.next(), config, config.final_rate**progress)
+            epochs.advance(loss)
+            if config.growth_share and not has_grown and progress >= config.growth_at:
+                has_grown = True
                 self._grow(config)
+            return loss
+
+        losses = run_steps(step, reached)
         if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
             return replace(no_quanta(self._known), complete=False, wanted=self._wanted())
         loss = float(torch.stack(losses[-len(views) :]).mean())
@@ -167,13 +179,11 @@ class ResidualTrainer:
         """Add anchors where the dynamic Gaussians pull hardest: what has just come into view has none yet."""
         with torch.no_grad():
             current = self._dynamic_field()
-        gradient = self._statistics.mean_gradient()
-        highest = self._all.octree.levels - 1
-        new = grow(current, gradient, config.growth_threshold, highest, occupied=self._all)
-        new = strongest(new, gradient.reshape(len(current), -1), int(config.growth_share * len(self._all)))
+        highest, most = self._all.octree.levels - 1, int(config.growth_share * len(self._all))
+        new = growth_rule(config).new_anchors(current, self._statistics, highest, most, occupied=self._all)
         if len(new) == 0:
             return
-        self._base = newcomers(self._base, current, new, self._header)
+        self._base = with_new_anchors(self._base, current, new, self._header)
         device = current.feature.device
         nothing = {"latent": torch.zeros(len(new), LATENTS, device=device)}
         nothing["position"] = torch.zeros(len(new), 3, device=device)

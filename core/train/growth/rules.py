@@ -1,0 +1,94 @@
+"""Growth rules: where anchors are added and which are removed, by name.
+
+To add one, write a frozen dataclass with the three methods of `GrowthRule` here and name it in `GROWTH_RULES`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from core.errors import InputError
+from core.train.config import KeyframeConfig, PredictConfig
+from core.train.field.field import Field
+from core.train.growth.new_anchors import strongest
+from core.train.growth.rule import GrowthStatistics, NewAnchors, earned_extra_level, grow
+
+
+class GrowthRule(Protocol):
+    """Decides from the statistics of some training steps."""
+
+    def new_anchors(
+        self, field: Field, statistics: GrowthStatistics, highest: int, most: int, occupied: Field | None = None
+    ) -> NewAnchors:
+        """Anchors to add.
+
+        Args:
+            field: N anchors that were trained.
+            statistics: of the steps since the last refinement.
+            highest: finest level that may receive anchors.
+            most: anchors that may be added.
+            occupied: all anchors there are, where `field` holds some of them only.
+        """
+
+    def extra_levels(self, field: Field, statistics: GrowthStatistics) -> Tensor:
+        """[N] float32 levels by which each anchor is drawn from farther away from now on."""
+
+    def removed(self, statistics: GrowthStatistics) -> Tensor:
+        """[N] bool: anchors to remove."""
+
+
+@dataclass(frozen=True, slots=True)
+class GradientGrowth:
+    """The rule of Octree-GS: grow where view-space gradients are large, remove what is nearly transparent.
+
+    Attributes:
+        threshold: of the mean view-space gradient norm, from which level 0 grows; it rises with the level.
+        prune_opacity: summed over an anchor's Gaussians and averaged over visits, below which it is removed.
+        extra_level_gain: levels that an anchor earns at a refinement (docs/method.md, reading 3).
+    """
+
+    threshold: float
+    prune_opacity: float = 0.0
+    extra_level_gain: float = 0.0
+
+    def new_anchors(
+        self, field: Field, statistics: GrowthStatistics, highest: int, most: int, occupied: Field | None = None
+    ) -> NewAnchors:
+        """As `GrowthRule.new_anchors`; where more would grow than may, those with the largest gradients do."""
+        gradient = statistics.mean_gradient()
+        new = grow(field, gradient, self.threshold, highest, occupied)
+        return strongest(new, gradient.reshape(len(field), -1), most)
+
+    def extra_levels(self, field: Field, statistics: GrowthStatistics) -> Tensor:
+        """As `GrowthRule.extra_levels`."""
+        earned = earned_extra_level(field, statistics.mean_gradient(), self.threshold)
+        return earned.float() * self.extra_level_gain
+
+    def removed(self, statistics: GrowthStatistics) -> Tensor:
+        """As `GrowthRule.removed`."""
+        return statistics.faint(self.prune_opacity)
+
+
+class _MakeRule(Protocol):
+    def __call__(self, threshold: float, prune_opacity: float = 0.0, extra_level_gain: float = 0.0) -> GrowthRule: ...
+
+
+GROWTH_RULES: dict[str, _MakeRule] = {"gradient": GradientGrowth}
+
+
+def growth_rule(config: KeyframeConfig | PredictConfig) -> GrowthRule:
+    """The rule that a configuration names; later frames only add anchors by it.
+
+    Raises:
+        InputError: no rule has that name.
+    """
+    if config.growth_rule not in GROWTH_RULES:
+        known = ", ".join(GROWTH_RULES)
+        raise InputError(f"growth rule {config.growth_rule!r}", f"unknown; choose one of {known}")
+    make = GROWTH_RULES[config.growth_rule]
+    if isinstance(config, PredictConfig):
+        return make(config.growth_threshold)
+    return make(config.growth_threshold, config.prune_opacity, config.extra_level_gain)
