@@ -20,6 +20,7 @@ from core.arrays import Float64, UInt8
 from core.camera import Camera
 from core.errors import ModelError
 from core.render.cpu import render
+from core.render.pick import depth_along, pick
 from core.render.splatter import Splatter
 from core.scene.anchors import Scene
 from core.scene.expand import anchor_positions
@@ -194,18 +195,7 @@ def compress(image: UInt8, quality: int) -> bytes:
 def look_along(
     cloud: GaussianCloud, scene: Scene, origin: Float64, direction: Float64
 ) -> tuple[list[float] | None, float]:
-    """What lies along a ray: the first clearly visible point, if any, and the median depth of anchors around it (or 0).
-
-    The same rules as `pick` and `depthAlong` of the page's engine.
-    """
-    away = cloud.means - origin
-    depth = away @ direction
-    apart = (away**2).sum(axis=1) - depth**2
-    reach = np.maximum(2 * (cloud.scales**2).max(axis=1, initial=0), (0.004 * depth) ** 2)
-    hit = depth[(cloud.opacities >= 0.2) & (depth > 0.02) & (apart < reach)]
-    point = None if not len(hit) else [float(x) for x in origin + hit.min() * direction]
-    parts = [anchor_positions(scene.header, number, level) for number, level in enumerate(scene.levels)]
-    away = np.concatenate(parts) - origin
-    depth = away @ direction
-    near = depth[(depth > 0) & ((away**2).sum(axis=1) < 1.1 * depth**2)]
-    return point, float(np.sort(near)[len(near) // 2]) if len(near) else 0.0
+    """What lies along a ray (`core.render.pick`): the point hit, if any, and the median depth of anchors around it."""
+    point = pick(cloud, origin, direction)
+    anchors = [anchor_positions(scene.header, number, level) for number, level in enumerate(scene.levels)]
+    return None if point is None else point.tolist(), depth_along(np.concatenate(anchors), origin, direction)

@@ -1,0 +1,45 @@
+"""The page finds along a ray what the reference rule finds, on the same scenes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from codec.container import SlodWriter
+from codec.encoder import encode_keyframe
+from core.render.pick import depth_along, pick
+from core.scene.expand import anchor_positions, expand
+from tests.client.web.scenes import make_scene
+
+HERE = Path(__file__).parent
+
+
+@pytest.mark.parametrize("view_dependent", [False, True])
+def test_the_page_picks_by_the_reference_rule(node: str, kernel: bytes, tmp_path: Path, view_dependent: bool) -> None:
+    scene = make_scene(400, view_dependent)
+    with SlodWriter(tmp_path / "a.slod") as writer:
+        writer.append(encode_keyframe(scene, time_ns=0))
+    generator = np.random.default_rng(3)
+    targets = np.concatenate([generator.uniform(-1.5, 1.5, (30, 3)), np.full((2, 3), 50.0)])
+    rays = []
+    for target in targets:
+        origin = np.array([0.3, -0.2, -2.5]) + generator.normal(0, 0.1, 3)
+        rays.append((origin, (target - origin) / np.linalg.norm(target - origin)))
+    (tmp_path / "rays.json").write_text(json.dumps([[origin.tolist(), ray.tolist()] for origin, ray in rays]))
+    command = [node, "picks.mjs", str(tmp_path / "a.slod"), str(tmp_path / "rays.json"), str(tmp_path / "out.json")]
+    done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    anchors = np.concatenate([anchor_positions(scene.header, n, level) for n, level in enumerate(scene.levels)])
+    hits = 0
+    for (origin, ray), (point, depth) in zip(rays, json.loads((tmp_path / "out.json").read_text()), strict=True):
+        mine = pick(expand(scene, origin), origin, ray)
+        assert (mine is None) == (point is None)
+        if mine is not None:
+            hits += 1
+            np.testing.assert_allclose(point, mine, atol=1e-3)
+        assert depth == pytest.approx(depth_along(anchors, origin, ray), abs=1e-4)
+    assert 3 < hits < len(rays)
