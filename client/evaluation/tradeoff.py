@@ -15,9 +15,9 @@ import numpy as np
 from client.evaluation.design import BASE, Point, one_at_a_time
 from client.evaluation.measure.footage import Footage, chosen_split, footage_frames, open_footage
 from client.evaluation.measure.machine import machine
+from client.evaluation.report.figures import Axis, Dot, scatter
 from client.evaluation.report.output import result_folder, write_json
 from client.evaluation.report.pareto import pareto_front
-from client.evaluation.report.svg import Axis, Dot, scatter
 from client.evaluation.report.tables import number, table
 from client.evaluation.resume import as_json, earlier_report
 from client.evaluation.summary import mean, run_figures

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from client.evaluation.report.figures import Axis, Curve, Dot, curves, scatter
 from client.evaluation.report.pareto import pareto_front
-from client.evaluation.report.svg import Axis, Curve, Dot, curves, scatter
 
 COSTS = {
     "predicted_bytes_mean": ("KB a predicted frame", 1000.0),
