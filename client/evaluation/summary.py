@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from client.evaluation.measure.scores import METRICS
 from client.evaluation.measure.sizes import stream_bytes
 from client.evaluation.systems import SystemRun, TrainedScore
 
 # The figures of a run that tables show; means over its frames unless the name says otherwise. The rendering speed is a
 # median, so that another process of the machine spoils a few frames and not the figure.
 FIGURES = (
-    "psnr",
-    "ssim",
-    "lpips_alex",
-    "lpips_vgg",
+    *(metric.field for metric in METRICS),
     "keyframe_bytes",
     "predicted_bytes_mean",
     "predicted_bytes_max",
@@ -52,10 +50,7 @@ def run_figures(run: SystemRun) -> dict[str, Any]:
     stream = None if keyframe is None or predicted is None else stream_bytes(keyframe, predicted)
     return {
         "seed": run.seed,
-        "psnr": mean(picture.psnr for picture in pictures),
-        "ssim": mean(picture.ssim for picture in pictures),
-        "lpips_alex": mean(picture.lpips_alex for picture in pictures),
-        "lpips_vgg": mean(picture.lpips_vgg for picture in pictures),
+        **{metric.field: mean(getattr(picture, metric.field) for picture in pictures) for metric in METRICS},
         "keyframe_bytes": keyframe,
         "keyframe_level_bytes": _level_means(first),
         "predicted_bytes_mean": predicted,
@@ -109,10 +104,7 @@ def mean(values: Iterable[float | None]) -> float | None:
 def _frame_figures(frame: TrainedScore) -> dict[str, Any]:
     return {
         "frame": frame.frame,
-        "psnr": frame.picture.psnr,
-        "ssim": frame.picture.ssim,
-        "lpips_alex": frame.picture.lpips_alex,
-        "lpips_vgg": frame.picture.lpips_vgg,
+        **{metric.field: getattr(frame.picture, metric.field) for metric in METRICS},
         "bytes": frame.size.total_bytes,
         "shannon_bytes": frame.shannon_bytes,
         "seconds": frame.report.total_seconds,

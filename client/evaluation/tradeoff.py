@@ -1,4 +1,4 @@
-"""The price of quality: a sweep of the knobs, and what nothing else beats in seconds, bytes and rendering cost."""
+"""A sweep of the settings, and the Pareto fronts of quality against seconds, bytes and rendering cost."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SCHEMA = 5
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """One thing that quality is bought with: its key in the figures, its name and unit, and a scale for tables."""
+    """One cost of quality: its key in the figures, its name and unit, and a scale for tables."""
 
     key: str
     label: str

@@ -34,6 +34,23 @@ class Perception:
 
 
 @dataclass(frozen=True, slots=True)
+class Metric:
+    """A quality metric as reports show it: field of `PictureScore`, heading of its column, digits after the point."""
+
+    field: str
+    heading: str
+    digits: int
+
+
+METRICS = (
+    Metric("psnr", "PSNR dB", 2),
+    Metric("ssim", "SSIM", 4),
+    Metric("lpips_alex", "LPIPS alex", 4),
+    Metric("lpips_vgg", "LPIPS vgg", 4),
+)
+
+
+@dataclass(frozen=True, slots=True)
 class PictureScore:
     """Means over the held-out cameras of one instant.
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from client.evaluation.measure.scores import METRICS
 from client.evaluation.measure.sizes import KEYFRAME_INTERVAL
 from client.evaluation.report.quoted import ABLATIONS, PEERS, PEERS_SOURCE, SOURCE, TABLES, Peer, Quoted, QuotedAblation
 from client.evaluation.report.tables import number, spread_number, table
 from client.evaluation.report.verdicts import verdict_table
 
-_QUALITY = ("system", "PSNR dB", "SSIM", "LPIPS alex", "LPIPS vgg")
+_QUALITY = ("system", *(metric.heading for metric in METRICS))
 _COST = (
     "system",
     "key KB",
@@ -83,8 +84,7 @@ def _split(split: dict[str, Any]) -> list[str]:
 
 def _quality(row: dict[str, Any]) -> list[str]:
     figures = row["summary"]
-    digits = {"psnr": 2, "ssim": 4, "lpips_alex": 4, "lpips_vgg": 4}
-    return [row["name"], *(spread_number(figures[name], places) for name, places in digits.items())]
+    return [row["name"], *(spread_number(figures[metric.field], metric.digits) for metric in METRICS)]
 
 
 def _cost(row: dict[str, Any]) -> list[str]:

@@ -107,7 +107,7 @@ def parse_address(source: str) -> Address:
 
 
 def webcam_options(fps: float, size: tuple[int, int] | None) -> dict[str, str]:
-    """What FFmpeg asks of a webcam: pictures a second, and (width, height) unless its own choice will do."""
+    """FFmpeg's options for a webcam: pictures a second, and (width, height), None for the webcam's default."""
     options = {"framerate": f"{fps:g}"}
     return options if size is None else options | {"video_size": f"{size[0]}x{size[1]}"}
 

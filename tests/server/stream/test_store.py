@@ -1,4 +1,4 @@
-"""Recordings: what was written survives, what was torn is repaired, what is too much goes."""
+"""Recordings: written packets survive a restart, incomplete files are repaired, retention deletes old ones."""
 
 from __future__ import annotations
 
