@@ -14,7 +14,7 @@ _LEAST_DB, _LEAST_RATIO = 0.05, 0.02  # smaller differences count as none, whate
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class Effect:
     """Of a row from its base: PSNR in dB, the others as ratios; None where one is not known.
 
     `bytes` are those of a predicted frame, `stream` those of a frame of a stream with its keyframes.
@@ -27,8 +27,8 @@ class Difference:
     stream: float | None = None
 
 
-def _published(without: Quoted | QuotedAblation, whole: Quoted | QuotedAblation) -> Difference:
-    return Difference(
+def _published(without: Quoted | QuotedAblation, whole: Quoted | QuotedAblation) -> Effect:
+    return Effect(
         without.psnr - whole.psnr,
         without.megabytes / whole.megabytes,
         without.seconds / whole.seconds,
@@ -77,7 +77,7 @@ def verdict_table(rows: Sequence[dict[str, Any]]) -> str:
     )
 
 
-def paired(base: Sequence[dict[str, Any]], other: Sequence[dict[str, Any]]) -> list[Difference]:
+def paired(base: Sequence[dict[str, Any]], other: Sequence[dict[str, Any]]) -> list[Effect]:
     """Differences of the runs with the same seed."""
     by_seed = {run["seed"]: run for run in base}
     found = []
@@ -88,7 +88,7 @@ def paired(base: Sequence[dict[str, Any]], other: Sequence[dict[str, Any]]) -> l
                 _ratio(run[key], reference[key])
                 for key in ("predicted_bytes_mean", "predicted_cpu_seconds", "render_fps", "stream_bytes")
             )
-            found.append(Difference(run["psnr"] - reference["psnr"], *ratios))
+            found.append(Effect(run["psnr"] - reference["psnr"], *ratios))
     return found
 
 
