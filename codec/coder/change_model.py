@@ -73,10 +73,11 @@ def _take_rows(words: Array, x: Array, ctl: Array, touched: Array, changed: Arra
 def steady_motion(position: Array, rows: Array, age: int, span: int) -> Array:
     """[n,3] int64 how far `rows` would go in `span` frames, as they did in `age` since the keyframe, in 1/128 step."""
     motion = np.zeros((len(rows), 3), np.int64)
+    frames = min(span, age, LONGEST_SPAN)  # never further ahead than it was seen
     if age > 0:
         for i in range(len(rows)):
             for axis in range(3):
-                motion[i, axis] = 128 * np.int64(position[rows[i], axis]) * min(span, LONGEST_SPAN) // age
+                motion[i, axis] = 128 * np.int64(position[rows[i], axis]) * frames // age
     return motion
 
 

@@ -241,7 +241,7 @@ def latents(coder: Coder, before: Rows, scale: Sequence[int], numbers: Rows | No
 
 def steady_motion(positions: Rows, age: int, span: int) -> Rows:
     """Motion in `span` frames at the mean speed of `age` frames, in 1/128 step, FORMAT.md section 9."""
-    return [[128 * p * min(span, 255) // age if age else 0 for p in row] for row in positions]
+    return [[128 * p * min(span, age, 255) // age if age else 0 for p in row] for row in positions]
 
 
 def positions(coder: Coder, motion: Rows, scale: int, delta: Rows | None) -> Rows:

@@ -403,9 +403,6 @@ def _states(scene: Scene) -> Streams:
     yield "skip-hash", [key(scene), wrong], "state_mismatch"
     yield from _added(scene, added)
     yield from _deaths(scene)
-    fast = later(scene, position=scene.levels[0].position + np.int32(2**30))
-    coded = packet(fast, move(fast, share=1.0))
-    yield "position-beyond", [key(scene), packet(scene, fast), patch(coded, 16, b"\0\1\0\0")], "corrupt_chunk"
 
 
 def _added(scene: Scene, good: bytes) -> Streams:

@@ -145,7 +145,7 @@ function decodeLatents(coder, rows, used, scales) {
 function decodePositions(coder, rows, position, { age, span }, start) {
   const delta = new Int32Array(3 * rows.length);
   const average = [start, start, start], trend = [0, 0, 0], motion = [0, 0, 0];
-  const frames = Math.min(span, LONGEST_SPAN);
+  const frames = Math.min(span, age, LONGEST_SPAN); // never further ahead than it was seen
   let before = 3 * start, mean = 3 * start;
   for (let i = 0; i < rows.length; i++) {
     let within = 0, steady = 0;

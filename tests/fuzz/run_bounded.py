@@ -1,0 +1,145 @@
+"""`python -m tests.fuzz.run_bounded TARGET [--seconds 60] [--seed 1]`: mutants under limits of memory and time.
+
+Needs no fuzzer. An input that takes more than a second of processor time, or more memory than there is left, fails;
+it is written to ``tests/fuzz/found``. Target `differential` gives each mutant to the Python decoder and to the page's,
+which runs under node, and compares refusal codes and states.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+from types import FrameType
+
+from codec.decoder import SceneDecoder
+from codec.warm import warm_up
+from core.errors import BitstreamError
+from tests.fuzz.corpus import KEPT, SEEDS, mutants
+from tests.fuzz.targets import REPAIRS, TARGETS, repair
+from tests.vectors.make import FOLDER, read_stream, state_of
+
+_MEMORY = 1 << 30  # bytes beside what the process has taken
+_INPUT_SECONDS = 1.0  # of processor time
+_BATCH = 500  # mutants for one run of node
+_NODE = Path(__file__).with_name("decode_all.mjs")
+
+
+def main() -> None:
+    """Run one target for so long; print how many executions there were."""
+    parser = argparse.ArgumentParser(description="Fuzz under limits of memory and time.")
+    parser.add_argument("target", choices=[*sorted(TARGETS), "differential"])
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    begin = time.monotonic()
+    run = _differential if options.target == "differential" else _alone
+    count = run(options.target, begin + options.seconds, options.seed)
+    sys.stdout.write(f"{options.target}: {count} executions in {time.monotonic() - begin:.0f} s, no finding\n")
+
+
+def _alone(name: str, end: float, seed: int) -> int:
+    """Mutants for one target until `end`; the number of executions."""
+    seeds, fix = SEEDS[name](), REPAIRS.get(name, lambda data: data)
+    warm_up()
+    for data in seeds:
+        TARGETS[name](data)
+    _limit_memory()
+    signal.signal(signal.SIGVTALRM, _too_slow)
+    count = 0
+    for data in mutants(seeds, 1 << 40, seed):
+        _within_limits(TARGETS[name], fix(data))
+        count += 1
+        if time.monotonic() > end:
+            return count
+    return count
+
+
+def _within_limits(target: Callable[[bytes], None], data: bytes) -> None:
+    signal.setitimer(signal.ITIMER_VIRTUAL, _INPUT_SECONDS)
+    try:
+        target(data)
+    except BaseException:
+        (KEPT / f"finding-{len(list(KEPT.iterdir()))}.bin").write_bytes(data)
+        raise
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+
+
+def _too_slow(number: int, frame: FrameType | None) -> None:
+    raise TimeoutError(f"an input takes more than {_INPUT_SECONDS} s")
+
+
+def _limit_memory() -> None:
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + _MEMORY, taken + _MEMORY))
+
+
+def _differential(_: str, end: float, seed: int) -> int:
+    """Mutants of the last packet of each stream for both decoders until `end`; the number of mutants."""
+    streams = [read_stream(path) for path in sorted(FOLDER.glob("*.slps"))]
+    lasts = [stream[-1] for stream in streams if len(stream[-1]) < 20_000]
+    before = {stream[-1]: stream[:-1] for stream in streams}
+    ready = {last: _decoded(before[last]) for last in lasts}
+    count, batches = 0, mutants([struct.pack("<I", n) + last for n, last in enumerate(lasts)], 1 << 40, seed)
+    while time.monotonic() < end:
+        chosen: list[tuple[bytes, bytes]] = []
+        for data in islice(batches, _BATCH):
+            number = struct.unpack("<I", data[:4].ljust(4, b"\0"))[0]
+            chosen.append((lasts[number % len(lasts)], repair(data[4:])))
+        ours = [_outcome(ready[last], mutant) for last, mutant in chosen]
+        for one, other, (last, mutant) in zip(ours, _by_node(chosen, before), chosen, strict=True):
+            if one != other:
+                (KEPT / f"differential-{count}.bin").write_bytes(mutant)
+                raise AssertionError(f"after {len(before[last])} packets: Python says {one}, the page {other}")
+        count += len(chosen)
+    return count
+
+
+def _decoded(packets: list[bytes]) -> SceneDecoder:
+    decoder = SceneDecoder()
+    for packet in packets:
+        decoder.push(packet)
+    return decoder
+
+
+def _outcome(ready: SceneDecoder, packet: bytes) -> list[object]:
+    """The refusal code, or the state after the packet."""
+    decoder = SceneDecoder()
+    decoder.__dict__.update(ready.__dict__)
+    try:
+        decoder.push(packet)
+    except BitstreamError as error:
+        return [error.code]
+    state = state_of(decoder)
+    return ["", state["versions"], state["levels"]]
+
+
+def _by_node(chosen: list[tuple[bytes, bytes]], before: dict[bytes, list[bytes]]) -> list[list[object]]:
+    """What the page's decoder makes of each mutant after the packets before it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mutants.bin"
+        with path.open("wb") as file:
+            for last, mutant in chosen:
+                packets = [*before[last], mutant]
+                file.write(struct.pack("<I", len(packets)))
+                for packet in packets:
+                    file.write(struct.pack("<I", len(packet)) + packet)
+        done = subprocess.run(["node", str(_NODE), str(path)], capture_output=True, text=True, check=False, timeout=300)
+    if done.returncode:
+        raise AssertionError(done.stderr[-2000:])
+    found: list[list[object]] = json.loads(done.stdout)
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
