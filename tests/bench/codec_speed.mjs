@@ -6,6 +6,7 @@ import { decodeGeometry } from "../../client/web/decode/geometry.js";
 import { Chunk, KEY, parsePacket } from "../../client/web/decode/packet.js";
 import { decodeBase } from "../../client/web/decode/rows.js";
 
+const ROOM = { rows: 1 << 20, bytes: 1 << 24 };
 const [file, rounds = "5"] = process.argv.slice(2);
 const bytes = new Uint8Array(readFileSync(file));
 const packets = [...walkRecords(bytes)].map(({ offset, size }) => bytes.slice(offset, offset + size));
@@ -32,10 +33,10 @@ const [, slots, features] = chunks.get(Chunk.HEADER);
 let fastest = 0;
 for (const [place, chunk] of chunks) {
   if ((place & 15) !== Chunk.BASE) continue;
-  const voxel = decodeGeometry(chunks.get((place & ~15) | Chunk.GEOMETRY), 1 << 20);
+  const voxel = decodeGeometry(chunks.get((place & ~15) | Chunk.GEOMETRY), ROOM);
   for (let round = 0; round < Number(rounds); round++) {
     const begin = cpuMilliseconds();
-    decodeBase(chunk, voxel, features, slots);
+    decodeBase(chunk, voxel, features, slots, ROOM);
     const symbols = (voxel.length / 3) * (features + 3 * slots + 10);
     fastest = Math.max(fastest, symbols / (cpuMilliseconds() - begin) / 1e3);
   }

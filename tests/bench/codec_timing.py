@@ -44,7 +44,7 @@ def python_speed(states: list[Scene], residuals: list[Residual]) -> None:
 def _coder_alone(residuals: list[Residual]) -> None:
     values = np.concatenate([level.latent for r in residuals for level in r.levels]).astype(np.int64)
     _, scale = encode_scales(values)
-    items, found = np.empty(200 + 8 * values.size, np.uint32), np.zeros_like(values)
+    items, found = np.empty(200 + 8 * values.size, np.uint32), np.zeros(values.shape, np.int32)
     encoding = decoding = float("inf")
     for _ in range(_ROUNDS):
         begin = time.process_time()
