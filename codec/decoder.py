@@ -1,4 +1,4 @@
-"""Packets to scenes: any bytes become a decoded packet or a `BitstreamError`, never anything between."""
+"""Packets to scenes. Any bytes give either a decoded packet or a `BitstreamError`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HASH = struct.Struct("<I")
 
 
 class SceneDecoder:
-    """The state of one stream, fed with packets. FORMAT.md section 3 says what each does."""
+    """Decodes the packets of one stream into its state. FORMAT.md section 3 says what each packet does."""
 
     def __init__(self, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
         self._limits = limits
@@ -45,7 +45,7 @@ class SceneDecoder:
         """Decode one packet.
 
         Raises:
-            BitstreamError: the packet is refused, for a reason of FORMAT.md section 13; the state is what it was.
+            BitstreamError: the packet is refused, for a reason of FORMAT.md section 13; the state is unchanged.
         """
         parsed = parse(packet, self._limits)
         if parsed.kind is PacketKind.KEY:

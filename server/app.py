@@ -83,7 +83,7 @@ def _add_errors(app: FastAPI) -> None:
     async def http(request: Request, error: HTTPException) -> Response:
         allowed = _allowed(app, request.url.path) if error.status_code in {404, 405} else []
         if allowed and request.method not in allowed:  # the page's files lie behind and know of no other methods
-            return problem_response(405, "this place takes other methods", {"Allow": ", ".join(allowed)})
+            return problem_response(405, "this address takes other methods", {"Allow": ", ".join(allowed)})
         return problem_response(error.status_code, str(error.detail), dict(error.headers or {}))
 
     @app.exception_handler(RequestValidationError)

@@ -50,7 +50,7 @@ class Registry:
         self._initial = [spec.id for spec in specs if spec.id not in idle]
         for spec in specs:
             if spec.id in self.streams:
-                raise InputError(f"stream {spec.id}", "two streams cannot have one id")
+                raise InputError(f"stream {spec.id}", "two streams have this id; give each its own")
             self._add(spec)
         if self.store is not None:
             self._add_stored(self.store)
@@ -71,7 +71,7 @@ class Registry:
             StorageError: the disk is full; nothing was added.
         """
         if spec.id in self.streams:
-            raise InputError(f"stream {spec.id}", "there is one of that id already")
+            raise InputError(f"stream {spec.id}", "the id is taken; choose another")
         if len(self.streams) >= self.settings.limits.streams:
             raise InputError(f"stream {spec.id}", f"there are {len(self.streams)} streams, and no more are allowed")
         if self.store is not None and not self.store.has_room:

@@ -1,4 +1,4 @@
-"""Chunks around the compiled coder: lists of items to words, words out of chunks, scales as side fields."""
+"""Between chunks and the compiled coder: items to words, words out of chunks, and the scales (side fields)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def corrupt(detail: str) -> BitstreamError:
 
 
 def encode_items(model_pass: Callable[[Array], int], expected: int) -> tuple[int, bytes]:
-    """Lanes and words of the items that `model_pass` lists; `expected` is a guess at their number."""
+    """Lanes and words of the items that `model_pass` lists; `expected` is an estimate of their number."""
     size = expected + 64
     while True:
         items = np.empty(size, np.uint32)

@@ -1,7 +1,7 @@
-"""The entropy coder said once, slowly, in plain Python: what `codec.coder.rans` and the models are tested against.
+"""The entropy coder in plain, slow Python: the reference that `codec.coder.rans` and the models are tested against.
 
-Every model below runs in both directions: `Decoder` reads values from words; `Encoder` is told them and lists items. So
-the two directions cannot differ here, and the compiled ones are held to both. FORMAT.md sections 6, 7 and 9.
+Every model below runs in both directions: `Decoder` reads values from words; `Encoder` is given the values and lists
+items. So the two directions cannot differ here, and the compiled code is tested against both. FORMAT.md sections 6 to 9.
 """
 
 from __future__ import annotations

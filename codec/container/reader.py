@@ -19,7 +19,7 @@ from core.errors import BitstreamError, InputError
 
 
 class SlodReader:
-    """Reads a file, finished, live or torn.
+    """Reads a file that is complete, still being written, or cut short.
 
     Attributes:
         entries: the packets, in the order in which they were written.

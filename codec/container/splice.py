@@ -1,4 +1,4 @@
-"""`.slod` files put together from parts of others without copying them: codec/FORMAT.md section 15."""
+"""Joins recorded files and packets into one `.slod` file without copying them. FORMAT.md section 15."""
 
 from __future__ import annotations
 

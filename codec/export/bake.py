@@ -1,7 +1,7 @@
-"""Freeze what depends on the view, so that a scene becomes plain Gaussians.
+"""Turns a scene into plain Gaussians, with a fixed choice for what depends on the view.
 
-A view-dependent scene has no single answer: baked at one viewpoint it is exact there and an approximation elsewhere;
-averaged over several it is an approximation everywhere, and nowhere far off.
+Baked at one viewpoint, a view-dependent scene is exact there and an approximation elsewhere; averaged over several
+viewpoints, it is an approximation everywhere, but nowhere far off.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Snapshot files, whole or not at all."""
+"""Writing snapshot files, which are either complete or absent."""
 
 from __future__ import annotations
 

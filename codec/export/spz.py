@@ -30,7 +30,7 @@ def encode_spz(cloud: GaussianCloud) -> bytes:
     """The file's bytes.
 
     Raises:
-        ValueError: positions reach beyond 8 million units, which the format cannot say.
+        ValueError: positions reach beyond 8 million units, which the format cannot hold.
     """
     means, quaternions = cloud.means * _AXES, unit_quaternions(cloud.quaternions) * np.append(np.float32(1), _AXES)
     bits = _fractional_bits(means)

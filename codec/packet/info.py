@@ -1,4 +1,4 @@
-"""What can be said of a packet without decoding it."""
+"""Facts about a packet that need no decoding."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketKind
 
 @dataclass(frozen=True, slots=True)
 class PacketInfo:
-    """What can be said of a packet without decoding its chunks.
+    """Facts about a packet, from its header and directory.
 
     Attributes:
         kind, profile, keyframe, from_version, to_version, time_ns, level_mask, identifier: as in the packet header.

@@ -1,4 +1,4 @@
-"""What an encoded picture announces, and the picture without anything else: checked before a decoder sees it.
+"""Checks of encoded pictures before a decoder sees them: the size in the header, and the picture's own data alone.
 
 A decoder that reads a header differently from us could be made to allocate more than was announced. So these readers
 accept only what every decoder reads alike, one frame header among segments of known length (ITU-T T.81 section B.2,

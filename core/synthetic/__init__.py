@@ -1,4 +1,4 @@
-"""Synthetic places, filmed by a rig of cameras: pictures and the exact truth about them.
+"""Synthetic scenes, filmed by a rig of cameras: pictures and exact ground truth.
 
 A small ray caster of our own. One file of `kinds` is one place, put together from analytic shapes (`shapes`, `parts`)
 and things that move (`movers`). Compiled `casting`, `lighting` and `textures` make pictures of it, a camera at a time

@@ -1,4 +1,4 @@
-"""What one kind of synthetic place consists of: what stands in it, what moves, how it is lit, how it is filmed."""
+"""A kind of synthetic place: still and moving parts, light, cameras."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: 
 async def _refuse(gate: Gate, address: str, begin: float) -> Problem:
     gate.note_refusal(address)
     await asyncio.sleep(max(0.0, _REFUSAL_SECONDS - (time.monotonic() - begin)))
-    return Problem(401, "a token is needed, and this is none", {"WWW-Authenticate": "Bearer"})
+    return Problem(401, "a valid token is needed", {"WWW-Authenticate": "Bearer"})
 
 
 def is_foreign(connection: HTTPConnection) -> bool:

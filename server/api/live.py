@@ -78,7 +78,7 @@ async def live(websocket: WebSocket, stream_id: str) -> None:
         return
     except Exception:
         _LOG.exception("stream %s: a viewer's session broke", stream_id)
-        await _close(websocket, CloseCode.FAULT, "a fault inside the server")
+        await _close(websocket, CloseCode.FAULT, "internal server error")
 
 
 async def _admit(websocket: WebSocket, registry: Registry, stream_id: str) -> None:

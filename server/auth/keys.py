@@ -147,7 +147,7 @@ def parse_keys(subject: object, text: bytes) -> tuple[Key, ...]:
         if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
             raise ValueError(f"keys must be a list of at most {_MOST_KEYS}")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(subject, f"is no JSON web key set ({error})") from error
+        raise InputError(subject, f"is not a JSON web key set ({error})") from error
     keys = tuple(key for entry in entries if (key := _parse_key(entry)) is not None)
     if not keys:
         raise InputError(subject, "has no Ed25519, P-256, RSA or secret key that tokens can be checked with")
@@ -186,7 +186,7 @@ def _key_of_file(path: Path) -> Key:
     try:
         return Key(None, "EdDSA", jwt.get_algorithm_by_name("EdDSA").prepare_key(text))
     except (jwt.PyJWTError, ValueError, TypeError) as error:
-        raise InputError(path, f"is no Ed25519 key ({error})") from error
+        raise InputError(path, f"is not an Ed25519 key ({error})") from error
 
 
 def _read(path: Path) -> bytes:

@@ -189,7 +189,7 @@ def _benches() -> list[str]:
 
 
 def check_outputs(*paths: Path | None) -> None:
-    """Refuse places that cannot be written before any work is done."""
+    """Raise InputError for outputs that cannot be written, before any work is done."""
     for path in paths:
         if path is None:
             continue

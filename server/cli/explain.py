@@ -11,8 +11,8 @@ INTERRUPTED = 130
 
 
 def explain(error: Exception) -> int:
-    """Write what went wrong; returns the exit code. Faults of our own keep their traceback."""
-    if hasattr(error, "exit_code") and hasattr(error, "show"):  # wrong usage: typer knows how to say it
+    """Print the error as one sentence and return the exit code; unexpected errors keep their traceback."""
+    if hasattr(error, "exit_code") and hasattr(error, "show"):  # wrong usage, which typer reports itself
         error.show()
         return int(error.exit_code)
     if isinstance(error, StreamlodError | OSError | ModuleNotFoundError):

@@ -53,7 +53,7 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
     status: {"content": {PROBLEM_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemBody"}}}, "description": text}
     for status, text in {
         400: "the body is no JSON", 401: "token missing or wrong", 403: "the token lacks the right",
-        404: "there is no such thing", 405: "this place takes other methods", 409: "conflict",
+        404: "not found", 405: "this address takes other methods", 409: "conflict",
         410: "it has left the window", 412: "the stream is not as `If-Match` expects",
         413: "the request is too large", 415: "the body is not of type application/json",
         416: "the range lies outside", 421: "the server does not answer to this name",

@@ -84,7 +84,7 @@ def parse_address(source: str) -> Address:
     base, _, mode = parts.scheme.partition("+")
     listens = mode == "listen" and base in _LISTENING
     if (mode and not listens) or base not in {*_PROTOCOLS, "file", "push", "srt", "v4l2"}:
-        raise InputError(f"source {source!r:.80}", f"has a scheme that is not read; use {SCHEMES}")
+        raise InputError(f"source {source!r:.80}", f"has an unknown scheme; use {SCHEMES}")
     if base == "push":
         return _push()
     if base == "file":

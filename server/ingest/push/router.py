@@ -70,7 +70,7 @@ def push_router(
             return
         except Exception:
             _LOG.exception("stream %s: a capture node's session broke", stream_id)
-            await _close(websocket, CloseCode.FAULT, "a fault inside the server")
+            await _close(websocket, CloseCode.FAULT, "internal server error")
 
     return router
 
