@@ -1,7 +1,7 @@
 """The entropy coder in plain, slow Python: the reference that `codec.coder.rans` and the models are tested against.
 
 Every model below runs in both directions: `Decoder` reads values from words; `Encoder` is given the values and lists
-items. So the two directions cannot differ here, and the compiled code is tested against both. FORMAT.md sections 6 to 9.
+items. So the two directions cannot differ here, and the compiled code is tested against both.
 """
 
 from __future__ import annotations
