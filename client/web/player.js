@@ -1,7 +1,7 @@
 /**
  * `<streamlod-player>`: the viewer as an element of other pages. A plain script, so that any site may load it:
  *
- *     <script src="https://HOST/player.js" async></script>
+ *     <script src="//HOST/player.js" async></script>
  *     <streamlod-player stream="main" poster="still.jpg" style="width: 640px; aspect-ratio: 16 / 9"></streamlod-player>
  *
  * The server must list the site in its setting `frame_ancestors`.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import tempfile
+import time
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -24,6 +25,7 @@ from core.scene.octree import morton_key
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
+from tests.client.web.test_quality import SLOW_DRAG
 from tests.codec import scenes as codec_scenes
 
 FRAMES, ROUNDS, JOINS = 12, 4, 5
@@ -50,7 +52,7 @@ MEASURE = """async ([address, rounds]) => {
     timed(times.key, () => keys.forEach(({ bytes }) => engine.push(bytes)));
     header = engine.scene.header;
     let pose = fromCamera(header.cameras[homeCamera(header.cameras)], 3);
-    const view = () => ({ position: pose.position, rotation: pose.rotation, levels: 16, reach: Infinity });
+    const view = () => ({ position: pose.position, rotation: pose.rotation, levels: 16 });
     times.expandFirst.push(engine.picture(view()).expandMs);
     for (const { bytes } of residuals) {
       timed(times.residual, () => engine.push(bytes));
@@ -165,6 +167,25 @@ def draw_rate(browser: Any, address: str, title: str, settle_s: float = 0.0) -> 
     page.close()
 
 
+def drag_answers(browser: Any, anchors: int, slower: int) -> None:
+    """From a move of the pointer until its picture is drawn, and from the last one until all detail is back."""
+    with serving(create_app(make_clip(make_scene(anchors), 2), Behaviour(newest=0))) as url:
+        page = browser.new_page(viewport={"width": 640, "height": 480})
+        page.goto(url)
+        page.wait_for_function("window.streamlod?.state.version === 0", timeout=60_000)
+        page.context.new_cdp_session(page).send("Emulation.setCPUThrottlingRate", {"rate": slower})
+        splats = page.evaluate("streamlod.state.splats")
+        waits = page.evaluate(SLOW_DRAG)
+        begin = time.monotonic()
+        page.wait_for_function("document.getElementById('canvas').width === 640", timeout=60_000)
+        rest = time.monotonic() - begin
+        page.close()
+    print(f"paused, {splats} splats, CPU {slower} times slower, auto:")
+    print(
+        f"  a drag is answered in {median(waits[-30:]):.0f} ms (first {waits[0]:.0f}), all is back after {rest:.1f} s"
+    )
+
+
 def join_time(browser: Any, address: str) -> None:
     """From the navigation to the first picture on the screen, with nothing cached."""
     times = []
@@ -183,7 +204,15 @@ def main() -> None:
     """Print all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="*", type=Path, help="recordings to measure too")
-    files = parser.parse_args().files
+    parser.add_argument("--drag", action="store_true", help="only how fast a drag is answered on a slow device")
+    arguments = parser.parse_args()
+    files = arguments.files
+    if arguments.drag:
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)
+            drag_answers(browser, 5000, 4)
+            browser.close()
+        return
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         folder = Path(name)
         browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)

@@ -89,8 +89,11 @@ async function start(viewer) {
     element("stage").toggleAttribute("data-shown", true);
     rates.frame(detail, viewer.status?.bytes ?? 0);
     latency.add(detail, viewer.status);
-    quality.need(detail.needed ?? Infinity);
     refresh();
+  });
+  viewer.addEventListener("drawn", (event) => {
+    const { ms, all } = /** @type {CustomEvent} */ (event).detail;
+    quality.frame(ms, all);
   });
   const heartbeat = setInterval(() => {
     quality.tick();

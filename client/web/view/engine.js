@@ -13,8 +13,6 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  * @property {Vec3} position
  * @property {number[]} rotation - 9 numbers, world to camera
  * @property {number} levels - levels wanted, coarse ones first
- * @property {number} reach - how far away fine levels are drawn: 1 as codec/FORMAT.md section 14 selects by distance, 2 from
- *   twice as far, Infinity everywhere
  */
 
 /**
@@ -26,7 +24,7 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  * @property {Uint32Array} quads
  * @property {number} splats
  * @property {number} version
- * @property {number} [needed] - levels that this view calls for
+ * @property {number} missing - finest levels of the scene that are not there
  * @property {number} expandMs
  * @property {number} sortMs
  */
@@ -51,7 +49,6 @@ export class Engine {
     this.generation = 0;
     this.capacity = 0;
     this.visible = 0; // bit mask of levels in `active`
-    this.nearby = false; // `active` was selected by distance
     /** @type {Vec3} */
     this.expandedFrom = [Infinity, 0, 0];
     this.centre = /** @type {Vec3} */ ([0, 0, 0]);
@@ -131,14 +128,13 @@ export class Engine {
     if (this.fresh) this.centre = middle(scene, expander);
     this.visible = visible;
     this.fresh = false;
-    const nearby = view.reach < Infinity, needed = nearby ? this.#needed(view) : scene.levels.length;
-    if (changed || everything || nearby || nearby !== this.nearby) this.#collect(visible, view);
-    this.nearby = nearby;
+    if (changed || everything) this.#collect(visible);
     const spans = this.#spans();
     const sorted = performance.now();
     const quads = this.#order(view);
     return {
-      generation: this.generation, rows: this.capacity, spans, quads, splats: quads.length / 6, version: newest, needed,
+      generation: this.generation, rows: this.capacity, spans, quads, splats: quads.length / 6, version: newest,
+      missing: Math.clz32(visible) - Math.clz32((1 << scene.levels.length) - 1),
       expandMs: sorted - start, sortMs: performance.now() - sorted,
     };
   }
@@ -162,34 +158,16 @@ export class Engine {
     return Uint32Array.from(rows);
   }
 
-  /** Squared distance up to which anchors of a level are drawn, before their extra level. @type {(level: number, reach: number) => number} */
-  #limit(level, reach) {
-    const { referenceDistance } = /** @type {Scene} */ (this.scene).header;
-    return level ? (reach * referenceDistance * 2 ** (0.5 - level)) ** 2 : Infinity;
-  }
-
-  /** Levels that some anchor of the coarsest one is near enough for. @param {EngineView} view */
-  #needed({ position, reach }) {
-    const scene = /** @type {Scene} */ (this.scene), { anchor } = /** @type {Expander} */ (this.expander).levels[0];
-    let nearest = Infinity;
-    for (let r = 0; r < scene.levels[0].count; r++) nearest = Math.min(nearest, apart(anchor, 3 * r, position));
-    let needed = 1;
-    while (needed < scene.levels.length && nearest <= this.#limit(needed, reach)) needed++;
-    return needed;
-  }
-
-  /** Splats worth drawing, level by level. @param {number} visible @param {EngineView} view */
-  #collect(visible, { position, reach }) {
+  /** Splats worth drawing, level by level. @param {number} visible */
+  #collect(visible) {
     const scene = /** @type {Scene} */ (this.scene), expander = /** @type {Expander} */ (this.expander);
     const { numbers, slots } = expander;
     if (this.active.length < expander.anchors * slots) this.active = new Uint32Array(expander.anchors * slots);
     let count = 0;
     scene.levels.forEach((level, l) => {
       if (!((visible >> l) & 1)) return;
-      const { base, anchor } = expander.levels[l];
-      const limit = this.#limit(l, reach);
+      const { base } = expander.levels[l];
       for (let r = 0; r < level.count; r++) {
-        if (limit < Infinity && apart(anchor, 3 * r, position) > limit * 4 ** (level.extraLevel[r] / 64)) continue;
         for (let s = base[r] * slots, end = s + slots; s < end; s++) {
           if (numbers[s * RECORD + 3] >= LEAST_ALPHA) this.active[count++] = s;
         }
@@ -282,9 +260,6 @@ export class Engine {
 
 /** @type {(count: number) => Uint32Array} */
 const range = (count) => Uint32Array.from({ length: count }, (_, i) => i);
-
-/** Squared distance of `points[at]` from `p`. @type {(points: Float32Array, at: number, p: ArrayLike<number>) => number} */
-const apart = (points, at, p) => (points[at] - p[0]) ** 2 + (points[at + 1] - p[1]) ** 2 + (points[at + 2] - p[2]) ** 2;
 
 /** Mean of all anchors. @type {(scene: Scene, expander: Expander) => Vec3} */
 function middle(scene, expander) {

@@ -1,4 +1,4 @@
-/** Auto, high or low: how fine the picture is drawn, and how many levels are asked for. */
+/** Auto, high or low: what is given up while things move so that a hand is answered, and how many levels are asked for. */
 
 /** @typedef {import("./viewer.js").Viewer} Viewer */
 /** @typedef {"auto" | "high" | "low"} Name */
@@ -6,21 +6,21 @@
 /** @type {{ name: Name, label: string, note: string }[]} */
 export const QUALITIES = [
   { name: "auto", label: "Auto", note: "keeps it smooth" },
-  { name: "high", label: "High", note: "all levels" },
+  { name: "high", label: "High", note: "everything, always" },
   { name: "low", label: "Low", note: "saves data" },
 ];
-const SLOW_FPS = 12, FAST_FPS = 30;
-const PATIENCE = 2, COURAGE = 16; // measurements in a row before a step down or up
-const COOL_DOWN = 60; // heartbeats before a step that proved too slow is tried again
-const LINGER = 8; // heartbeats before a level that no view calls for is given up
+const SLOW_FPS = 15, FAST_FPS = 30;
+const MAX_FRAME_MS = 90; // a hand that drags notices more
+const PATIENCE = 2, COURAGE = 8; // measurements in a row before a step down or up
+const COOL_DOWN = 40; // heartbeats before a step that proved too slow is tried again
 
 /**
- * What auto gives up, little by little: fraction of the screen's resolution while things move, and how far away fine
- * levels are drawn (1: the selection by distance of codec/FORMAT.md section 14; 2: from twice as far).
+ * What auto gives up while things move, little by little: fraction of the screen's resolution, and of the splats. Those
+ * that are near and in the middle go last, and those that are left grow (renderer.js). What rests is always drawn in full.
  */
 const STEPS = [
-  { resolution: 1, reach: Infinity }, { resolution: 0.75, reach: Infinity }, { resolution: 0.5, reach: Infinity },
-  { resolution: 0.5, reach: 2 }, { resolution: 0.35, reach: 1 }, { resolution: 0.35, reach: 0.5 },
+  { resolution: 1, share: 1 }, { resolution: 0.75, share: 1 }, { resolution: 0.6, share: 0.5 }, { resolution: 0.5, share: 0.3 },
+  { resolution: 0.4, share: 0.15 }, { resolution: 0.35, share: 0.08 }, { resolution: 0.35, share: 0.05 },
 ];
 /** @type {Record<Name, typeof STEPS>} */
 const CHOICES = { auto: STEPS, high: STEPS.slice(0, 1), low: STEPS.slice(1, 2) };
@@ -33,10 +33,8 @@ export class Quality {
     this.step = 0;
     this.slow = 0;
     this.fast = 0;
-    this.settling = false; // the next measurement still holds frames from before a step
+    this.settling = 0; // frames to come that may still show what was before a step
     this.resting = 0; // heartbeats until a finer step may be tried
-    this.called = Infinity; // levels that the view calls for
-    this.idle = 0; // heartbeats for which it called for fewer than are asked for
     /** @type {number | null} */
     this.asked = null; // levels, null: all
     /** @type {Name} */
@@ -63,33 +61,39 @@ export class Quality {
     return { levels: this.asked };
   }
 
-  /** How many levels the view that is shown calls for. @param {number} levels */
-  need(levels) {
-    this.called = levels;
-    if (this.asked !== null && levels > this.asked) this.#apply();
+  /**
+   * A frame was drawn: coarser at once where frames take too long.
+   * @param {number} ms - it took
+   * @param {boolean} all - everything was drawn, as at rest: where that is slow, the next movement begins coarser
+   */
+  frame(ms, all = false) {
+    if (all && this.name === "auto" && this.step === 0 && ms > 2 * MAX_FRAME_MS) this.#go(Math.round(1 + Math.log2(ms / MAX_FRAME_MS)));
+    else if (all && this.step > 0) return;
+    else if (this.settling > 0) this.settling--;
+    else if (this.name === "auto" && ms > MAX_FRAME_MS) {
+      this.slow++;
+      if (this.slow >= PATIENCE) this.#go(this.step + (ms > 3 * MAX_FRAME_MS ? 2 : 1));
+    } else this.slow = 0;
   }
 
-  /** Twice a second: draw coarser where drawing is slow, finer where there is room. */
+  /** Twice a second: coarser where drawing is slow, finer where there is room. */
   tick() {
     this.resting = Math.max(0, this.resting - 1);
-    this.idle = this.#wanted < (this.asked ?? this.total) ? this.idle + 1 : 0;
-    if (this.idle > LINGER) this.#apply();
     const fps = this.viewer.pace();
-    if (fps === null || this.name !== "auto") return;
-    if (this.settling) {
-      this.settling = false;
-      return;
-    }
-    this.slow = fps < SLOW_FPS ? this.slow + (fps < SLOW_FPS / 2 ? PATIENCE : 1) : 0;
+    if (fps === null || this.name !== "auto" || this.settling > 0) return;
     this.fast = fps > FAST_FPS ? this.fast + 1 : 0;
-    const down = this.slow >= PATIENCE ? (fps < SLOW_FPS / 3 ? 2 : 1) : 0;
-    const up = this.fast >= COURAGE && !this.resting ? 1 : 0;
-    const step = Math.min(Math.max(this.step + down - up, 0), STEPS.length - 1);
-    if (step === this.step) return;
-    if (down) this.resting = COOL_DOWN;
-    this.step = step;
+    if (fps < SLOW_FPS && this.slow === 0) this.#go(this.step + 1);
+    else if (this.fast >= COURAGE && !this.resting) this.#go(this.step - 1);
+  }
+
+  /** @param {number} step */
+  #go(step) {
+    const next = Math.min(Math.max(step, 0), STEPS.length - 1);
+    if (next > this.step) this.resting = COOL_DOWN;
     this.slow = this.fast = 0;
-    this.settling = true;
+    if (next === this.step) return;
+    this.step = next;
+    this.settling = 2;
     this.#apply();
   }
 
@@ -97,22 +101,12 @@ export class Quality {
     return CHOICES[this.name][this.step];
   }
 
-  /** How many levels are wanted. */
-  get #wanted() {
-    if (this.name === "low") return Math.max(1, this.total - 1);
-    return this.#now.reach === Infinity ? this.total : Math.min(this.called, this.total);
-  }
-
   #apply() {
-    const { viewer } = this, { resolution, reach } = this.#now;
+    const { viewer } = this, { resolution, share } = this.#now;
     viewer.resolution = resolution;
+    viewer.share = share;
     viewer.resize();
-    const asked = this.total && this.#wanted < this.total ? this.#wanted : null;
-    this.idle = 0;
-    if (viewer.reach !== reach) {
-      viewer.reach = reach;
-      viewer.viewChanged();
-    }
+    const asked = this.name === "low" && this.total > 1 ? this.total - 1 : null;
     if (asked === this.asked) return;
     this.asked = asked;
     viewer.tell({ type: "wishes", wishes: this.wishes() });
@@ -122,8 +116,9 @@ export class Quality {
 
   /** In words. */
   explain() {
-    const share = Math.round(100 * this.viewer.resolution), shown = Math.min(this.asked ?? this.total, this.total);
-    const levels = this.total ? `, ${shown} of ${this.total} levels` : "";
-    return `Drawn at ${share} % of the screen's resolution${share < 100 ? " while it moves" : ""}${levels}.`;
+    const { resolution, share } = this.#now, levels = this.total ? ` ${this.asked ?? this.total} of ${this.total} levels.` : "";
+    if (resolution === 1) return `Drawn in full.${levels}`;
+    const splats = share < 1 ? ` and ${Math.round(100 * share)} % of the splats` : "";
+    return `While it moves: ${Math.round(100 * resolution)} % of the resolution${splats}. At rest everything.${levels}`;
   }
 }

@@ -7,8 +7,11 @@
 
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
 
+const MAX_KEEP = 1.5; // times the share, in the middle and near; at most all
+const MIN_KEEP = 0.03; // a share below would make splats too large to tell anything apart
 const TEXELS = RECORD / 4; // RGBA texels a splat
 const WIDTH = ROW_SPLATS * TEXELS;
+const SPREAD = 2; // area that coarser splats cover for each level that is missing
 
 const VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp usampler2D;
@@ -18,26 +21,35 @@ uniform vec3 translation;
 uniform vec2 viewport;      // pixels
 uniform vec2 focal;         // pixels
 uniform vec2 principal;     // pixels
+uniform float share;        // of the splats that are drawn where it matters least to leave some out; 1: all
+uniform float range;        // distance up to which splats count as near
+uniform float spread;       // area that each splat has to cover, in areas of its own; 1 where no level is missing
 out vec2 offset;            // in standard deviations
 flat out vec4 colour;
 void main() {
   int splat = gl_VertexID >> 2;
+  float rank = float((uint(splat) * 2654435769u) >> 8) / 16777216.;  // as rankOf
+  gl_Position = vec4(0, 0, 2, 1);                      // outside: dropped
   vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2. - 1.;
   ivec2 at = ivec2((splat % ${ROW_SPLATS}) * ${TEXELS}, splat / ${ROW_SPLATS});
   vec4 mean = uintBitsToFloat(texelFetch(splats, at, 0));
   vec4 upper = uintBitsToFloat(texelFetch(splats, at + ivec2(1, 0), 0));
   uvec4 last = texelFetch(splats, at + ivec2(2, 0), 0);
   vec2 lower = uintBitsToFloat(last.xy);
-  gl_Position = vec4(0, 0, 2, 1);                      // outside: dropped
   vec3 c = rotation * mean.xyz + translation;
   if (c.z < .01 || mean.w < 1. / 255.) return;
+  vec2 aside = (focal * c.xy / c.z + principal) / viewport - .5;
+  float weight = clamp(1.4 - 2. * length(aside), .25, 1.) * clamp(range / c.z, .25, 1.);
+  float keep = share < 1. ? clamp(${MAX_KEEP} * share * weight, ${MIN_KEEP}, 1.) : 1.;
+  if (rank > keep) return;
   mat3 world = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
   mat3 camera = rotation * world * transpose(rotation);
   vec2 slack = .15 * viewport / focal;
   vec2 slope = clamp(c.xy / c.z, -principal / focal - slack, (viewport - principal) / focal + slack);
   vec3 jx = vec3(focal.x, 0, -focal.x * slope.x) / c.z, jy = vec3(0, focal.y, -focal.y * slope.y) / c.z;
   vec3 kx = camera * jx;
-  float xx = dot(jx, kx) + .3, xy = dot(jy, kx), yy = dot(jy, camera * jy) + .3;
+  float area = spread / keep;                          // what is left covers what is left out
+  float xx = area * dot(jx, kx) + .3, xy = area * dot(jy, kx), yy = area * dot(jy, camera * jy) + .3;
   float middle = .5 * (xx + yy), radius = length(vec2(.5 * (xx - yy), xy));
   float major = middle + radius, minor = max(middle - radius, 1e-6);
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1, 0) : vec2(0, 1)) : normalize(vec2(xy, major - xx));
@@ -77,7 +89,12 @@ void main() { result = vec4(.36, .66, .98, 1) * .8; }`;
  * @property {ArrayLike<number>} translation - 3
  * @property {[number, number]} focal - pixels
  * @property {[number, number]} principal - pixels
+ * @property {number} [share] - of the splats that is drawn; those left have to cover more
+ * @property {number} [range] - distance up to which splats count as near, world units
  */
+
+/** 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below it. @type {(splat: number) => number} */
+const rankOf = (splat) => (Math.imul(splat, 0x9e3779b9) >>> 8) / 0x1000000;
 
 /** A part of a framebuffer, pixels. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number }} Target */
 
@@ -98,8 +115,12 @@ export class Renderer {
     this.lineArray = gl.createVertexArray();
     this.texture = gl.createTexture();
     this.rows = 0;
+    /** @type {Uint32Array} */
+    this.order = new Uint32Array(0);
+    this.uploaded = 1; // share of it that the graphics card has
     this.count = 0;
     this.lineCount = 0;
+    this.missing = 0; // finest levels of the scene that are not there
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
@@ -144,7 +165,7 @@ export class Renderer {
     }
     /** @type {Record<string, WebGLUniformLocation | null>} */
     const at = {};
-    for (const name of ["rotation", "translation", "viewport", "focal", "principal"]) at[name] = gl.getUniformLocation(program, name);
+    for (const name of ["rotation", "translation", "viewport", "focal", "principal", "share", "range", "spread"]) at[name] = gl.getUniformLocation(program, name);
     return { program, at };
   }
 
@@ -168,13 +189,32 @@ export class Renderer {
   /** Give the texture back before a scene that may be smaller. */
   clear() {
     this.rows = 0;
-    this.count = 0;
+    this.setOrder(new Uint32Array(0));
   }
 
   /** The order to draw in. @param {Uint32Array} quads - 6 vertex numbers a splat */
   setOrder(quads) {
-    this.gl.bufferData(this.gl.ELEMENT_ARRAY_BUFFER, quads, this.gl.STREAM_DRAW);
-    this.count = quads.length;
+    this.order = quads;
+    this.uploaded = -1;
+  }
+
+  /** Give the graphics card the order, without splats that the vertex shader would drop wherever they lie. @param {number} share */
+  #upload(share) {
+    const { order, gl } = this, limit = MAX_KEEP * share;
+    /** @type {Uint32Array} */
+    let chosen = order;
+    if (limit < 1) {
+      chosen = new Uint32Array(order.length);
+      let n = 0;
+      for (let i = 0; i < order.length; i += 6) {
+        if (rankOf(order[i] >> 2) > limit) continue;
+        for (let j = 0; j < 6; j++) chosen[n++] = order[i + j];
+      }
+      chosen = chosen.subarray(0, n);
+    }
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, chosen, gl.STREAM_DRAW);
+    this.count = chosen.length;
+    this.uploaded = share;
   }
 
   /** Line segments to show over the picture, 6 numbers each, world units. @param {Float32Array} segments */
@@ -193,6 +233,7 @@ export class Renderer {
     gl.scissor(x, y, width, height);
     gl.clearColor(...this.background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
+    if (this.uploaded !== (view.share ?? 1)) this.#upload(view.share ?? 1);
     if (this.count) {
       this.#aim(this.splatProgram, view, width, height);
       gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
@@ -214,6 +255,9 @@ export class Renderer {
     gl.uniform2f(at.viewport, width, height);
     gl.uniform2f(at.focal, ...view.focal);
     gl.uniform2f(at.principal, ...view.principal);
+    gl.uniform1f(at.share, view.share ?? 1);
+    gl.uniform1f(at.range, view.range ?? 1);
+    gl.uniform1f(at.spread, SPREAD ** this.missing);
   }
 
   /** Free everything on the graphics card. */

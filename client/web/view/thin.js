@@ -31,6 +31,7 @@ export class Screen {
     this.hardware = "server";
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
+    this.missing = 0;
     /** @type {Float32Array} */
     this.lines = new Float32Array(0);
   }
@@ -223,7 +224,7 @@ export class ThinLink {
       if (this.stopAt !== null && session.status.mode === "live" && version >= this.stopAt) this.#command({ type: "pause" });
       const drawn = { width: head.getUint16(12, true), height: head.getUint16(14, true), quality: head.getUint8(16) };
       this.#tell({
-        type: "picture", generation: 0, rows: 0, spans: [], quads: new Uint32Array(0), splats: 0, version, summary: null, drawn,
+        type: "picture", generation: 0, rows: 0, spans: [], quads: new Uint32Array(0), splats: 0, missing: 0, version, summary: null, drawn,
         position: session.status.position, decodeMs: performance.now() - start, expandMs: head.getUint32(20, true) / 1000, sortMs: 0,
       });
     } else bitmap.close();

@@ -46,12 +46,12 @@ export class Viewer extends EventTarget {
     this.picture = null;
     this.posed = false; // someone chose a pose: a new scene does not move the camera
     this.levels = Infinity;
-    this.reach = Infinity; // how far away fine levels are drawn, see engine.js
     this.resolution = 1; // fraction of the screen's own, while things move
-    this.resting = false; // drawn at full resolution, because nothing moves
+    this.share = 1; // of the splats that is drawn, while things move
+    this.resting = false; // drawn in full, because nothing moves
     this.timed = { frames: 0, ms: 0 }; // drawn since `pace` was asked for, and the time that took
     this.lastFrame = 0;
-    this.drew = false;
+    this.drew = this.drewAll = false; // since the last frame: while things move; everything there is
     this.fps = 0;
     this.frames = 0;
     /** @type {{ from: Pose, to: Pose, start: number } | null} */
@@ -104,6 +104,7 @@ export class Viewer extends EventTarget {
         this.generation = message.generation;
         this.renderer.update(message.rows, message.spans);
         this.renderer.setOrder(message.quads);
+        this.renderer.missing = message.missing;
         this.picture = { ...message, spans: [], quads: new Uint32Array(0) };
         this.dirty = true;
         break;
@@ -176,7 +177,7 @@ export class Viewer extends EventTarget {
 
   /** Ask for splats as they are seen from there. @param {{ position: Vec3, rotation: number[] }} view */
   lookFrom({ position, rotation }) {
-    this.tell({ type: "view", view: { position, rotation, levels: this.levels, reach: this.reach } });
+    this.tell({ type: "view", view: { position, rotation, levels: this.levels } });
   }
 
   /** Fit the drawing buffer to the page. */
@@ -198,7 +199,8 @@ export class Viewer extends EventTarget {
     const unit = Math.min(height, width);
     const translation = [0, 1, 2].map((i) => -rotation[3 * i] * position[0] - rotation[3 * i + 1] * position[1] - rotation[3 * i + 2] * position[2]);
     const scale = focal * unit;
-    return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit] };
+    return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
+      share: this.resting ? 1 : this.share, range: this.pose.distance };
   }
 
   #frame() {
@@ -213,14 +215,15 @@ export class Viewer extends EventTarget {
     }
     this.dispatchEvent(new CustomEvent("frame", { detail: { now } }));
     this.#clock(now);
-    const rested = !this.dirty && now - this.lastDraw > REST_MS;
-    if (!this.dirty && (!rested || this.resting || this.resolution === 1)) return;
+    const rested = !this.dirty && now - this.lastDraw > REST_MS, isCut = this.resolution < 1 || this.share < 1;
+    if (!this.dirty && (!rested || this.resting || !isCut)) return;
     if (rested !== this.resting) {
       this.resting = rested;
       this.resize();
     }
     this.dirty = false;
     this.drew = !rested;
+    this.drewAll = rested || !isCut;
     this.draw();
     const elapsed = now - this.lastDraw;
     this.lastDraw = now;
@@ -239,6 +242,8 @@ export class Viewer extends EventTarget {
       this.timed.frames += Number(this.drew);
       this.timed.ms += ms;
     }
+    if ((this.drew || this.drewAll) && ms < ASLEEP_MS) this.dispatchEvent(new CustomEvent("drawn", { detail: { ms, all: this.drewAll } }));
+    this.drewAll = false;
     this.drew = false;
   }
 

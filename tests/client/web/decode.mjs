@@ -7,11 +7,11 @@ import { Engine } from "../../../client/web/view/engine.js";
 import { loadKernel, RECORD } from "../../../client/web/decode/expand.js";
 import { BitstreamError } from "../../../client/web/decode/scene.js";
 
-const [file, out, x, y, z, levels, reach] = process.argv.slice(2);
+const [file, out, x, y, z, levels] = process.argv.slice(2);
 const bytes = new Uint8Array(readFileSync(file));
 const kernel = await loadKernel(readFileSync(new URL("../../../client/web/decode/kernel.wasm", import.meta.url)));
 const engine = new Engine(kernel);
-const view = { position: [Number(x), Number(y), Number(z)], rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: Number(levels), reach: Number(reach ?? Infinity) };
+const view = { position: [Number(x), Number(y), Number(z)], rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: Number(levels) };
 const log = [];
 for (const { offset, size } of walkRecords(bytes)) {
   let code = "";

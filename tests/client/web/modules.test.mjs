@@ -345,34 +345,40 @@ test("every phase has words, and none stands in the way of a picture without nee
 /** A screen that draws at a given rate, and what is told to the worker. */
 function screen(fps) {
   const told = [];
-  return { fps, told, resolution: 1, reach: Infinity, levels: Infinity, pace() { return this.fps; }, resize() {}, viewChanged() {}, tell: (message) => told.push(message) };
+  return { fps, told, resolution: 1, share: 1, levels: Infinity, pace() { return this.fps; }, resize() {}, viewChanged() {}, tell: (message) => told.push(message) };
 }
 
-test("auto gives up resolution first, then far details, and asks only for levels that the view calls for", () => {
+test("auto gives up resolution, then splats, at once where frames are late, and takes them back; levels it never gives up", () => {
   const viewer = screen(60), quality = new Quality(viewer, null);
   quality.limit(4);
   for (let i = 0; i < 30; i++) quality.tick();
-  assert.deepEqual([viewer.resolution, viewer.reach], [1, Infinity]);
-  viewer.fps = 10;
+  assert.deepEqual([viewer.resolution, viewer.share], [1, 1]);
+  quality.frame(120);
+  assert.equal(viewer.resolution, 1, "one late frame may be chance");
+  quality.frame(120);
+  assert.deepEqual([viewer.resolution, viewer.share], [0.75, 1]);
+  quality.frame(500);
+  quality.frame(500);
+  assert.equal(viewer.resolution, 0.75, "the first frames after a step were begun before it");
+  quality.frame(500);
+  quality.frame(500);
+  assert.deepEqual([viewer.resolution, viewer.share], [0.5, 0.3], "far too slow: two steps at once");
+  quality.frame(20);
+  quality.frame(20);
+  viewer.fps = 12;
   quality.tick();
-  assert.equal(viewer.resolution, 1, "one slow measurement may be chance");
-  quality.tick();
-  assert.deepEqual([viewer.resolution, viewer.reach], [0.75, Infinity]);
-  viewer.fps = 3;
-  quality.tick();
-  assert.equal(viewer.resolution, 0.75, "the first measurement after a step holds frames from before it");
-  quality.tick();
-  assert.deepEqual([viewer.resolution, viewer.reach], [0.5, 2], "far too slow: two steps at once");
-  viewer.fps = null;
-  assert.deepEqual(viewer.told, []);
-  quality.need(2);
-  for (let i = 0; i < 25; i++) quality.tick();
-  assert.deepEqual(viewer.told, [{ type: "wishes", wishes: { levels: 2 } }]);
-  quality.need(4);
-  assert.deepEqual(viewer.told[1], { type: "wishes", wishes: { levels: null } }, "a nearer view gets its details at once");
+  assert.equal(viewer.share, 0.15);
+  quality.frame(20);
+  quality.frame(20);
   viewer.fps = 60;
-  for (let i = 0; i < 400; i++) quality.tick();
-  assert.deepEqual([viewer.resolution, viewer.reach], [1, Infinity]);
+  for (let i = 0; i < 400; i++) {
+    quality.tick();
+    quality.frame(16);
+  }
+  assert.deepEqual([viewer.resolution, viewer.share], [1, 1]);
+  quality.frame(800, true);
+  assert.deepEqual([viewer.resolution, viewer.share], [0.4, 0.15], "a slow picture at rest tells what the next movement can afford");
+  assert.deepEqual(viewer.told, []);
 });
 
 test("low asks for one level less, high for all", () => {
@@ -381,6 +387,9 @@ test("low asks for one level less, high for all", () => {
   assert.deepEqual([quality.wishes(), viewer.resolution], [{ levels: 2 }, 0.75]);
   viewer.fps = 1;
   quality.choose("high");
-  for (let i = 0; i < 10; i++) quality.tick();
-  assert.deepEqual([quality.wishes(), viewer.resolution], [{ levels: null }, 1]);
+  for (let i = 0; i < 10; i++) {
+    quality.tick();
+    quality.frame(900);
+  }
+  assert.deepEqual([quality.wishes(), viewer.resolution, viewer.share], [{ levels: null }, 1, 1]);
 });

@@ -31,7 +31,7 @@ def resident_bytes() -> int:
 
 
 def test_auto_quality_on_a_slow_machine(page: Any) -> None:
-    """Frames that take 350 ms: less resolution, fewer far details, fewer levels asked for; what rests is sharp."""
+    """Frames that take 350 ms: less resolution while it plays, never fewer levels; what rests is sharp and whole."""
     page.add_init_script("window.requestAnimationFrame = (act) => setTimeout(() => act(performance.now()), 350)")
     behaviour = Behaviour(fps=15)
     with serving(create_app(make_clip(make_scene(600), 200), behaviour)) as url:
@@ -39,13 +39,11 @@ def test_auto_quality_on_a_slow_machine(page: Any) -> None:
         shows(page, "s.version >= 1")
         everything = page.evaluate("streamlod.state.splats")
         width = "document.getElementById('canvas').width"
-        assert page.evaluate(width) == 320
         page.wait_for_function(f"{width} < 130", timeout=30_000)
-        shows(page, f"s.splats < {everything} / 2")
-        page.wait_for_timeout(6000)
-        assert behaviour.wishes[-1]["levels"] in (1, 2)
         page.evaluate("streamlod.pause()")
         page.wait_for_function(f"{width} === 320", timeout=30_000)
+        assert page.evaluate("streamlod.state.splats") > 0.9 * everything
+        assert behaviour.wishes == []
 
 
 def test_orbiting_while_frames_arrive(page: Any) -> None:

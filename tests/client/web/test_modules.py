@@ -147,26 +147,6 @@ def test_the_same_gaussians_exist_as_in_python(node: str, tmp_path: Path, bias: 
     assert (len(found) < 2 * scene.anchor_count) == (bias != 0 or step > 1)
 
 
-@pytest.mark.parametrize("reach", [0.5, 1.0, 2.0])
-def test_selects_levels_by_distance_as_python(node: str, tmp_path: Path, reach: float) -> None:
-    """Far anchors of fine levels are left out by the rule of core.expand, from `reach` times as far."""
-    scene = make_scene(300)
-    rng = np.random.default_rng(0)
-    levels = [replace(x, extra_level=rng.integers(-64, 64, len(x.voxel)).astype(np.int16)) for x in scene.levels]
-    scene = replace(scene, levels=tuple(levels))
-    file, out = tmp_path / "scene.slod", tmp_path / "out"
-    with SlodWriter(file) as writer:
-        writer.append(encode_keyframe(scene, time_ns=0))
-    command = [node, str(HERE / "decode.mjs"), str(file), str(out), *map(str, EYE), "16", str(reach)]
-    subprocess.run(command, check=True, timeout=60)
-    found = np.fromfile(out.with_suffix(".bin"), np.float32).reshape(-1, 12)
-    header = replace(scene.header, reference_distance=reach * scene.header.reference_distance)
-    wanted = expand(replace(scene, header=header), EYE, by_distance=True)
-    shown = wanted.opacities >= 1 / 255
-    assert len(found) == shown.sum() < len(expand(scene, EYE))
-    np.testing.assert_allclose(found[:, :3], wanted.means[shown], atol=1e-5)
-
-
 def assert_same_splats(found: np.ndarray, scene: Scene, eye: np.ndarray) -> None:
     """Records of the page (mean, opacity, covariance, packed colour) against the reference expansion."""
     cloud = expand(scene, eye)
