@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.device.fixture import gpu
+
+__all__ = ["gpu"]
+
 
 def data_folder() -> Path | None:
     """The folder of real pictures and video, if this machine has it."""

@@ -14,6 +14,7 @@ from core.errors import BackendUnavailable
 
 Backend = Literal["cpu", "cuda", "reference"]
 _REMEDY = "choose the device cpu"
+GPU = "cuda"  # torch's name of the device that the cuda backend computes on
 _LOG = logging.getLogger(__name__)
 
 

@@ -133,7 +133,7 @@ def _on_device(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor, Te
     """
     half = [camera.width / 2, camera.height / 2]
     parts = (camera.world_to_camera, camera.intrinsics, camera.centre, half)
-    pose, intrinsics, centre, size = (torch.as_tensor(part, dtype=torch.float32, device=device) for part in parts)
+    pose, intrinsics, centre, size = (torch.as_tensor(part, dtype=torch.float32).to(device) for part in parts)
     return pose, intrinsics, centre, size
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from core.camera import Camera
 from core.errors import ModelError
 from core.frames import FrameSet, PointCloud
-from core.render import select
+from core.render import backends, select
 from core.scene.anchors import Scene
 from core.scene.keyframe import as_keyframe
 from core.scene.residual import apply
@@ -78,7 +78,7 @@ class Trainer:
         self._cameras, self._config, self._fps = cameras, config, fps
         self._backend = select(device)
         self._rig = rig or cameras
-        self._device = "cuda" if self._backend == "cuda" else "cpu"
+        self._device = backends.GPU if self._backend == "cuda" else "cpu"
         self._exposure = neutral(len(cameras), self._device)
         self._refit_exposure = False
         self._clock = clock

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,19 +18,20 @@ _MOST = 4  # frames on their way or waiting; a reader that is further ahead than
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sent:
-    """The host's images [C,H,W,3], the device's pictures of them, and the event after which those are complete."""
+    """The host's images [C,H,W,3], the device's pictures of them, and the event after which those are there."""
 
     images: UInt8
     pictures: Tensor
-    arrival: torch.cuda.Event | None
+    arrival: Any
 
 
 class Uploader:
-    """Sends pictures to `device`, from any thread; on CUDA from pinned memory on a stream of its own."""
+    """Sends pictures to `device`, from any thread; on a GPU from pinned memory on a stream of its own."""
 
     def __init__(self, device: str) -> None:
         self._device = device
-        self._stream = torch.cuda.Stream(device) if device == "cuda" else None  # type: ignore[no-untyped-call]
+        self._module: Any = torch.get_device_module(device)
+        self._stream: Any = None if device == "cpu" else self._module.Stream(device)
         self._waiting, self._lock = deque[_Sent](maxlen=_MOST), threading.Lock()
 
     def begin(self, frames: FrameSet) -> None:
@@ -46,7 +48,7 @@ class Uploader:
                 self._waiting.remove(found)
         sent = found or self._send(frames.images)
         if sent.arrival is not None:
-            here = torch.cuda.current_stream()
+            here = self._module.current_stream()
             here.wait_event(sent.arrival)
             sent.pictures.record_stream(here)  # so that its memory is not given away while this stream reads it
         return sent.pictures
@@ -55,6 +57,6 @@ class Uploader:
         host = torch.from_numpy(images)
         if self._stream is None:
             return _Sent(images, host.to(self._device).float().div_(255), None)
-        with torch.cuda.stream(self._stream):
+        with self._module.stream(self._stream):
             pictures = host.pin_memory().to(self._device, non_blocking=True).float().div_(255)
             return _Sent(images, pictures, self._stream.record_event())

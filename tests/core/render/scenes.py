@@ -57,7 +57,7 @@ def run(
 ) -> Outcome:
     """Render and differentiate `cloud` under a loss that weighs every pixel and the transmittance at random."""
     dtype = torch.float64 if backend == "reference" else torch.float32
-    parameters = [torch.tensor(getattr(cloud, name), dtype=dtype, device=device, requires_grad=True) for name in NAMES]
+    parameters = [torch.tensor(getattr(cloud, name), dtype=dtype).to(device).requires_grad_() for name in NAMES]
     raster = rasterise(
         *parameters,
         camera,

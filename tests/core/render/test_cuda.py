@@ -1,30 +1,28 @@
-"""The gsplat backend against the float64 reference. Needs a CUDA device and gsplat."""
+"""The gsplat backend against the float64 reference; on the pretend device where there is no GPU (`tests.device`)."""
 
 import pytest
 import torch
 
-from core.render.backends import cuda_fault
 from core.render.tiles import tile_grid
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, relative, run
 from tests.core.render.test_extremes import CAMERA, CULLED, DRAWN, ODD, PLACES, check_finite, odd, without_odd
 
-fault = cuda_fault()
-pytestmark = [pytest.mark.cuda, pytest.mark.skipif(fault is not None, reason=f"no CUDA backend here: {fault}")]
+pytestmark = pytest.mark.cuda
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_picture_and_gradients_equal_the_reference(seed: int) -> None:
+def test_picture_and_gradients_equal_the_reference(seed: int, gpu: str) -> None:
     cloud, camera = make_cloud(400, seed=seed), make_camera(61, 47)
-    found, wanted = run(cloud, camera, "cuda", device="cuda"), run(cloud, camera, "reference")
+    found, wanted = run(cloud, camera, "cuda", device=gpu), run(cloud, camera, "reference")
     assert float((found.image - wanted.image).abs().max()) < 5e-3  # a contribution at 1/255 may or may not count
     assert float((found.image - wanted.image).abs().mean()) < 1e-5
     for name in NAMES:
         assert relative(found.gradients[name], wanted.gradients[name]) < 1e-3, name
 
 
-def test_probe_counts_in_halves_of_the_picture() -> None:
+def test_probe_counts_in_halves_of_the_picture(gpu: str) -> None:
     cloud, camera = make_cloud(100), make_camera(61, 47)
-    found, wanted = run(cloud, camera, "cuda", device="cuda"), run(cloud, camera, "cpu")
+    found, wanted = run(cloud, camera, "cuda", device=gpu), run(cloud, camera, "cpu")
     both = sorted(set(found.probe.visible.tolist()) & set(wanted.probe.visible.tolist()))
     assert len(both) > 50
     for k in both:
@@ -36,48 +34,48 @@ def test_probe_counts_in_halves_of_the_picture() -> None:
     assert (absolute >= found.probe.gradients.abs() - 1e-4).all()
 
 
-def test_only_the_first_rows_get_gradients() -> None:
-    outcome = run(make_cloud(100), make_camera(), "cuda", gradient_rows=30, device="cuda")
+def test_only_the_first_rows_get_gradients(gpu: str) -> None:
+    outcome = run(make_cloud(100), make_camera(), "cuda", gradient_rows=30, device=gpu)
     for name in NAMES:
         assert not outcome.gradients[name][30:].any()
     assert int(outcome.probe.visible.max()) < 30
 
 
-def test_tiles_outside_the_mask_come_from_the_base() -> None:
+def test_tiles_outside_the_mask_come_from_the_base(gpu: str) -> None:
     from core.render import rasterise
 
     cloud, camera = make_cloud(100), make_camera(100, 60)
-    parameters = [torch.tensor(getattr(cloud, name), device="cuda") for name in NAMES]
-    background = torch.tensor(BACKGROUND, device="cuda")
-    mask = torch.zeros(tile_grid(100, 60), dtype=torch.bool, device="cuda")
+    parameters = [torch.tensor(getattr(cloud, name), device=gpu) for name in NAMES]
+    background = torch.tensor(BACKGROUND, device=gpu)
+    mask = torch.zeros(tile_grid(100, 60), dtype=torch.bool, device=gpu)
     mask[1, 1] = True
-    base = torch.rand(60, 100, 3, device="cuda")
+    base = torch.rand(60, 100, 3, device=gpu)
     whole = rasterise(*parameters, camera, background, backend="cuda").image
     part = rasterise(*parameters, camera, background, tile_mask=mask, base=base, backend="cuda").image
     assert torch.equal(part[16:32, 16:32], whole[16:32, 16:32])
     assert torch.equal(part[:16], base[:16])
 
 
-def test_nothing_to_draw_gives_the_background() -> None:
-    outcome = run(make_cloud(0), make_camera(), "cuda", device="cuda")
+def test_nothing_to_draw_gives_the_background(gpu: str) -> None:
+    outcome = run(make_cloud(0), make_camera(), "cuda", device=gpu)
     assert float((outcome.image - torch.tensor(BACKGROUND).double()).abs().max()) < 1e-7
 
 
 @pytest.mark.parametrize(("name", "value"), CULLED)
-def test_unusable_gaussians_are_left_out(name: str, value: float) -> None:
-    found, wanted = (run(cloud, CAMERA, "cuda", device="cuda") for cloud in (odd(name, value), without_odd()))
+def test_unusable_gaussians_are_left_out(name: str, value: float, gpu: str) -> None:
+    found, wanted = (run(cloud, CAMERA, "cuda", device=gpu) for cloud in (odd(name, value), without_odd()))
     check_finite(found)
     assert torch.allclose(found.image, wanted.image, atol=1e-6)
     assert not any(found.gradients[n][ODD].any() for n in NAMES)
 
 
 @pytest.mark.parametrize(("name", "value"), DRAWN)
-def test_odd_gaussians_are_drawn_as_the_reference_draws_them(name: str, value: float) -> None:
-    found, wanted = run(odd(name, value), CAMERA, "cuda", device="cuda"), run(odd(name, value), CAMERA, "reference")
+def test_odd_gaussians_are_drawn_as_the_reference_draws_them(name: str, value: float, gpu: str) -> None:
+    found, wanted = run(odd(name, value), CAMERA, "cuda", device=gpu), run(odd(name, value), CAMERA, "reference")
     check_finite(found)
     assert relative(found.image, wanted.image) < 1e-3
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_extreme_views_are_finite(place: str) -> None:
-    check_finite(run(*PLACES[place](), "cuda", device="cuda"))
+def test_extreme_views_are_finite(place: str, gpu: str) -> None:
+    check_finite(run(*PLACES[place](), "cuda", device=gpu))

@@ -10,17 +10,15 @@ import pytest
 import torch
 
 from core.frames import FrameSet
-from core.render.backends import cuda_fault
 from core.train.pictures.uploading import _MOST, Uploader
 
-cuda = pytest.param(
-    "cuda",
-    marks=[pytest.mark.cuda, pytest.mark.skipif(cuda_fault() is not None, reason=f"no CUDA: {cuda_fault()}")],
-)
-devices = pytest.mark.parametrize("device", ["cpu", cuda])
+
+@pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.cuda)])
+def device(request: pytest.FixtureRequest) -> str:
+    """The CPU, then a GPU or the pretend device."""
+    return "cpu" if request.param == "cpu" else str(request.getfixturevalue("gpu"))
 
 
-@devices
 def test_pictures_are_the_same_sent_ahead_or_not(device: str) -> None:
     uploader, frames = Uploader(device), filmed(3)
     for frame in frames[:2]:
@@ -31,7 +29,6 @@ def test_pictures_are_the_same_sent_ahead_or_not(device: str) -> None:
         np.testing.assert_allclose(pictures.cpu().numpy(), frame.images.astype(np.float32) / 255, atol=1e-7)
 
 
-@devices
 def test_what_was_sent_ahead_is_taken_once(device: str) -> None:
     uploader, (frame,) = Uploader(device), filmed(1)
     uploader.begin(frame)
@@ -40,7 +37,6 @@ def test_what_was_sent_ahead_is_taken_once(device: str) -> None:
     assert float(uploader.take(frame).sum()) > 0
 
 
-@devices
 def test_only_a_few_wait(device: str) -> None:
     uploader, frames = Uploader(device), filmed(_MOST + 3)
     for frame in frames:
@@ -50,7 +46,6 @@ def test_only_a_few_wait(device: str) -> None:
         assert torch.equal(uploader.take(frame).cpu(), Uploader("cpu").take(frame))
 
 
-@devices
 def test_a_reading_thread_sends_while_this_one_trains(device: str) -> None:
     uploader, frames, wrong = Uploader(device), filmed(30), list[int]()
     turn = threading.Semaphore(2)

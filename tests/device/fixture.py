@@ -1,0 +1,39 @@
+"""Where tests of the GPU path run: on a GPU where there is one, else on the pretend device."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+import torch
+
+import core.render.backends
+import core.render.cuda
+from core.render.backends import cuda_fault
+from tests.device import pretend
+from tests.device.rasterization import rasterization
+
+
+@contextmanager
+def on_gpu(patch: pytest.MonkeyPatch) -> Iterator[str]:
+    """torch's name of the device; the cuda backend works on it inside."""
+    if cuda_fault() is None:
+        yield "cuda"
+        return
+    name = pretend.register()
+    for module in (core.render.backends, core.render.cuda):
+        patch.setattr(module, "cuda_fault", lambda: None)
+    patch.setattr(core.render.backends, "GPU", name)
+    patch.setattr(core.render.cuda, "_gsplat", lambda: rasterization)
+    patch.setattr(torch.Tensor, "pin_memory", lambda self: self)
+    core.render.cuda._on_device.cache_clear()
+    yield name
+    core.render.cuda._on_device.cache_clear()
+
+
+@pytest.fixture
+def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """As `on_gpu`, for one test."""
+    with on_gpu(monkeypatch) as name:
+        yield name

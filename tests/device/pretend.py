@@ -1,0 +1,214 @@
+"""A torch device that computes on the CPU and behaves like a GPU where mistakes are made.
+
+`pretend:0` is a device of its own to torch (PrivateUse1, written in Python). Its tensors hide a CPU tensor; any
+operation that mixes them with CPU tensors raises, as on CUDA, but for copies and for numbers (0-dim CPU tensors).
+`numpy()` of them raises in torch itself. Every operation counts as a launch, and every one that makes the host wait
+for a result (`item`, `nonzero`, boolean indices, copies to the host) as a wait, by name.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils import backend_registration
+from torch.utils._pytree import tree_leaves, tree_map
+
+NAME = "pretend"
+_ATEN = torch.ops.aten
+_COPIES = {_ATEN.copy_.default, _ATEN._to_copy.default, _ATEN.set_.source_Tensor}
+_WAITS = {
+    _ATEN._local_scalar_dense.default,
+    _ATEN.nonzero.default,
+    _ATEN.masked_select.default,
+    _ATEN.equal.default,
+    _ATEN._unique2.default,
+    _ATEN.unique_dim.default,
+    _ATEN.repeat_interleave.Tensor,
+}
+_INDEXING = {_ATEN.index.Tensor, _ATEN.index_put.default, _ATEN.index_put_.default, _ATEN._index_put_impl_.default}
+
+
+class MixedDevicesError(RuntimeError):
+    """An operation was given tensors of the device and of the host."""
+
+
+class Counts:
+    """Launches and waits, by the name of the operation, and the bytes that the operations read and wrote."""
+
+    def __init__(self) -> None:
+        self.launches: Counter[str] = Counter()
+        self.waits: Counter[str] = Counter()
+        self.bytes_moved = 0
+
+
+_counting: list[Counts] = []
+_lock = threading.Lock()
+
+
+@contextmanager
+def counted() -> Iterator[Counts]:
+    """Count what runs on the device, on any thread, meanwhile."""
+    counts = Counts()
+    _counting.append(counts)
+    try:
+        yield counts
+    finally:
+        _counting.remove(counts)
+
+
+class DeviceTensor(Tensor):
+    """A tensor on the pretend device; `held` is the CPU tensor inside."""
+
+    held: Tensor
+
+    @staticmethod
+    def __new__(cls, held: Tensor, requires_grad: bool = False) -> DeviceTensor:
+        made = Tensor._make_wrapper_subclass(
+            cls, held.size(), strides=held.stride(), storage_offset=held.storage_offset(), dtype=held.dtype,
+            device=torch.device(NAME, 0), requires_grad=requires_grad,
+        )  # fmt: skip
+        made.held = held
+        return made
+
+    def tolist(self) -> Any:
+        """The values, for which the host waits; torch does not let a tensor in Python give them itself."""
+        return self.cpu().tolist()
+
+    def __repr__(self, *, tensor_contents: object = None) -> str:
+        return f"DeviceTensor({self.held!r})"
+
+    @classmethod
+    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return _run(func, args, dict(kwargs or {}))
+
+
+def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
+    """`func` on what the tensors hold; its results are on the device unless it copies to the host."""
+    # as on CUDA, indices may lie on the host: they are copied, which counts as a wait
+    checked = [args[0], *args[2:]] if func in _INDEXING else tree_leaves((args, kwargs))
+    strangers = [value for value in checked if isinstance(value, Tensor) and not isinstance(value, DeviceTensor)]
+    if func not in _COPIES and any(tensor.dim() > 0 for tensor in strangers):
+        raise MixedDevicesError(f"{func} mixes {NAME} and cpu tensors")
+    target = kwargs.get("device")
+    if "device" in kwargs:
+        kwargs["device"] = torch.device("cpu")
+    kwargs.pop("pin_memory", None)
+    results = func(*tree_map(_held, args), **tree_map(_held, kwargs))
+    to_host = target is not None and target.type == "cpu"
+    _count(func, args, tree_leaves((args, kwargs, results)), to_host)
+    if to_host:
+        return results
+    if func is _ATEN.copy_.default and not isinstance(args[0], DeviceTensor):
+        return args[0]  # a copy from the device into a tensor of the host
+    if func._schema.is_mutable and isinstance(args[0], DeviceTensor) and results is args[0].held:
+        return args[0]
+    return tree_map(lambda value: DeviceTensor(value) if isinstance(value, Tensor) else value, results)
+
+
+def _held(value: Any) -> Any:
+    return value.held if isinstance(value, DeviceTensor) else value
+
+
+def _count(func: Any, args: Any, values: list[Any], to_host: bool) -> None:
+    """Add one operation, with the tensors among `values`, to whoever counts."""
+    waits = func in _WAITS or to_host or (func is _ATEN.copy_.default and not isinstance(args[0], DeviceTensor))
+    if func in _INDEXING:  # booleans are counted first, and indices of the host copied
+        indices = [index for index in tree_leaves(args[1]) if isinstance(index, Tensor)]
+        waits = any(index.dtype is torch.bool or not isinstance(index, DeviceTensor) for index in indices)
+    moved = sum(value.nbytes for value in values if isinstance(value, Tensor))
+    with _lock:
+        for counts in _counting:
+            if not _is_view(func):
+                counts.launches[str(func)] += 1
+                counts.bytes_moved += moved
+            if waits:
+                counts.waits[str(func)] += 1
+
+
+def _is_view(func: Any) -> bool:
+    aliases = [one.alias_info for one in func._schema.returns if one.alias_info is not None]
+    return func is _ATEN.detach.default or any(not alias.is_write for alias in aliases)
+
+
+class _Generator(torch.Generator):
+    """`torch.Generator` that also takes the pretend device. One of the host is not refused there: torch hides which."""
+
+    def __new__(cls, device: Any = "cpu") -> _Generator:
+        return super().__new__(cls, "cpu" if torch.device(device).type == NAME else device)
+
+
+class Event:
+    """An event that is complete when it is recorded: everything runs at once here."""
+
+    def wait(self, stream: object = None) -> None:
+        """Nothing to wait for."""
+
+
+class Stream:
+    """A stream; work in it is done in order, at once."""
+
+    def __init__(self, device: object = None) -> None:
+        self.device = device
+
+    def record_event(self) -> Event:
+        """An event that is complete."""
+        return Event()
+
+    def wait_event(self, event: Event) -> None:
+        """Nothing to wait for."""
+        assert isinstance(event, Event)
+
+    def __enter__(self) -> Stream:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
+class Module(backend_registration._DummyBackendModule):
+    """What `torch.get_device_module` gives for the device."""
+
+    Stream, Event = Stream, Event
+
+    def current_stream(self, device: object = None) -> Stream:
+        """The one stream."""
+        return Stream(device)
+
+    def stream(self, stream: Stream) -> Stream:
+        """The stream as a context."""
+        return stream
+
+    def synchronize(self, device: object = None) -> None:
+        """Everything is done already."""
+
+
+_registered: list[torch.library.Library] = []
+# Operators that need a kernel of their own: a fallback is not asked for `_to_copy` of numbers, and the others resize
+# an empty tensor, which a tensor in Python cannot follow.
+_FACTORIES = ("_to_copy", "eye", "eye.m", "arange", "arange.start", "arange.start_step", "linspace")
+
+
+def _factory(operator: Any) -> Any:
+    return lambda *args, **kwargs: _run(operator, args, kwargs)
+
+
+def register() -> str:
+    """Make the device known to torch, once a process; returns its name."""
+    if not _registered:
+        backend_registration._setup_privateuseone_for_python_backend(NAME, backend_module=Module())
+        factories = torch.library.Library("aten", "IMPL")
+        library = torch.library.Library("_", "IMPL")  # every operator that names the device: factories, copies
+        library.fallback(lambda func, *args, **kwargs: _run(func, args, kwargs), "PrivateUse1")
+        for overload in _FACTORIES:
+            operator = getattr(getattr(_ATEN, overload.split(".")[0]), overload.partition(".")[2] or "default")
+            factories.impl(overload, _factory(operator), "PrivateUse1")
+        _registered.extend((library, factories))
+        DeviceTensor.record_stream = lambda self, stream: None  # type: ignore[method-assign]
+        torch.Generator = _Generator  # type: ignore[misc,assignment]
+    return NAME
