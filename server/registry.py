@@ -9,6 +9,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Coroutine
 from pathlib import Path
+from typing import Any
 
 from core.errors import InputError, StorageError
 from server.auth.gate import Gate
@@ -80,7 +81,7 @@ class Registry:
         recording = stream.bus.recording
         if recording is not None:
             try:
-                recording.note(definition=spec.to_json(), running=start)
+                recording.note(definition=self._sealed(spec), running=start)
             except StorageError:
                 del self.streams[spec.id]
                 await recording.erase()
@@ -130,6 +131,9 @@ class Registry:
         self.streams[spec.id] = Stream(spec, self.settings, recording, socket)
         return self.streams[spec.id]
 
+    def _sealed(self, spec: StreamSpec) -> Any:
+        return self.store.seal.close(spec.to_json()) if self.store is not None else None
+
     def _add_stored(self, store: Store) -> None:
         """Streams that were created over REST, and recordings of those that were deleted since."""
         for name, stored in store.stored_streams().items():
@@ -139,7 +143,7 @@ class Registry:
                 if stored.definition is None:
                     self.kept[name] = store.recording(name)
                 else:
-                    self._add(spec_from_json(stored.definition))
+                    self._add(spec_from_json(store.seal.open(stored.definition)))
                     self._initial += [name] if stored.running else []
             except InputError as error:
                 _LOG.warning("a remembered stream is left out: %s", error)

@@ -107,6 +107,15 @@ class Settings(BaseModel):
     hosts: tuple[str, ...] = Field(
         default=(), description="host names that the server answers to besides local ones, addresses and `origins`"
     )
+    roots: tuple[Path, ...] = Field(
+        default=(), description="folders that streams created over REST may read, besides the state folder"
+    )
+    networks: tuple[str, ...] = Field(
+        default=(), description="private networks (CIDR) and host names that their cameras may be at"
+    )
+    listen: tuple[str, ...] = Field(
+        default=(), description="ADDRESS:PORT at which their cameras may push to the server"
+    )
     frame_ancestors: tuple[str, ...] = Field(
         default=(), description="origins of sites that may show the page in a frame"
     )
@@ -124,6 +133,11 @@ class Settings(BaseModel):
     def has_tokens(self) -> bool:
         """Whether anything needs a token."""
         return not (self.tokens is None and self.jwt_key is None and self.jwks is None)
+
+    @property
+    def readable_folders(self) -> tuple[Path, ...]:
+        """Folders that streams created over REST may read."""
+        return self.roots if self.state is None else (*self.roots, self.state / "streams")
 
     @property
     def is_public(self) -> bool:
@@ -148,6 +162,11 @@ class Settings(BaseModel):
             )
         if (self.certificate is None) != (self.certificate_key is None):
             raise InputError("certificate", "TLS needs both the certificate and its key")
+        for network in self.networks:
+            try:
+                ipaddress.ip_network(network if "/" in network else "::/0")
+            except ValueError as error:
+                raise InputError("networks", f"{error}; write 10.0.0.0/8") from error
         for name in ("origins", "frame_ancestors"):
             for origin in getattr(self, name):
                 if not _ORIGIN.fullmatch(origin):

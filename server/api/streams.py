@@ -10,14 +10,18 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from core.errors import InputError, StorageError
+from codec.container import SlodReader
+from core.errors import BitstreamError, InputError, StorageError
 from server.api.access import StreamOf, grant_of, need, refusal, registry_of
+from server.api.reach import check_reach
 from server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem
 from server.pipeline.new_stream import NewStream
+from server.pipeline.spec import StreamSpec
 from server.protocol.packets import Position
 from server.registry import Registry
+from server.stream.sealing import masked
 from server.stream.stream import Stream
 
 _USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 422, 429)}
@@ -53,11 +57,14 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
     problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
     if problem is not None:
         raise problem
-    for name, path in (("data", body.data), ("live", body.live), ("play", body.play)):
-        if isinstance(path, str) and not await asyncio.to_thread(_is_there, path):
-            raise Problem(422, f"{name}: there is no {path!r:.200} on the server")
     try:
-        stream = await registry.create(body.spec, start=body.start is True)
+        spec = body.spec
+        check_reach(spec, registry.settings)
+        await asyncio.to_thread(_check_source, spec)
+    except (InputError, BitstreamError) as error:
+        raise Problem(422, masked(str(error))) from error
+    try:
+        stream = await registry.create(spec, start=body.start is True)
     except StorageError as error:
         raise Problem(507, str(error)) from error
     except InputError as error:
@@ -83,6 +90,13 @@ async def get_ready(stream: StreamOf, response: Response) -> Health:
     ready = stream.state in {"live", "ended"}
     response.status_code = 200 if ready else 503
     return Health(status="ok" if ready else stream.state, detail=stream.detail)
+
+
+@router.get("/{stream_id}/definition", summary="What a stream is made from", dependencies=[need(Right.CONTROL)])
+async def get_definition(stream: StreamOf) -> dict[str, Any]:
+    """The fields with which the stream was created, and defaults; passwords are left out."""
+    found: dict[str, Any] = masked(stream.spec.to_json())
+    return found
 
 
 @router.delete("/{stream_id}", status_code=204, summary="Delete a stream", dependencies=[need(Right.CONTROL)])
@@ -153,11 +167,19 @@ async def get_manifest(
     )
 
 
-def _is_there(path: str) -> bool:
-    try:
-        return Path(path).exists()
-    except OSError:  # a name that no file can have
-        return False
+def _check_source(spec: StreamSpec) -> None:
+    """Refuse a source that cannot be used, as far as it takes no training library to know; InputError if so."""
+    if spec.play is not None:
+        with SlodReader(spec.play):
+            return
+    assert spec.job is not None
+    if isinstance(spec.job.live, dict):
+        from server.ingest.cameras.definition import read_definition
+
+        read_definition(spec.job.live)
+    for name, path in (("data", spec.job.data), ("live", spec.job.live)):
+        if isinstance(path, Path) and not path.exists():
+            raise InputError(name, f"there is no {str(path)!r:.200} on the server")
 
 
 async def _wait_for_later(registry: Registry, stream: Stream, place: Position, seconds: float) -> None:

@@ -26,6 +26,7 @@ from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError, StorageError
 from server.protocol.packets import Position, StreamPacket
 from server.settings import Retention
+from server.stream.sealing import Seal
 from server.stream.stored_stream import PRIVATE_FILE, PRIVATE_FOLDER, StoredStream, read_stored, write_stored
 
 _LOG = logging.getLogger(__name__)
@@ -81,6 +82,7 @@ class Store:
             folder.mkdir(parents=True, exist_ok=True, mode=PRIVATE_FOLDER)
             self._lock = _lock(folder)
             (folder / "streams").mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
+            self.seal = Seal(folder / "secret.key")
             catalogue = folder / "catalogue.sqlite3"
             os.close(os.open(catalogue, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
             catalogue.chmod(PRIVATE_FILE)  # what SQLite keeps beside it gets the same

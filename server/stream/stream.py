@@ -21,6 +21,7 @@ from server.settings import Settings
 from server.stream.bus import Bus
 from server.stream.counters import Counters
 from server.stream.hub import Hub
+from server.stream.sealing import masked
 from server.stream.store import Recording
 from server.worker.process import Resume, Tag
 from server.worker.supervisor import Ending, Supervisor
@@ -113,7 +114,7 @@ class Stream:
             "source": self.spec.source,
             "loop": self.spec.play is not None and self.spec.loop,
             "state": self.state,
-            "detail": self.detail,
+            "detail": masked(self.detail),
             "epoch": newest.epoch if newest else None,
             "version": newest.version if newest else None,
             "fps": scene.header.fps if scene else None,
@@ -124,7 +125,7 @@ class Stream:
             "recording": self._recording_state(),
             "progress": self.progress,
             "report": self.report,
-            "ingest": self.ingest,
+            "ingest": masked(self.ingest),
             "created_at": self.created_at.isoformat(timespec="seconds").replace("+00:00", "Z"),
             "live_path": f"/v1/streams/{self.spec.id}/live",
         }
@@ -278,7 +279,7 @@ class Stream:
     def _enter(self, state: str, detail: str = "") -> None:
         if (state, detail) != (self.state, self.detail):
             self.state, self.detail = state, detail
-            self._tell(event("state", state=state, detail=detail))
+            self._tell(event("state", state=state, detail=masked(detail)))
 
     def _tell(self, message: dict[str, Any]) -> None:
         for queue in self._events:

@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from core.errors import BackendUnavailable, InputError, StreamlodError
+from core.errors import BackendUnavailable, BitstreamError, InputError, StreamlodError
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 
@@ -124,6 +124,11 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
     except Exception as error:
         _LOG.exception("worker of stream %s", spec.id)
         sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
+
+
+def _is_fatal(error: StreamlodError, spec: StreamSpec) -> bool:
+    """Whether another try cannot help: unusable input stays as it is, and so does a file that is played."""
+    return isinstance(error, InputError) or (spec.play is not None and isinstance(error, BitstreamError))
 
 
 def _load(job: TrainJob) -> None:

@@ -100,8 +100,10 @@ class Running:
 
 
 @contextmanager
-def running(settings: Settings, *specs: StreamSpec, port: int = 0) -> Iterator[Running]:
-    """A server on a port of loopback, a free one by default."""
+def running(settings: Settings, *specs: StreamSpec, port: int = 0, confined: bool = False) -> Iterator[Running]:
+    """A server on a port of loopback, a free one by default; unless `confined`, its streams may read all files."""
+    if not confined:
+        settings = settings.model_copy(update={"roots": (Path("/"),)})
     app = create_app(settings, specs)
     listener = socket.socket()
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -30,6 +30,8 @@ _LISTENING = {
     "http": {"listen": "1"},
     "tcp": {"listen": "1"},
 }
+_CONFINED_FORMATS = "mpegts,mpjpeg,mjpeg,flv,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,h264,hevc"
+_CONFINED = dict.fromkeys(("http", "https"), {"max_redirects": "0", "format_whitelist": _CONFINED_FORMATS})
 SCHEMES = "a file, rtsp, rtsps, rtmp, http, https, udp, tcp, srt, v4l2 or push, or rtsp, rtmp, http or tcp with +listen"
 
 
@@ -98,7 +100,7 @@ def parse_address(source: str) -> Address:
     url = source.replace("+listen", "", 1) if listens else source
     if base == "srt":
         return Address(url, "srt", format="mpegts", options=dict(_LIVE))
-    options = {**_LIVE, "protocol_whitelist": _PROTOCOLS[base]}
+    options = {**_LIVE, "protocol_whitelist": _PROTOCOLS[base], **_CONFINED.get(base, {})}
     if base in ("rtsp", "rtsps"):
         options["rtsp_transport"] = "tcp"
     if listens:

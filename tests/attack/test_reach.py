@@ -1,0 +1,122 @@
+"""What somebody with the right to control streams may reach: not the machine's files, and not its network."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from server.api.reach import is_reachable
+from server.pipeline.spec import StreamSpec
+from server.settings import Settings
+from tests.server.conftest import Clip, running
+
+_MATRIX = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]
+
+
+def rig(source: str, **fields: Any) -> dict[str, Any]:
+    camera = {
+        "name": "cam0", "source": source, "width": 64, "height": 48, "world_to_camera": _MATRIX,
+        "intrinsics": [[60, 0, 32], [0, 60, 24], [0, 0, 1]],
+    }  # fmt: skip
+    return {"fps": 10, "cameras": [camera], **fields}
+
+
+def test_files_outside_the_roots_are_refused_alike_whether_they_exist(tmp_path: Path, clip: Clip) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    shutil.copy(clip.path, root / "inside.slod")
+    (root / "way-out").symlink_to(clip.path.parent)
+    settings = Settings(roots=(root,), state=tmp_path / "state")
+    with running(settings, confined=True) as server, server.client() as client:
+
+        def refusal(**fields: Any) -> str:
+            answer = client.post("/v1/streams", json={"id": "x", **fields})
+            assert answer.status_code == 422, answer.text
+            detail: str = answer.json()["detail"]
+            return detail
+
+        for name in ("play", "data", "live"):
+            texts = {
+                refusal(**{name: path})
+                for path in ("/etc/passwd", "/etc/none", str(clip.path), f"{root}/../x", f"{root}/way-out/scene.slod")
+            }
+            assert len(texts) == 1, texts
+            assert "`roots`" in texts.pop()
+        assert "`roots`" in refusal(live=rig("push:", calibration="/etc"))
+        assert "`roots`" in refusal(synthetic={"cameras": 3}, points="/etc/passwd")
+        assert "`roots`" in refusal(play=str(tmp_path / "state" / "secret.key"))
+        for source in ("/etc/passwd", "file:///etc/passwd", "v4l2:///dev/video0"):
+            assert "`roots`" in refusal(live=rig(source))
+        made = client.post("/v1/streams", json={"id": "inside", "play": str(root / "inside.slod")})
+        assert made.status_code == 201
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "rtsp://127.0.0.1/x", "rtsp://10.1.2.3/x", "http://169.254.169.254/latest", "rtsp://[::1]/x", "tcp://0.0.0.0:80",
+        "rtsp://[::ffff:10.0.0.1]/x", "rtsp://localhost/x", "rtsp://camera.example/x", "rtsp://2130706433/x",
+        "srt://192.168.0.1:9000", "rtmp://[fe80::1]/x", "http://224.0.0.1/x", "rtsp://user@127.0.0.1/x",
+    ],
+)  # fmt: skip
+def test_private_addresses_are_refused(source: str) -> None:
+    with running(Settings(), confined=True) as server, server.client() as client:
+        answer = client.post("/v1/streams", json={"id": "x", "live": rig(source)})
+        assert (answer.status_code, "`networks`" in answer.json()["detail"]) == (422, True), answer.text
+
+
+def test_listed_networks_names_and_listening_addresses_are_taken() -> None:
+    settings = Settings(networks=("10.0.0.0/8", "camera.example"), listen=("127.0.0.1:8554",))
+    with running(settings, confined=True) as server, server.client() as client:
+        sources = ("rtsp://10.1.2.3/x", "rtsp://camera.example/x", "rtsp+listen://127.0.0.1:8554/x", "push:")
+        for number, source in enumerate(sources):
+            made = client.post("/v1/streams", json={"id": f"s{number}", "live": rig(source)})
+            assert made.status_code == 201, made.text
+        for source in ("rtsp+listen://0.0.0.0:8554/x", "tcp+listen://127.0.0.1:8555", "udp://127.0.0.1:5000"):
+            answer = client.post("/v1/streams", json={"id": "x", "live": rig(source)})
+            assert "`listen`" in answer.json()["detail"]
+    assert is_reachable("8.8.8.8", ())
+    assert not is_reachable("192.168.1.1", ("10.0.0.0/8",))
+
+
+def test_passwords_are_neither_stored_readable_nor_shown(tmp_path: Path) -> None:
+    source = "rtsp://admin:hunter2@10.1.2.3/x"
+    settings = Settings(state=tmp_path, networks=("10.0.0.0/8",))
+    with running(settings, confined=True) as server, server.client() as client:
+        made = client.post("/v1/streams", json={"id": "cams", "live": rig(source)})
+        assert made.status_code == 201, made.text
+        shown = client.get("/v1/streams/cams/definition")
+        assert shown.json()["live"]["cameras"][0]["source"] == "rtsp://admin:***@10.1.2.3/x"
+        wrong = client.post("/v1/streams", json={"id": "x", "live": rig(source.replace("rtsp:", "gopher:"))})
+        for text in (made.text, shown.text, wrong.text, client.get("/v1/streams").text):
+            assert "hunter2" not in text
+    for path in tmp_path.rglob("*"):
+        assert path.is_dir() or b"hunter2" not in path.read_bytes(), path
+    with running(settings, confined=True) as server:
+        spec: StreamSpec = server.registry.streams["cams"].spec
+        assert spec.job is not None
+        assert isinstance(spec.job.live, dict)
+        assert spec.job.live["cameras"][0]["source"] == source
+
+
+def test_a_definition_that_cannot_be_used_is_refused_when_it_is_created(tmp_path: Path) -> None:
+    (tmp_path / "bad.slod").write_bytes(b"no bitstream")
+    with running(Settings(roots=(tmp_path,)), confined=True) as server, server.client() as client:
+        for fields in (
+            {"live": {}},
+            {"live": rig("x://y")},
+            {"live": {"fps": 0}},
+            {"play": str(tmp_path / "bad.slod")},
+        ):
+            answer = client.post("/v1/streams", json={"id": "x", **fields})
+            assert answer.status_code == 422, fields
+
+
+def test_a_file_that_cannot_be_played_fails_at_once(tmp_path: Path) -> None:
+    (tmp_path / "bad.slod").write_bytes(b"no bitstream")
+    with running(Settings(), StreamSpec(play=tmp_path / "bad.slod")) as server:
+        found = server.wait(lambda stream: stream["state"] == "failed")
+        assert found["restarts"] == 0
