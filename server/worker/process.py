@@ -118,7 +118,7 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
             train(spec.job, scene, resume.frames, sender, push_socket)
         sender.send(Tag.END)
     except StreamlodError as error:
-        sender.send(Tag.FAILURE, {"text": str(error), "fatal": isinstance(error, InputError | BackendUnavailable)})
+        sender.send(Tag.FAILURE, {"text": str(error), "fatal": _is_fatal(error, spec)})
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return  # the supervisor is gone
     except Exception as error:
@@ -128,7 +128,9 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
 
 def _is_fatal(error: StreamlodError, spec: StreamSpec) -> bool:
     """Whether another try cannot help: unusable input stays as it is, and so does a file that is played."""
-    return isinstance(error, InputError) or (spec.play is not None and isinstance(error, BitstreamError))
+    return isinstance(error, InputError | BackendUnavailable) or (
+        spec.play is not None and isinstance(error, BitstreamError)
+    )
 
 
 def _load(job: TrainJob) -> None:

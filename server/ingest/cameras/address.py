@@ -30,8 +30,8 @@ _LISTENING = {
     "http": {"listen": "1"},
     "tcp": {"listen": "1"},
 }
-_CONFINED_FORMATS = "mpegts,mpjpeg,mjpeg,flv,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,h264,hevc"
-_CONFINED = dict.fromkeys(("http", "https"), {"max_redirects": "0", "format_whitelist": _CONFINED_FORMATS})
+_FORMATS = "mpegts,mpjpeg,mjpeg,flv,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,h264,hevc"
+_CONFINED = {name: {"max_redirects": "0", "format_whitelist": _FORMATS} for name in ("http", "https")}  # no playlist
 SCHEMES = "a file, rtsp, rtsps, rtmp, http, https, udp, tcp, srt, v4l2 or push, or rtsp, rtmp, http or tcp with +listen"
 
 
