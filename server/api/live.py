@@ -23,7 +23,7 @@ from server.viewer.session import ViewerSession
 from server.viewer.thin_session import ThinSession
 
 _LOG = logging.getLogger(__name__)
-_LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5
+_MAX_REASON_BYTES = 123  # bytes, RFC 6455 section 5.5
 _GONE = (WebSocketDisconnect, ClientDisconnected, ConnectionError)
 
 router = APIRouter()
@@ -160,6 +160,6 @@ async def _listen(websocket: WebSocket, session: ViewerSession) -> None:
 
 
 async def _close(websocket: WebSocket, code: int, reason: str) -> None:
-    reason = reason.encode()[:_LONGEST_REASON].decode(errors="ignore")
+    reason = reason.encode()[:_MAX_REASON_BYTES].decode(errors="ignore")
     with contextlib.suppress(RuntimeError, *_GONE):
         await websocket.close(code, reason)

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from server.auth.links import LONGEST_SECONDS
+from server.auth.links import MAX_LINK_SECONDS
 
 _STREAM_EXAMPLE: dict[str, Any] = {
     "id": "main", "name": "main", "incarnation": "9f86d081884c7d65", "source": "cameras", "loop": False,
@@ -116,7 +116,7 @@ class NewLink(BaseModel):
         pattern=r"^(bitstream|(gops|packets)/[0-9]{1,10}/[0-9]{1,10})?$",
         description="download below the stream; all of them without",
     )
-    seconds: int = Field(default=3600, ge=1, le=LONGEST_SECONDS, description="how long the address is good")
+    seconds: int = Field(default=3600, ge=1, le=MAX_LINK_SECONDS, description="how long the address is good")
 
 
 class Link(BaseModel):

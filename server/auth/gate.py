@@ -18,8 +18,8 @@ from server.auth.keys import TokenKeys
 from server.auth.links import LinkSigner
 from server.settings import Settings
 
-_MOST_ADDRESSES = 10_000
-_LONGEST_TOKEN = 4096
+_MAX_ADDRESSES = 10_000
+_MAX_TOKEN_CHARACTERS = 4096
 _MINUTE = 60.0
 
 
@@ -102,7 +102,7 @@ class Gate:
 
     async def admit(self, token: str | None) -> Grant | None:
         """`grant_of`, after keys that the token needs have been fetched."""
-        if token and len(token) <= _LONGEST_TOKEN and token.count(".") == 2:
+        if token and len(token) <= _MAX_TOKEN_CHARACTERS and token.count(".") == 2:
             await self._keys.refresh(token)
         return self.grant_of(token)
 
@@ -110,7 +110,7 @@ class Gate:
         """What `token` allows, or None if it is not known."""
         if self.is_open:
             return EVERYTHING
-        if not token or len(token) > _LONGEST_TOKEN:
+        if not token or len(token) > _MAX_TOKEN_CHARACTERS:
             return None
         offered, found = hash_token(token), None
         for known, grant in self._grants.items():  # compare with all of them, so that the time taken tells nothing
@@ -126,7 +126,7 @@ class Gate:
         times = self._refusals.setdefault(address, deque(maxlen=self._settings.limits.refusals_per_minute))
         times.append(time.monotonic())
         self._refusals.move_to_end(address)
-        while len(self._refusals) > _MOST_ADDRESSES:
+        while len(self._refusals) > _MAX_ADDRESSES:
             self._refusals.popitem(last=False)
 
     def is_blocked(self, address: str) -> bool:

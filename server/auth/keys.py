@@ -23,13 +23,13 @@ from server.settings import Settings
 _LOG = logging.getLogger(__name__)
 _AUDIENCE = "streamlod"
 _LEEWAY_SECONDS = 30
-_LONGEST_SET = 65536  # bytes
-_MOST_KEYS = 32
+_MAX_SET_BYTES = 65536  # bytes
+_MAX_KEYS = 32
 _FETCH_SECONDS = 5.0
 _FRESH_SECONDS = 600.0  # a set is fetched again after that
 _PAUSE_SECONDS = 30.0  # between two attempts, however many tokens ask for unknown keys
-_SHORTEST_SECRET = 32
-_SMALLEST_RSA = 2048
+_MIN_SECRET_CHARACTERS = 32
+_MIN_RSA_BITS = 2048
 _ALGORITHMS: dict[tuple[Any, Any], str] = {
     ("OKP", "Ed25519"): "EdDSA",
     ("EC", "P-256"): "ES256",
@@ -141,11 +141,11 @@ def parse_keys(subject: object, text: bytes) -> tuple[Key, ...]:
         InputError: it is no key set, too large, or has no key that can be used.
     """
     try:
-        if len(text) > _LONGEST_SET:
-            raise ValueError(f"more than {_LONGEST_SET} bytes")
+        if len(text) > _MAX_SET_BYTES:
+            raise ValueError(f"more than {_MAX_SET_BYTES} bytes")
         entries = json.loads(text)["keys"]
-        if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
-            raise ValueError(f"keys must be a list of at most {_MOST_KEYS}")
+        if not isinstance(entries, list) or len(entries) > _MAX_KEYS:
+            raise ValueError(f"keys must be a list of at most {_MAX_KEYS}")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(subject, f"is not a JSON web key set ({error})") from error
     keys = tuple(key for entry in entries if (key := _parse_key(entry)) is not None)
@@ -167,8 +167,8 @@ def _parse_key(entry: Any) -> Key | None:
         value = jwt.PyJWK(entry, algorithm).key
     except (jwt.PyJWTError, ValueError, TypeError, KeyError, AttributeError):
         return None
-    weak = (algorithm == "HS256" and len(value) < _SHORTEST_SECRET) or (
-        algorithm == "RS256" and value.key_size < _SMALLEST_RSA
+    weak = (algorithm == "HS256" and len(value) < _MIN_SECRET_CHARACTERS) or (
+        algorithm == "RS256" and value.key_size < _MIN_RSA_BITS
     )
     return None if weak else Key(name, algorithm, value)
 
@@ -179,8 +179,8 @@ def _key_of_file(path: Path) -> Key:
         text = _read(path).decode().strip()
     except UnicodeDecodeError as error:
         raise InputError(path, f"cannot be read ({error})") from error
-    if len(text) < _SHORTEST_SECRET:
-        raise InputError(path, f"a key needs at least {_SHORTEST_SECRET} characters")
+    if len(text) < _MIN_SECRET_CHARACTERS:
+        raise InputError(path, f"a key needs at least {_MIN_SECRET_CHARACTERS} characters")
     if not text.startswith("-----BEGIN"):
         return Key(None, "HS256", text)
     try:
@@ -192,7 +192,7 @@ def _key_of_file(path: Path) -> Key:
 def _read(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.read(_LONGEST_SET + 1)
+            return file.read(_MAX_SET_BYTES + 1)
     except OSError as error:
         raise InputError(path, f"cannot be read ({error})") from error
 
@@ -216,5 +216,5 @@ class _Stay(urllib.request.HTTPRedirectHandler):
 def _fetch(address: str) -> bytes:
     request = urllib.request.Request(address, headers={"Accept": "application/json"})
     with urllib.request.build_opener(_Stay).open(request, timeout=_FETCH_SECONDS) as answer:
-        body: bytes = answer.read(_LONGEST_SET + 1)
+        body: bytes = answer.read(_MAX_SET_BYTES + 1)
         return body

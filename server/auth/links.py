@@ -17,8 +17,8 @@ from urllib.parse import urlencode
 
 from core.errors import InputError
 
-LONGEST_SECONDS = 7 * 24 * 3600
-_SHORTEST_KEY = 32
+MAX_LINK_SECONDS = 7 * 24 * 3600
+_MIN_KEY_CHARACTERS = 32
 _DIGITS = re.compile(r"[0-9]{1,12}")
 
 
@@ -45,8 +45,8 @@ class LinkSigner:
             key = self._path.read_bytes().strip()
         except OSError as error:
             raise InputError(self._path, f"cannot be read ({error})") from error
-        if len(key) < _SHORTEST_KEY:
-            raise InputError(self._path, f"a key needs at least {_SHORTEST_KEY} characters")
+        if len(key) < _MIN_KEY_CHARACTERS:
+            raise InputError(self._path, f"a key needs at least {_MIN_KEY_CHARACTERS} characters")
         self._key = key
 
     def sign(self, scope: str, expires: int, incarnation: str) -> str:

@@ -18,7 +18,7 @@ from server.settings import Limits
 _ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large", "many": "503 Service Unavailable"}
 
 
-_MOST_WAITING = 128  # pipelined requests that are not answered yet; each takes a hundred times its bytes
+_MAX_WAITING_REQUESTS = 128  # pipelined requests that are not answered yet; each takes a hundred times its bytes
 
 
 class _Crowded(Exception):
@@ -59,7 +59,7 @@ class LimitedProtocol(HttpToolsProtocol):
             self._refuse("large")
 
     def on_message_begin(self) -> None:
-        if len(self.pipeline) >= _MOST_WAITING:
+        if len(self.pipeline) >= _MAX_WAITING_REQUESTS:
             self.turned_away["crowded"] += 1
             raise _Crowded
         super().on_message_begin()

@@ -22,7 +22,7 @@ from core.close_codes import CloseCode
 from server.http.stall_watch import StallWatch
 from server.settings import Limits
 
-_MOST_FRAGMENTS = 1024  # of a message; empty ones would cost memory without end
+_MAX_FRAGMENTS = 1024  # of a message; empty ones would cost memory without end
 _TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 CONNECTION = "streamlod.connection"  # where an endpoint finds its connection in the ASGI scope
 
@@ -81,10 +81,10 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
             super().handle_text(event)
 
     def handle_cont(self, event: Frame) -> None:
-        if len(self.frames) < _MOST_FRAGMENTS:
+        if len(self.frames) < _MAX_FRAGMENTS:
             super().handle_cont(event)
         elif not self.close_sent:
-            self.conn.send_close(CloseCode.POLICY, f"more than {_MOST_FRAGMENTS} parts in a message")
+            self.conn.send_close(CloseCode.POLICY, f"more than {_MAX_FRAGMENTS} parts in a message")
             self.handle_parser_exception()
 
     def handle_ping(self) -> None:

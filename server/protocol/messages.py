@@ -18,7 +18,7 @@ PROTOCOL_VERSION = 1
 LIVE = "live"
 ACK_EVERY = 32  # packets
 
-_MOST = 2**53  # the largest integers that every JSON reader keeps exactly
+_MAX_INTEGER = 2**53  # the largest integers that every JSON reader keeps exactly
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ _READER = json.JSONDecoder(parse_constant=_refuse_constant)
 
 
 def _integer(value: object, name: str) -> int:
-    if type(value) is not int or not 0 <= value <= _MOST:
+    if type(value) is not int or not 0 <= value <= _MAX_INTEGER:
         raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer of at least 0")
     return value
 

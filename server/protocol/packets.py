@@ -7,6 +7,8 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
+from websockets.frames import Frame, Opcode
+
 from codec.packet.info import PacketInfo, peek
 from codec.packet.levels import drop_levels
 from codec.packet.packet import PacketKind
@@ -93,30 +95,21 @@ def stream_packet(sequence: int, epoch: int, data: bytes) -> StreamPacket:
     return StreamPacket(sequence, Position(epoch, info.to_version), info, data, time.monotonic())
 
 
-def binary_frame(data: bytes) -> bytes:
-    """An unmasked, final websocket frame of opcode 2 (RFC 6455 section 5.2)."""
-    return _frame(0x82, data)
+def binary_frame(data: bytes | memoryview) -> bytes:
+    """One unmasked websocket frame with a whole binary message (RFC 6455 section 5.2)."""
+    return Frame(Opcode.BINARY, data).serialize(mask=False)
 
 
 def binary_fragments(data: bytes | memoryview, size_bytes: int) -> Iterator[bytes]:
     """`data` as one message in frames that carry at most `size_bytes` each (RFC 6455 section 5.4)."""
     for at in range(0, max(len(data), 1), size_bytes):
-        first = (0x02 if at == 0 else 0x00) | (0x80 if at + size_bytes >= len(data) else 0x00)
-        yield _frame(first, data[at : at + size_bytes])
+        opcode = Opcode.BINARY if at == 0 else Opcode.CONT
+        yield Frame(opcode, data[at : at + size_bytes], fin=at + size_bytes >= len(data)).serialize(mask=False)
 
 
 def text_frame(message: str) -> bytes:
-    """An unmasked, final websocket frame of opcode 1."""
-    return _frame(0x81, message.encode())
-
-
-def _frame(first: int, data: bytes | memoryview) -> bytes:
-    size = len(data)
-    if size < 126:
-        return bytes((first, size)) + data
-    if size < 1 << 16:
-        return bytes((first, 126)) + size.to_bytes(2, "big") + data
-    return bytes((first, 127)) + size.to_bytes(8, "big") + data
+    """One unmasked websocket frame with a whole text message."""
+    return Frame(Opcode.TEXT, message.encode()).serialize(mask=False)
 
 
 def payload_bytes(frame: bytes) -> int:

@@ -16,10 +16,10 @@ from core.camera import Camera, pinhole
 from core.close_codes import CloseCode
 from core.errors import InputError, SessionError
 
-_LARGEST_SIDE = 8192  # pixels
+_MAX_SIDE = 8192  # pixels
 _FARTHEST = 1e9  # world units
 _FOCAL = (0.05, 50.0)  # fractions of the longer side
-_MOST = 2**53
+_MAX_INTEGER = 2**53
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,12 +94,12 @@ def _numbers(message: dict[str, Any], name: str, count: int, largest: float) -> 
 
 
 def _side(value: object, name: str) -> int:
-    if type(value) is not int or not 1 <= value <= _LARGEST_SIDE:
-        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer from 1 to {_LARGEST_SIDE}")
+    if type(value) is not int or not 1 <= value <= _MAX_SIDE:
+        raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer from 1 to {_MAX_SIDE}")
     return value
 
 
 def _whole(value: object, name: str) -> int:
-    if type(value) is not int or not 0 <= value <= _MOST:
+    if type(value) is not int or not 0 <= value <= _MAX_INTEGER:
         raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be an integer of at least 0")
     return value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 _CALM_SECONDS = 5.0  # without congestion, before one more level is tried
-_LONGEST_CALM_SECONDS = 80.0
+_MAX_CALM_SECONDS = 80.0
 
 
 class Throttle:
@@ -76,7 +76,7 @@ class LevelControl:
     def congested(self, now: float) -> None:
         """The viewer fell behind."""
         if self.raised_at is not None and now - self.raised_at < 2 * self.calm_seconds:
-            self.calm_seconds = min(2 * self.calm_seconds, _LONGEST_CALM_SECONDS)
+            self.calm_seconds = min(2 * self.calm_seconds, _MAX_CALM_SECONDS)
         self.raised_at, self.quiet_since, self.asked = None, now, False
         self.levels = max(1, self.levels - 1)
 

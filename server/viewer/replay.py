@@ -11,7 +11,7 @@ from server.viewer.delivery import Delivery
 from server.viewer.pacing import LevelControl
 
 _CHUNK_VERSIONS = 16  # read at once
-_LONGEST_GAP_SECONDS = 2.0
+_MAX_GAP_SECONDS = 2.0
 
 
 class Replay:
@@ -62,7 +62,7 @@ class Replay:
             await self._read_ahead()
             return bool(self._ahead)
         due = self._due(self._ahead[0])
-        if abs(due - now) > _LONGEST_GAP_SECONDS:
+        if abs(due - now) > _MAX_GAP_SECONDS:
             self._clock += now - due
         elif due > now:
             return False

@@ -24,7 +24,7 @@ PUSH_SUBPROTOCOL = "streamlod.push.v1"
 MAX_MESSAGE_BYTES = 16 << 20
 _MAX_HEADER_BYTES = 512
 _FIELDS = {"camera", "sequence", "capture_ns", "codec"}
-_MOST_NUMBER, _MOST_TIME = 2**53, 2**62
+_MAX_SEQUENCE, _MAX_CAPTURE_NS = 2**53, 2**62
 
 
 class Codec(StrEnum):
@@ -76,9 +76,9 @@ def _checked(fields: Any, body: bytes) -> PushMessage:
     camera, sequence, capture, codec = (fields[name] for name in ("camera", "sequence", "capture_ns", "codec"))
     if not isinstance(camera, str):
         raise SessionError(CloseCode.BAD_MESSAGE, "camera must be a name")
-    if not _is_number(sequence, _MOST_NUMBER):
+    if not _is_number(sequence, _MAX_SEQUENCE):
         raise SessionError(CloseCode.BAD_MESSAGE, "sequence must be a number from 0 to 2^53")
-    if capture is not None and not _is_number(capture, _MOST_TIME):
+    if capture is not None and not _is_number(capture, _MAX_CAPTURE_NS):
         raise SessionError(CloseCode.BAD_MESSAGE, "capture_ns must be null or nanoseconds since 1970")
     if codec not in set(Codec):
         raise SessionError(CloseCode.BAD_MESSAGE, "codec must be jpeg, png or h264")

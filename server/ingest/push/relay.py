@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from server.ingest.push.intake import Intake
 
 _LOG = logging.getLogger(__name__)
-_LONGEST_ANSWER = 4096
+_MAX_ANSWER_BYTES = 4096
 _BACKLOG = 64
 
 
@@ -51,7 +51,7 @@ class RelayedIntake:
         """
         try:
             self._pipe.send_bytes(pack_push(message))
-            answer = self._pipe.recv_bytes(_LONGEST_ANSWER)
+            answer = self._pipe.recv_bytes(_MAX_ANSWER_BYTES)
         except (OSError, EOFError) as error:
             raise SessionError(CloseCode.BUSY, "the stream takes no pictures at present; try again later") from error
         if answer:

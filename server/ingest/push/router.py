@@ -19,7 +19,7 @@ from core.errors import InputError, SessionError
 from server.ingest.push.message import PUSH_SUBPROTOCOL, PushMessage, parse_push
 
 _LOG = logging.getLogger(__name__)
-_LONGEST_REASON = 123  # bytes, RFC 6455 section 5.5
+_MAX_REASON_BYTES = 123  # bytes, RFC 6455 section 5.5
 MAX_SILENCE_SECONDS = 60.0  # between two pictures of a capture node; it may connect again
 
 
@@ -123,6 +123,6 @@ async def _receive(websocket: WebSocket, silence_seconds: float) -> Message:
 
 
 async def _close(websocket: WebSocket, code: int, reason: str) -> None:
-    reason = reason.encode()[:_LONGEST_REASON].decode(errors="ignore")
+    reason = reason.encode()[:_MAX_REASON_BYTES].decode(errors="ignore")
     with contextlib.suppress(RuntimeError, WebSocketDisconnect, ConnectionError):
         await websocket.close(code, reason)
