@@ -20,7 +20,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.protocol import Protocol
 from websockets.server import ServerProtocol
 
-from server.http.limits import GuardedProtocol
+from server.http.limits import LimitedProtocol
 from server.http.websocket import ViewerProtocol
 from server.run import Server
 
@@ -32,7 +32,7 @@ HTTP = """connection_made(transport) data_received(data) on_message_begin() on_h
 SERVER = "__init__(config) shutdown(sockets) handle_exit(sig,frame)"
 OVERRIDDEN = [
     (ViewerProtocol, WebSocketsSansIOProtocol, WEBSOCKET),
-    (GuardedProtocol, HttpToolsProtocol, HTTP),
+    (LimitedProtocol, HttpToolsProtocol, HTTP),
     (Server, uvicorn.Server, SERVER),
 ]
 ATTRIBUTES = [
