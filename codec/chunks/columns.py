@@ -72,9 +72,9 @@ def _formed(matrix: Int64, most: int, scaled: Int64) -> tuple[Int64, Int64, Int6
 
 def _shifts(matrix: Int64) -> Int64:
     """[n] how many zeros end every number of a row, in steps that enough rows share."""
-    shifts = trailing_zeros(matrix, class_model.MOST_CLASSES - 1)
-    counts = np.bincount(shifts, minlength=class_model.MOST_CLASSES)
-    for shift in range(class_model.MOST_CLASSES - 1, 0, -1):
+    shifts = trailing_zeros(matrix, class_model.MAX_CLASSES - 1)
+    counts = np.bincount(shifts, minlength=class_model.MAX_CLASSES)
+    for shift in range(class_model.MAX_CLASSES - 1, 0, -1):
         if 0 < counts[shift] < _FEWEST:
             shifts[shifts == shift] -= 1
             counts[shift - 1] += counts[shift]
@@ -126,7 +126,7 @@ def _unpack_classes(data: bytes, at: int) -> tuple[Int64, int]:
     """The shifts in use, ascending, and where what follows begins."""
     if len(data) <= at or data[at] == 0:
         raise corrupt("a chunk has no class of rows")
-    return np.flatnonzero(data[at] >> np.arange(class_model.MOST_CLASSES) & 1), at + 1
+    return np.flatnonzero(data[at] >> np.arange(class_model.MAX_CLASSES) & 1), at + 1
 
 
 def decode_counted(data: bytes, room: Room, channels: int, shifted: slice) -> Int32:

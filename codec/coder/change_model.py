@@ -10,7 +10,7 @@ from codec.coder.rans import Array, begin, finish, magnitude_bin, put_flag, put_
 
 BLOCK = 64
 BLOCK_MODELS, ROW_MODELS, LATENT_MODELS = 8, 16, 2
-LONGEST_SPAN = 255  # frames; steady motion over more counts as over these
+MAX_SPAN = 255  # frames; steady motion over more counts as over these
 
 
 @compiled
@@ -73,7 +73,7 @@ def _take_rows(words: Array, x: Array, ctl: Array, touched: Array, changed: Arra
 def steady_motion(position: Array, rows: Array, age: int, span: int) -> Array:
     """[n,3] int64 how far `rows` would go in `span` frames, as they did in `age` since the keyframe, in 1/128 step."""
     motion = np.zeros((len(rows), 3), np.int64)
-    frames = min(span, age, LONGEST_SPAN)  # never further ahead than it was seen
+    frames = min(span, age, MAX_SPAN)  # never further ahead than it was seen
     if age > 0:
         for i in range(len(rows)):
             for axis in range(3):

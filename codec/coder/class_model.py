@@ -8,13 +8,13 @@ from codec.coder.column_model import columns_items, take_columns
 from codec.coder.compiled import compiled
 from codec.coder.rans import Array, begin, finish, put_flag, take_flag
 
-MOST_CLASSES = 8
+MAX_CLASSES = 8
 
 
 @compiled
 def classes_items(classes: Array, count: int, items: Array, n: int) -> int:
     """Model pass over the class [rows] of each row, below `count`, in unary."""
-    models = np.ones((MOST_CLASSES, 2), np.int64)
+    models = np.ones((MAX_CLASSES, 2), np.int64)
     for own in classes:
         for k in range(count - 1):
             n = put_flag(items, n, models[k], 1 if own == k else 0)
@@ -25,7 +25,7 @@ def classes_items(classes: Array, count: int, items: Array, n: int) -> int:
 
 @compiled
 def _take_classes(words: Array, x: Array, ctl: Array, classes: Array, count: int) -> None:
-    models = np.ones((MOST_CLASSES, 2), np.int64)
+    models = np.ones((MAX_CLASSES, 2), np.int64)
     for i in range(len(classes)):
         own = count - 1
         for k in range(count - 1):

@@ -22,8 +22,8 @@ Array = NDArray[Any]
 LOWEST_STATE = 1 << 16
 VALUE_LIMIT = 1 << 30  # no coded value has this magnitude
 TOP_BIN = BINS - 1
-_MOST_BIN = 120  # a shift of 23 bits, so that no sum of magnitudes asks for more than a value has
-_MOST_WIDTH = 30  # bits of an escape
+_MAX_BIN = 120  # a shift of 23 bits, so that no sum of magnitudes asks for more than a value has
+_MAX_WIDTH = 30  # bits of an escape
 
 STARTS: Int64 = np.concatenate([np.zeros((BINS, 1), np.int64), np.cumsum(FREQUENCIES, axis=1)[:, :-1]], axis=1)
 SYMBOL_OF = np.concatenate([np.repeat(np.arange(SYMBOLS), row) for row in FREQUENCIES]).astype(np.uint8)
@@ -86,7 +86,7 @@ def _adapt(model: Array, bit: int) -> None:
 
 @compiled
 def put_value(items: Array, n: int, value: int, b: int) -> int:
-    b = min(max(b, 0), _MOST_BIN)
+    b = min(max(b, 0), _MAX_BIN)
     shift = 0
     if b > TOP_BIN:
         shift = (b - TOP_BIN + 3) >> 2
@@ -200,7 +200,7 @@ def take_flag(words: Array, x: Array, ctl: Array, model: Array) -> int:
 
 @compiled
 def take_value(words: Array, x: Array, ctl: Array, b: int) -> int:
-    b = min(max(b, 0), _MOST_BIN)
+    b = min(max(b, 0), _MAX_BIN)
     shift = 0
     if b > TOP_BIN:
         shift = (b - TOP_BIN + 3) >> 2
@@ -211,7 +211,7 @@ def take_value(words: Array, x: Array, ctl: Array, b: int) -> int:
         width = 0
         while take_raw(words, x, ctl, 1):
             width += 1
-            if width > _MOST_WIDTH or ctl[2]:
+            if width > _MAX_WIDTH or ctl[2]:
                 ctl[2] = 1
                 return 0
         z = ESCAPE - 1 + (1 << width) + take_raw(words, x, ctl, width)

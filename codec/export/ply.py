@@ -18,8 +18,8 @@ _PROPERTIES = (
     *("scale_0", "scale_1", "scale_2"),
     *("rot_0", "rot_1", "rot_2", "rot_3"),
 )
-_SMALLEST_OPACITY = 1e-6
-_SMALLEST_SCALE = 1e-12
+_MIN_OPACITY = 1e-6
+_MIN_SCALE = 1e-12
 
 
 def encode_ply(cloud: GaussianCloud, comment: str) -> bytes:
@@ -30,13 +30,13 @@ def encode_ply(cloud: GaussianCloud, comment: str) -> bytes:
     """
     if not comment.isascii() or not comment.isprintable():
         raise ValueError("a PLY comment is one line of ASCII")
-    opacity = np.clip(cloud.opacities.astype(np.float64), _SMALLEST_OPACITY, 1 - _SMALLEST_OPACITY)[:, None]
+    opacity = np.clip(cloud.opacities.astype(np.float64), _MIN_OPACITY, 1 - _MIN_OPACITY)[:, None]
     columns = (
         cloud.means,
         np.zeros_like(cloud.means),
         (cloud.colours - 0.5) / SH_C0,
         np.log(opacity / (1 - opacity)),
-        np.log(np.maximum(cloud.scales, _SMALLEST_SCALE)),
+        np.log(np.maximum(cloud.scales, _MIN_SCALE)),
         unit_quaternions(cloud.quaternions),
     )
     lines = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {len(cloud)}"]
