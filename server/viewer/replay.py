@@ -50,7 +50,7 @@ class Replay:
             while packets and not (packets[0].is_key if last is None else packets[0].follows(last.position)):
                 packets.pop(0)  # some may have left the window meanwhile
             for packet in packets:
-                await self._send_parts(packet)
+                await self._send(packet)
             last = packets[-1] if packets else last
             here = Position(packets[-1].position.epoch, packets[-1].position.version + 1) if packets else None
         if last is not None:
@@ -66,7 +66,7 @@ class Replay:
             self._clock += now - due
         elif due > now:
             return False
-        await self._send_parts(self._ahead.popleft())
+        await self._send(self._ahead.popleft())
         return True
 
     async def _read_ahead(self) -> None:
@@ -88,5 +88,5 @@ class Replay:
     def _due(self, packet: StreamPacket) -> float:
         return self._clock + packet.info.time_ns / 1e9
 
-    async def _send_parts(self, packet: StreamPacket) -> None:
-        await self._delivery.frame(binary_frame(packet.restricted(self._levels.levels)), packet)
+    async def _send(self, packet: StreamPacket) -> None:
+        await self._delivery.send(binary_frame(packet.restricted(self._levels.levels)), packet)
