@@ -97,6 +97,8 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         access_log=False,
         log_config=None,
         server_header=False,
+        proxy_headers=bool(settings.proxies),
+        forwarded_allow_ips=list(settings.proxies),
         ssl_certfile=settings.certificate,
         ssl_keyfile=settings.certificate_key,
     )

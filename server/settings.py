@@ -107,6 +107,9 @@ class Settings(BaseModel):
     hosts: tuple[str, ...] = Field(
         default=(), description="host names that the server answers to besides local ones, addresses and `origins`"
     )
+    proxies: tuple[str, ...] = Field(
+        default=(), description="addresses and networks (CIDR) of proxies whose X-Forwarded-For is believed"
+    )
     roots: tuple[Path, ...] = Field(
         default=(), description="folders that streams created over REST may read, besides the state folder"
     )
@@ -162,11 +165,14 @@ class Settings(BaseModel):
             )
         if (self.certificate is None) != (self.certificate_key is None):
             raise InputError("certificate", "TLS needs both the certificate and its key")
-        for network in self.networks:
+        for name, network in (
+            *(("networks", network) for network in self.networks if "/" in network),
+            *(("proxies", network) for network in self.proxies),
+        ):
             try:
-                ipaddress.ip_network(network if "/" in network else "::/0")
+                ipaddress.ip_network(network)
             except ValueError as error:
-                raise InputError("networks", f"{error}; write 10.0.0.0/8") from error
+                raise InputError(name, f"{error}; write 10.0.0.0/8") from error
         for name in ("origins", "frame_ancestors"):
             for origin in getattr(self, name):
                 if not _ORIGIN.fullmatch(origin):
