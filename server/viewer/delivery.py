@@ -127,7 +127,7 @@ class Delivery:
             raise SessionError(CloseCode.BUSY, f"nothing was acknowledged for {self._limits.stuck_seconds:g} s")
         return True
 
-    async def frame(self, frame: bytes, packet: StreamPacket | None = None) -> None:
+    async def send(self, frame: bytes, packet: StreamPacket | None = None) -> None:
         """Send a framed packet once the write buffer has drained; `packet` is what the viewer holds afterwards."""
         self.last = packet or self.last
         begin = time.monotonic()
@@ -141,10 +141,10 @@ class Delivery:
         for number, frame in enumerate(packet.pieces(levels)):
             if number:
                 await asyncio.sleep(interval_seconds)
-            await self.frame(frame)
+            await self.send(frame)
         self.last = packet
 
-    async def event(self, message: dict[str, Any]) -> None:
+    async def send_event(self, message: dict[str, Any]) -> None:
         """Send a control message."""
         await self._transport.text(json.dumps(message))
 

@@ -76,7 +76,7 @@ class Follower:
             return True
         if following is not None and now - following.arrived <= self._limits.viewer_lag_seconds:
             self._sequence = following.sequence
-            await self._delivery.frame(following.framed(self._levels.levels), following)
+            await self._delivery.send(following.framed(self._levels.levels), following)
             return True
         await self._skip_ahead(now)
         return True
@@ -86,7 +86,7 @@ class Follower:
         self._delivery.blocked_seconds = 0.0
         if not self._told_caught_up:
             self._told_caught_up = True
-            await self._delivery.event(event("caught_up"))
+            await self._delivery.send_event(event("caught_up"))
         if self._wants_more and self._levels.may_raise(now):
             await self._raise_level(now)
             return True
@@ -113,7 +113,7 @@ class Follower:
             newest, residual = await self._hub.catch_up(0, levels - 1)
             if residual is not None:
                 self._sequence = newest.sequence
-                await self._delivery.frame(residual, newest)
+                await self._delivery.send(residual, newest)
 
     async def _skip_ahead(self, now: float) -> None:
         """The viewer fell behind: send fewer levels, and one residual over everything that it missed."""
@@ -123,7 +123,7 @@ class Follower:
             self._levels.congested(now)
             self._delivery.blocked_seconds = 0.0
         if self._levels.levels != shown:
-            await self._delivery.event(event("levels", levels=self._levels.levels, reason="congestion"))
+            await self._delivery.send_event(event("levels", levels=self._levels.levels, reason="congestion"))
         self._stream.counters.skips += 1
         if not self._hub.can_skip_from(self._sequence):
             self._sequence = None
@@ -133,8 +133,8 @@ class Follower:
         self._sequence = newest.sequence
         if before is not None:
             limits = {"from": before.position.version, "to": newest.position.version}
-            await self._delivery.event(event("skipped", **limits, reason="congestion"))
-        await self._delivery.frame(residual, newest)
+            await self._delivery.send_event(event("skipped", **limits, reason="congestion"))
+        await self._delivery.send(residual, newest)
 
     async def _raise_level(self, now: float) -> None:
         """Send one more level: its part of the keyframe, and the residual from there to the newest state."""
@@ -143,10 +143,10 @@ class Follower:
         last = self.shown_levels - 1
         parts = self._hub.key_parts(first, last)
         _, residual = await self._hub.catch_up(first, last)
-        await self._delivery.event(event("levels", levels=self.shown_levels, reason="recovered"))
+        await self._delivery.send_event(event("levels", levels=self.shown_levels, reason="recovered"))
         await self._send_parts(parts, residual)
 
     async def _send_parts(self, parts: list[bytes], residual: bytes | None) -> None:
         """Send parts of the keyframe, and the residual from it, if one is needed."""
         for frame in parts if residual is None else [*parts, residual]:
-            await self._delivery.frame(frame)
+            await self._delivery.send(frame)

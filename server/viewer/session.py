@@ -107,11 +107,11 @@ class ViewerSession:
         stream.counters.joins += 1
         _LOG.info("stream %s: viewer %s (%s) joins", stream.spec.id, self.id, self.client)
         try:
-            await self._delivery.event(welcome(stream.describe(), stream.window, self.id))
+            await self._delivery.send_event(welcome(stream.describe(), stream.window, self.id))
             while True:
                 self.wake.clear()
                 while not events.empty():
-                    await self._delivery.event(events.get_nowait())
+                    await self._delivery.send_event(events.get_nowait())
                 if stream.deleted:
                     raise SessionError(CloseCode.DONE, "the stream was deleted")
                 if self.draining:
@@ -157,12 +157,12 @@ class ViewerSession:
             return True
         if self._tell_levels:
             self._tell_levels = False
-            await self._delivery.event(event("levels", levels=self._follower.shown_levels, reason="requested"))
+            await self._delivery.send_event(event("levels", levels=self._follower.shown_levels, reason="requested"))
         if self._playhead.mode == "paused" or self._delivery.must_wait(now):
             return False
         if now - self._window_sent_at >= _TICK_SECONDS and self._stream.window is not None:
             self._window_sent_at = now
-            await self._delivery.event(event("window", **self._stream.window))
+            await self._delivery.send_event(event("window", **self._stream.window))
         if self._playhead.mode == "live":
             return await self._follower.step(now)
         going_on = await self._replay.step(now)
@@ -181,7 +181,7 @@ class ViewerSession:
         if mode != "paused":
             self._follower.restart()
             self._replay.clear()
-        await self._delivery.event(event("position", mode=mode, **place.to_json(), clamped=clamped))
+        await self._delivery.send_event(event("position", mode=mode, **place.to_json(), clamped=clamped))
         if mode == "replay":
             await self._go_back(place)
 
