@@ -5,20 +5,22 @@ import { Controls } from "../view/controls.js";
 import { createHandle, listenToParent } from "./handle.js";
 import { attachMenu, button, element, menuItem, toast } from "./page.js";
 import { Quality, QUALITIES } from "../view/quality.js";
-import { frusta } from "../view/frusta.js";
 import { NO_WEBGL, words } from "./states.js";
 import { hideWhenIdle, Latency, show } from "./status.js";
 import { chooseStream, liveAddress, showStreams } from "./streams.js";
+import { Rig } from "./rig.js";
 import { attachSharing, copyMoment, savePicture } from "./sharing.js";
 import { fillStatistics, Rates } from "./statistics.js";
 import { Timeline } from "./timeline.js";
 import { Viewer } from "../view/viewer.js";
 
 const OF_SLIDERS = new Set(["arrowleft", "arrowright", "arrowup", "arrowdown", "home", "end", "pageup", "pagedown"]);
+const BACK_AT = 0.4; // how far outside of what the rig has seen a way back is offered
 const options = new URLSearchParams(location.search);
 const recording = options.get("src");
 const canvas = /** @type {HTMLCanvasElement} */ (element("canvas"));
 document.body.classList.toggle("embed", options.get("embed") === "1");
+document.body.classList.toggle("still", options.get("sway") === "0");
 document.body.classList.toggle("framed", window.parent !== window);
 document.body.classList.toggle("bare", options.get("ui") === "0");
 
@@ -50,7 +52,7 @@ async function start(viewer) {
   const controls = new Controls(viewer);
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
-  let retryAt = 0, showFrusta = false;
+  let retryAt = 0;
 
   const destroy = () => {
     controls.destroy();
@@ -102,14 +104,17 @@ async function start(viewer) {
     if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, latency.ms);
   }, 500);
   viewer.addEventListener("scene", () => {
-    if (showFrusta) drawFrusta();
   });
 
-  const drawFrusta = () => {
-    viewer.renderer.setLines(showFrusta && viewer.scene ? frusta(viewer.scene.cameras, 0.12 * viewer.pose.distance) : new Float32Array(0));
-    viewer.dirty = true;
-  };
-
+  let lastOutside = -1;
+  viewer.addEventListener("frame", () => {
+    const far = viewer.presenting ? 0 : viewer.outside;
+    if (far === lastOutside) return;
+    lastOutside = far;
+    canvas.style.filter = far > 0 ? `opacity(${(1 - 0.85 * far).toFixed(3)})` : "";
+    button("b-back").hidden = far < BACK_AT;
+  });
+  button("b-back").onclick = () => goHome();
   const goHome = () => viewer.home && viewer.moveTo(viewer.home);
   /** @param {number} index */
   const goTo = async (index) => {
@@ -151,13 +156,13 @@ async function start(viewer) {
     else if (phase === "missing") showStreams(options);
     else location.reload();
   };
+  const rig = new Rig(viewer, goTo);
   const cameraMenu = element("camera-menu");
   attachMenu(button("b-cameras"), cameraMenu, () => {
     const cameras = viewer.scene?.cameras ?? [];
     cameraMenu.replaceChildren(
-      menuItem(showFrusta ? "Hide the rig" : "Show the rig", "", null, () => {
-        showFrusta = !showFrusta;
-        drawFrusta();
+      menuItem(rig.shown ? "Hide the rig" : "Show the rig", "", null, () => {
+        rig.toggle();
         button("b-cameras").click();
       }),
       document.createElement("hr"),

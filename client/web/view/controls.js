@@ -9,6 +9,7 @@ const TURN = 3.2; // radians for a drag across the picture's height
 const WHEEL = 0.0012, DOUBLE_TAP_MS = 320, TAP_PX = 8;
 const WALK = 0.6; // of the distance to the target, a second
 const GLIDE = 6; // per second, how fast inertia fades
+const SWAY = 0.14, SWAY_PERIOD_S = 24, SWAY_AFTER_S = 8; // radians to each side; of one swing; idle before
 
 /** Flying keys by physical place, so that they work on every layout. @type {Record<string, Vec3>} */
 const FLY = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, 1, 0], KeyE: [0, -1, 0] };
@@ -27,6 +28,7 @@ export class Controls {
     this.panning = false;
     this.spin = { yaw: 0, pitch: 0 }; // radians a second, after letting go
     this.last = 0;
+    this.idleSince = 0;
     this.tap = { time: 0, x: 0, y: 0 };
     this.travel = 0;
     this.still = matchMedia("(prefers-reduced-motion: reduce)");
@@ -156,6 +158,17 @@ export class Controls {
     event.preventDefault();
   }
 
+  /** A slow swing around the target while nobody touches anything. @param {number} now @param {number} seconds */
+  #sway(now, seconds) {
+    const { viewer } = this, isIdle = document.body.classList.contains("idle");
+    if (!isIdle || this.still.matches || viewer.presenting || viewer.glide || document.body.classList.contains("still")) this.idleSince = 0;
+    else this.idleSince ||= now;
+    const idle = this.idleSince ? (now - this.idleSince) / 1000 - SWAY_AFTER_S : 0;
+    if (idle <= 0) return;
+    const rate = SWAY * Math.cos((2 * Math.PI * idle) / SWAY_PERIOD_S) * ((2 * Math.PI) / SWAY_PERIOD_S) * Math.min(1, idle / 4);
+    viewer.drift(orbit(viewer.pose, viewer.up, rate * seconds, 0));
+  }
+
   /** @param {number} now */
   #frame(now) {
     const { viewer } = this;
@@ -181,6 +194,7 @@ export class Controls {
       viewer.steer(fly(viewer.pose, [walk[0] * pace, walk[1] * pace, walk[2] * pace]));
     }
     if (yaw || pitch) viewer.steer(orbit(viewer.pose, viewer.up, yaw * 1.4 * seconds, pitch * 1.1 * seconds));
+    this.#sway(now, seconds);
     if (!this.pointers.size && !this.still.matches && Math.hypot(this.spin.yaw, this.spin.pitch) > 0.02) {
       viewer.steer(orbit(viewer.pose, viewer.up, this.spin.yaw * seconds, this.spin.pitch * seconds));
       const fade = Math.exp(-GLIDE * seconds);

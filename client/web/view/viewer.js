@@ -3,7 +3,8 @@
  * Fires `scene`, `picture`, `status`, `refused` and `frame` events.
  */
 
-import { between, fromCamera, homeCamera, rigUp } from "./camera.js";
+import { between, fromCamera, homeCamera, rigUp, target } from "./camera.js";
+import { held, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
 
 /** @typedef {import("./camera.js").Pose} Pose */
@@ -38,6 +39,9 @@ export class Viewer extends EventTarget {
     this.up = [0, -1, 0];
     /** @type {Pose | null} */
     this.home = null;
+    this.aspect = 1; // width over height of the rig's pictures
+    /** @type {import("./limits.js").SeenSpace | null} */
+    this.space = null;
     /** @type {import("./messages.js").SceneFacts | null} */
     this.scene = null;
     /** @type {Status | null} */
@@ -134,12 +138,15 @@ export class Viewer extends EventTarget {
     const index = homeCamera(scene.cameras);
     const begin = fromCamera(scene.cameras[index], this.pose.distance);
     this.home = begin;
+    this.aspect = scene.cameras[index].width / scene.cameras[index].height;
     if (first && !this.posed) this.moveTo(begin, false);
     else this.viewChanged();
     this.depthOf(begin).then((distance) => {
       const home = { ...begin, distance };
       this.home = home;
+      this.space = seenSpace(scene.cameras, target(home));
       if (first && !this.posed) this.pose = { ...this.pose, distance };
+      this.dispatchEvent(new CustomEvent("home"));
     });
   }
 
@@ -165,9 +172,19 @@ export class Viewer extends EventTarget {
   /** The pose was changed by hand. @param {Pose} pose */
   steer(pose) {
     this.posed = true;
+    this.drift(pose);
+  }
+
+  /** The pose changes by itself. @param {Pose} pose */
+  drift(pose) {
     this.glide = null;
-    this.pose = pose;
+    this.pose = this.space ? held(this.space, pose) : pose;
     this.viewChanged();
+  }
+
+  /** How far the view is outside of what the rig has seen, 0 to 1. */
+  get outside() {
+    return this.space ? outside(this.space, this.pose.position) : 0;
   }
 
   viewChanged() {
@@ -195,8 +212,8 @@ export class Viewer extends EventTarget {
   view() {
     const { width, height } = this.canvas;
     const { rotation, position, focal, stretch, shift } = this.pose;
-    // A picture narrower than a square would show very little of what a camera sees: keep what fits the width.
-    const unit = Math.min(height, width);
+    // On a narrow screen all that a camera of the rig sees from left to right is kept, and more above and below.
+    const unit = Math.min(height, width / Math.max(this.aspect, 1));
     const translation = [0, 1, 2].map((i) => -rotation[3 * i] * position[0] - rotation[3 * i + 1] * position[1] - rotation[3 * i + 2] * position[2]);
     const scale = focal * unit;
     return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],

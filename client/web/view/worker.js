@@ -68,6 +68,15 @@ channel.port1.onmessage = () => {
   picture();
 };
 
+/** Questions about a scene whose splats do not exist yet. @type {Extract<ToWorker, { type: "pick" | "depth" }>[]} */
+let questions = [];
+
+/** @param {Extract<ToWorker, { type: "pick" | "depth" }>} question */
+function answer({ type, id, origin, direction }) {
+  const point = type === "pick" ? engine?.pick(origin, direction) : /** @type {[number, number, number]} */ ([0, 0, engine?.depthAlong(origin, direction) ?? 0]);
+  tell({ type: "picked", id, point: point ?? null });
+}
+
 function picture() {
   const scene = engine?.scene;
   if (!engine || !scene || held !== null) return;
@@ -83,6 +92,8 @@ function picture() {
   const transfer = [quads.buffer, ...spans.map(({ data }) => data.buffer)];
   const position = (shownAt = source?.session.status.position ?? null);
   tell({ type: "picture", ...result, timeMs, decodeMs, position, summary: engine.summary() }, /** @type {any} */ (transfer));
+  questions.forEach(answer);
+  questions = [];
 }
 
 function status() {
@@ -140,10 +151,9 @@ self.onmessage = async ({ data: message }) => {
       schedule();
       break;
     case "pick":
-      tell({ type: "picked", id: message.id, point: engine?.pick(message.origin, message.direction) ?? null });
-      break;
     case "depth":
-      tell({ type: "picked", id: message.id, point: [0, 0, engine?.depthAlong(message.origin, message.direction) ?? 0] });
+      if (engine?.scene && !engine.fresh) answer(message);
+      else questions.push(message);
       break;
     case "inspect":
       tell(inspect(message.id));

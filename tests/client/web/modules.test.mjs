@@ -7,6 +7,7 @@ import { crc32 } from "../../../client/web/decode/checksum.js";
 import { moments, plan } from "../../../client/web/decode/container.js";
 import { inflateColumns } from "../../../client/web/decode/deflate.js";
 import { Reader } from "../../../client/web/decode/packet.js";
+import { held, outside, seenSpace } from "../../../client/web/view/limits.js";
 import { Quality } from "../../../client/web/view/quality.js";
 import { LIVE_SECONDS, phaseOf } from "../../../client/web/stream/phase.js";
 import { Session } from "../../../client/web/stream/session.js";
@@ -340,6 +341,21 @@ test("every phase has words, and none stands in the way of a picture without nee
   assert.ok(words({ ...status, phase: "live", trouble: "x".repeat(500) }, true, 0).chip.length < 80);
   assert.equal(clock(3695, 30), "2:03.1");
   assert.equal(clock(12, null), "12");
+});
+
+test("outside of what the rig has seen: free in front, gone behind and far away, held before one is lost", () => {
+  const rig = [-0.7, 0, 0.7].map((angle) => {
+    const c = Math.cos(angle), s = Math.sin(angle), eye = [3 * s, 0, -3 * c];
+    const r = [c, 0, s, 0, 1, 0, -s, 0, c]; // looks at the origin
+    const t = [0, 1, 2].map((i) => -(r[3 * i] * eye[0] + r[3 * i + 1] * eye[1] + r[3 * i + 2] * eye[2]));
+    return { name: "", width: 4, height: 3, intrinsics: [3, 0, 2, 0, 3, 1.5, 0, 0, 1], worldToCamera: [...r.slice(0, 3), t[0], ...r.slice(3, 6), t[1], ...r.slice(6), t[2], 0, 0, 0, 1] };
+  });
+  const space = seenSpace(rig, [0, 0, 0]);
+  near([space.radius, outside(space, [0, 0, -3]), outside(space, [0.5, -0.5, -2]), outside(space, [0, 0, 0.1]), outside(space, [0, 0, 3])], [3, 0, 0, 0, 1]);
+  const half = outside(space, [0, 0, -7]);
+  assert.ok(half > 0.2 && half < 0.6);
+  near(held(space, { ...POSE, position: [0, 0, -100] }).position, [0, 0, -12]);
+  assert.deepEqual(held(space, POSE), POSE);
 });
 
 /** A screen that draws at a given rate, and what is told to the worker. */
