@@ -8,11 +8,13 @@ import numpy as np
 
 from core.camera import Camera
 from core.errors import InputError
-from core.initialise.consistency import trusted
+from core.initialise.consistency import Trust, trusted
+from core.initialise.equalise import with_equal_means
 from core.initialise.sweep import DepthMap, sweep_views
 from core.initialise.views import Views, inside, project, unproject
 
-_COARSE_HEIGHT, _COARSE_PLANES, _COARSE_TOLERANCE = 120, 96, 0.05
+COARSE_HEIGHT, COARSE_PLANES = 120, 96
+_COARSE = Trust(tolerance=0.05, cost_by_one=0.6)
 _GRID = 8  # rays a side that stand for a picture
 _PARALLAX = 1.5 / 240  # of a picture's height: less parallax against infinity than this tells nothing
 _SEARCH = (1e-2, 1e3, 101)  # depths tried, in units of the rig's width
@@ -27,8 +29,11 @@ def estimate_bounds(views: Views) -> tuple[float, float]:
         InputError: all cameras stand at one place, or no two of them see the same space.
     """
     widest = geometric_bounds(views.cameras)
-    coarse = views.resized(_COARSE_HEIGHT)
-    maps = sweep_views(coarse, widest, _COARSE_PLANES)
+    return narrowed(widest, sweep_views(with_equal_means(views.resized(COARSE_HEIGHT)), widest, COARSE_PLANES))
+
+
+def narrowed(widest: tuple[float, float], maps: Sequence[DepthMap]) -> tuple[float, float]:
+    """`widest` as far as coarse depth `maps` show that it is needed."""
     depth = np.concatenate([_trusted_depth(index, maps) for index in range(len(maps))])
     if len(depth) < _ENOUGH:
         return widest
@@ -77,4 +82,4 @@ def _shared(cameras: Sequence[Camera], index: int, depth: float) -> float:
 
 def _trusted_depth(index: int, maps: Sequence[DepthMap]) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
     """[n] depths of map `index` that other views confirm."""
-    return maps[index].depth.ravel()[trusted(maps[index].points(), index, maps, _COARSE_TOLERANCE)]
+    return maps[index].depth.ravel()[trusted(maps[index].points(), index, maps, _COARSE)]

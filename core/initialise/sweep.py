@@ -3,7 +3,8 @@
 Each view is compared with its nearest neighbours, warped as if all they saw lay on a plane at one inverse depth after
 another. The cost of a plane at a pixel is half of one minus the zero-mean normalised cross-correlation of 5x5 windows,
 which does not mind gain and offset between cameras, plus the window's mean colour difference, clamped; of the
-neighbours the best two are averaged, since the others may be occluded.
+neighbours that see the pixel's point the best two are averaged, since the others may be occluded. Planes lie a pixel of
+parallax apart: where they are farther apart, windows miss the true depth and match something else.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from core.initialise.sweep_kernel import cost_volume
 from core.initialise.views import Views, pixel_centres, unproject
 
 _NEIGHBOURS, _BEST = 4, 2
+_PARALLAX = 1.0  # pixels between neighbouring planes, as the second nearest view sees them
+_MIN_PLANES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +44,7 @@ class DepthMap:
 
 
 def sweep_views(
-    views: Views, bounds: tuple[float, float], planes: int = 96, progress: Callable[[float], None] | None = None
+    views: Views, bounds: tuple[float, float], planes: int, progress: Callable[[float], None] | None = None
 ) -> list[DepthMap]:
     """Depth of every view.
 
@@ -53,7 +56,7 @@ def sweep_views(
     inverse = np.linspace(1 / bounds[1], 1 / bounds[0], planes)
     width, height = views.size
     volume = np.empty((planes, height, width), np.float32)
-    images = _balanced(views.images)
+    images = views.images
     maps = []
     for index, camera in enumerate(views.cameras):
         sources = neighbours(views, index)
@@ -68,17 +71,22 @@ def sweep_views(
     return maps
 
 
+def plane_count(views: Views, bounds: tuple[float, float], most: int) -> int:
+    """How many planes between `bounds` lie a pixel of parallax apart, 64 to `most`."""
+    baselines, focals = [], []
+    for index, camera in enumerate(views.cameras):
+        second = neighbours(views, index)[:_BEST][-1]
+        baselines.append(float(np.linalg.norm(views.cameras[second].centre - camera.centre)))
+        focals.append(float(camera.intrinsics[1, 1]))
+    parallax = float(np.median(focals)) * float(np.median(baselines)) * (1 / bounds[0] - 1 / bounds[1])
+    return int(np.clip(np.ceil(parallax / _PARALLAX), _MIN_PLANES, max(most, _MIN_PLANES)))
+
+
 def neighbours(views: Views, index: int) -> list[int]:
     """The views nearest to view `index`, nearest first."""
     centres = np.stack([camera.centre for camera in views.cameras])
     distance = np.linalg.norm(centres - centres[index], axis=1)
     return [int(i) for i in np.argsort(distance, kind="stable") if i != index][:_NEIGHBOURS]
-
-
-def _balanced(images: Float32) -> Float32:
-    """[V,H,W,3] pictures with each channel's mean brought to that of all views: cameras differ in exposure."""
-    means = images.mean(axis=(1, 2), keepdims=True)
-    return np.asarray(images * (means.mean(axis=0) / np.maximum(means, 1e-3)), np.float32)
 
 
 def _pair_geometry(reference: Camera, source: Camera) -> tuple[Float64, Float64]:

@@ -16,7 +16,8 @@ from core.arrays import Float32, Float64
 HALF = 2  # half a window: 5x5 pixels
 _SPAN = 2 * HALF + 1
 COLOUR_CLAMP = 0.1  # a mean colour difference of this much or more is simply wrong
-UNSEEN = 2.0  # the cost of a plane that a neighbour does not see: as bad as can be
+UNSEEN = 2.0  # the cost of a plane that no neighbour sees: as bad as can be
+LONE = 0.1  # added to the cost of a plane that only one neighbour sees: nothing says that it is not occluded there
 _FLAT = 1e-4  # variance of noise, of values in [0, 1]: keeps the correlation of flat windows near zero
 
 
@@ -31,7 +32,7 @@ def cost_volume(
         rays: [S,3,3], shifts: [S,3]: source s sees the reference's pixel (x, y, 1) at inverse depth d at the
             homogeneous pixel rays[s] @ (x, y, 1) + shifts[s] d.
         inverse: [D] inverse depths.
-        best: 1 or 2, of how many sources the costs are averaged.
+        best: 1 or 2, of how many sources the costs are averaged; of those that see the plane.
     """
     for plane in numba.prange(len(inverse)):
         _plane_cost(reference, sources, rays, shifts, inverse[plane], best, volume[plane])
@@ -55,7 +56,9 @@ def _plane_cost(
     if best > 1:
         for y in range(height):
             for x in range(width):
-                first[y, x] = np.float32(0.5) * (first[y, x] + second[y, x])
+                lone = second[y, x] >= np.float32(UNSEEN)
+                other = first[y, x] + np.float32(2 * LONE) if lone else second[y, x]
+                first[y, x] = min(np.float32(0.5) * (first[y, x] + other), np.float32(UNSEEN))
     _average_with_window(first, out)
 
 

@@ -1,0 +1,62 @@
+"""What every way to first points is given, and what it has to be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from core.camera import Camera
+from core.errors import InputError
+from core.frames import FrameSet, PointCloud
+from core.initialise.bounds import estimate_bounds
+from core.initialise.views import Views, working_views
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instant:
+    """One instant of a recording, and what is known of the scene.
+
+    Attributes:
+        frame: the pictures; cameras that are not present are left out.
+        cameras: [C] pinholes, in the order of the pictures and of their size.
+        depth_bounds: (near, far) in world units, None where nobody has said.
+        dataset_points: what the data set itself has, None for nothing.
+        seed: of whatever is random.
+        progress: to be called with the fraction done, from 0 to 1.
+    """
+
+    frame: FrameSet
+    cameras: Sequence[Camera]
+    depth_bounds: tuple[float, float] | None
+    dataset_points: PointCloud | None
+    seed: int
+    progress: Callable[[float], None]
+
+    def views(self, height: int) -> Views:
+        """The cameras that delivered, with pictures of at most `height` rows."""
+        return working_views(self.frame, self.cameras, height)
+
+    def bounds(self, views: Views) -> tuple[float, float]:
+        """(near, far) as known, or as estimated from `views`.
+
+        Raises:
+            InputError: nothing is known, and one camera alone gives no depth.
+        """
+        if self.depth_bounds is not None:
+            return self.depth_bounds
+        if len(views) < 2:
+            raise InputError("first points", "one camera alone gives no depth: name a points file or depth bounds")
+        return estimate_bounds(views)
+
+
+class Method(Protocol):
+    """A way to first points: a frozen dataclass whose fields are its choices."""
+
+    def find(self, instant: Instant) -> PointCloud:
+        """Points to start from, possibly none.
+
+        Raises:
+            InputError: the instant cannot be used in this way.
+            BackendUnavailable: a package that the method needs is not installed.
+        """

@@ -1,0 +1,62 @@
+"""Several methods after one another: what most recordings are best served by."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from core.frames import PointCloud
+from core.initialise.method import Instant, Method
+from core.initialise.methods.dataset import DatasetPoints
+from core.initialise.methods.plane_sweep import PlaneSweep
+from core.initialise.methods.random import RandomPoints
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Both:
+    """The points of two methods together."""
+
+    first: Method
+    second: Method
+
+    def find(self, instant: Instant) -> PointCloud:
+        """The points of `first`, then those of `second`."""
+        return merged(self.first.find(instant), self.second.find(instant))
+
+
+@dataclass(frozen=True, slots=True)
+class Automatic:
+    """The data set's points with those of a sweep, and random ones where pictures give too few.
+
+    Attributes:
+        sweep, last_resort: the methods.
+        few: points; fewer are no start.
+    """
+
+    sweep: PlaneSweep = field(default_factory=PlaneSweep)
+    last_resort: RandomPoints = field(default_factory=RandomPoints)
+    few: int = 500
+
+    def find(self, instant: Instant) -> PointCloud:
+        """Whatever can be had."""
+        points = instant.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
+        if instant.frame.present.sum() > 1:
+            points = merged(points, self.sweep.find(instant))
+        if len(points) >= self.few:
+            return points
+        _log.warning("the pictures gave only %d first points", len(points))
+        return merged(points, self.last_resort.find(instant))
+
+
+def merged(first: PointCloud, second: PointCloud) -> PointCloud:
+    """The points of both clouds."""
+    return PointCloud(
+        np.concatenate([first.positions, second.positions]), np.concatenate([first.colours, second.colours])
+    )
+
+
+METHODS = {"auto": Automatic(), "colmap+sweep": Both(DatasetPoints(), PlaneSweep())}

@@ -1,0 +1,27 @@
+"""The points that the data set itself has, for example of structure from motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from core.errors import InputError
+from core.frames import PointCloud
+from core.initialise.method import Instant
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetPoints:
+    """The data set's own points as they are."""
+
+    def find(self, instant: Instant) -> PointCloud:
+        """Those points.
+
+        Raises:
+            InputError: the data set has none.
+        """
+        if instant.dataset_points is None:
+            raise InputError("first points", "the data set has none of its own: choose sweep, random or a points file")
+        return instant.dataset_points
+
+
+METHODS = {"colmap": DatasetPoints()}

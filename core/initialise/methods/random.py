@@ -1,0 +1,28 @@
+"""Random points in the space that the cameras share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from core.frames import PointCloud
+from core.initialise.method import Instant
+from core.initialise.scatter import random_points
+
+
+@dataclass(frozen=True, slots=True)
+class RandomPoints:
+    """Points spread evenly in inverse depth.
+
+    Attributes:
+        rows: of the pictures from which colours and bounds are taken.
+    """
+
+    rows: int = 160
+
+    def find(self, instant: Instant) -> PointCloud:
+        """Points within the depth bounds."""
+        views = instant.views(self.rows)
+        return random_points(views, instant.bounds(views), instant.seed)
+
+
+METHODS = {"random": RandomPoints()}
