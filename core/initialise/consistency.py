@@ -39,7 +39,7 @@ class Trust:
     tolerance: float = 0.02
     cost_by_one: float = 0.4
     cost_by_more: float = 0.6
-    smallest_piece: float = 0.00025
+    smallest_piece: float = 0.0005
 
 
 def consistent_points(views: Views, maps: Sequence[DepthMap], trust: Trust = Trust()) -> PointCloud:

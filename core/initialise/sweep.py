@@ -16,12 +16,14 @@ import numpy as np
 
 from core.arrays import Float32, Float64
 from core.camera import Camera
-from core.initialise.sweep_kernel import cost_volume
+from core.initialise.sweep_kernel import best_planes, cost_volume
 from core.initialise.views import Views, pixel_centres, unproject
 
 _NEIGHBOURS, _BEST = 4, 2
 _PARALLAX = 1.0  # pixels between neighbouring planes, as the second nearest view sees them
 _MIN_PLANES = 64
+_SAME_SURFACE = 3  # planes
+_DISTINCT = 0.2  # where every other depth costs so much more than the best, that one costs so much less
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +33,7 @@ class DepthMap:
     Attributes:
         camera: of the map's size.
         depth: [H,W] float32, world units, > 0.
-        cost: [H,W] float32, 0 where the match is perfect, 2 where there is none.
+        cost: [H,W] float32, 0 where the match is perfect, less where it is distinct as well, 2 where there is none.
     """
 
     camera: Camera
@@ -97,11 +99,16 @@ def _pair_geometry(reference: Camera, source: Camera) -> tuple[Float64, Float64]
 
 
 def _minimum(volume: Float32, inverse: Float64) -> tuple[Float32, Float32]:
-    """([H,W] depth, [H,W] cost) of the best plane, between planes by the parabola through three costs."""
-    plane = volume.argmin(axis=0)[None]
-    cost = np.take_along_axis(volume, plane, axis=0)[0]
-    middle = np.clip(plane, 1, len(inverse) - 2)
+    """([H,W] depth, [H,W] cost) of the best plane, between planes by the parabola through three costs.
+
+    A distinct match costs less: chance agreement of windows without texture never is distinct.
+    """
+    shape = volume.shape[1:]
+    plane, cost, rival = np.empty(shape, np.int64), np.empty(shape, np.float32), np.empty(shape, np.float32)
+    best_planes(volume, _SAME_SURFACE, plane, cost, rival)
+    middle = np.clip(plane, 1, len(inverse) - 2)[None]
     before, here, after = (np.take_along_axis(volume, middle + step, axis=0)[0] for step in (-1, 0, 1))
     shift = np.clip(0.5 * (before - after) / np.maximum(before - 2 * here + after, 1e-6), -0.5, 0.5)
     best = inverse[0] + (middle[0] + shift) * (inverse[1] - inverse[0])
-    return np.asarray(1 / best, np.float32), cost
+    distinct = rival - cost > _DISTINCT
+    return np.asarray(1 / best, np.float32), np.where(distinct, cost - np.float32(_DISTINCT), cost)

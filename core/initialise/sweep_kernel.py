@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from core.arrays import Float32, Float64
+from core.arrays import Float32, Float64, Int64
 
 HALF = 2  # half a window: 5x5 pixels
 _SPAN = 2 * HALF + 1
@@ -36,6 +36,29 @@ def cost_volume(
     """
     for plane in numba.prange(len(inverse)):
         _plane_cost(reference, sources, rays, shifts, inverse[plane], best, volume[plane])
+
+
+@numba.njit(nogil=True, cache=True)
+def best_planes(volume: Float32, apart: int, plane: Int64, cost: Float32, rival: Float32) -> None:
+    """The best plane of every pixel of [D,H,W] `volume`, and how good any other is.
+
+    Args:
+        apart: planes up to so far from the best are the same surface.
+        plane: [H,W] to be filled with the number of the best plane; cost: [H,W] with its cost.
+        rival: [H,W] to be filled with the lowest cost of planes farther from the best.
+    """
+    planes, height, width = volume.shape
+    plane[:], cost[:], rival[:] = 0, volume[0], np.inf
+    for d in range(1, planes):
+        for y in range(height):
+            for x in range(width):
+                if volume[d, y, x] < cost[y, x]:
+                    plane[y, x], cost[y, x] = d, volume[d, y, x]
+    for d in range(planes):
+        for y in range(height):
+            for x in range(width):
+                if abs(d - plane[y, x]) > apart and volume[d, y, x] < rival[y, x]:
+                    rival[y, x] = volume[d, y, x]
 
 
 @numba.njit(nogil=True, cache=True)

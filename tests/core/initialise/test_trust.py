@@ -14,6 +14,7 @@ from core.initialise.consistency import Trust, in_large_pieces, trusted, votes
 from core.initialise.equalise import equalised
 from core.initialise.method import Instant
 from core.initialise.sweep import DepthMap, plane_count, sweep_views
+from core.initialise.sweep_kernel import best_planes
 from core.initialise.views import Views, working_views
 from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from tests.bench.first_points_bench import score_points
@@ -83,6 +84,16 @@ def test_planes_lie_a_pixel_of_parallax_apart() -> None:
     assert plane_count(views, (0.1, 10.0), 384) == 198  # 20 pixels, 1 unit apart, inverse depths 0.1 to 10
     assert plane_count(views, (0.1, 10.0), 100) == 100
     assert plane_count(views, (5.0, 10.0), 384) == 64
+
+
+def test_best_planes_are_those_of_numpy() -> None:
+    volume = np.random.default_rng(0).random((30, 7, 9), np.float32)
+    plane, cost, rival = np.empty((7, 9), np.int64), np.empty((7, 9), np.float32), np.empty((7, 9), np.float32)
+    best_planes(volume, 3, plane, cost, rival)
+    np.testing.assert_array_equal(plane, volume.argmin(axis=0))
+    np.testing.assert_array_equal(cost, volume.min(axis=0))
+    far = np.abs(np.arange(30)[:, None, None] - plane) > 3
+    np.testing.assert_array_equal(rival, np.where(far, volume, np.inf).min(axis=0))
 
 
 def test_exposures_are_told_apart_by_matched_pixels() -> None:
