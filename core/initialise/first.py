@@ -11,7 +11,7 @@ import numpy as np
 from core.camera import Camera
 from core.errors import InputError, ModelError
 from core.frames import FrameSet, PointCloud
-from core.initialise.method import Instant, Method
+from core.initialise.method import Method, PointSources
 from core.initialise.methods import known_methods
 from core.initialise.points_file import SUFFIXES, read_points
 
@@ -57,7 +57,7 @@ def first_points(
         points = read_points(Path(method))
     else:
         finder = _KNOWN[method] if isinstance(method, str) else method
-        points = finder.find(Instant(frame, cameras, depth_bounds, dataset_points, seed, report))
+        points = finder.find(PointSources(frame, cameras, depth_bounds, dataset_points, seed, report))
     if len(points) == 0:
         raise ModelError(f"first points by {method}: none were found; try random or a points file")
     report(1.0)

@@ -14,7 +14,7 @@ from core.initialise.views import Views, working_views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Instant:
+class PointSources:
     """One instant of a recording, and what is known of the scene.
 
     Attributes:
@@ -53,10 +53,10 @@ class Instant:
 class Method(Protocol):
     """A way to first points: a frozen dataclass whose fields are its choices."""
 
-    def find(self, instant: Instant) -> PointCloud:
+    def find(self, sources: PointSources) -> PointCloud:
         """Points to start from, possibly none.
 
         Raises:
-            InputError: the instant cannot be used in this way.
+            InputError: the pictures cannot be used in this way.
             BackendUnavailable: a package that the method needs is not installed.
         """

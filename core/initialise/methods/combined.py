@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from core.frames import PointCloud
-from core.initialise.method import Instant, Method
+from core.initialise.method import Method, PointSources
 from core.initialise.methods.dataset import DatasetPoints
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.methods.random import RandomPoints
@@ -23,9 +23,9 @@ class Both:
     first: Method
     second: Method
 
-    def find(self, instant: Instant) -> PointCloud:
+    def find(self, sources: PointSources) -> PointCloud:
         """The points of `first`, then those of `second`."""
-        return merged(self.first.find(instant), self.second.find(instant))
+        return merged(self.first.find(sources), self.second.find(sources))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +41,15 @@ class Automatic:
     last_resort: RandomPoints = field(default_factory=RandomPoints)
     few: int = 500
 
-    def find(self, instant: Instant) -> PointCloud:
+    def find(self, sources: PointSources) -> PointCloud:
         """Whatever can be had."""
-        points = instant.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
-        if instant.frame.present.sum() > 1:
-            points = merged(points, self.sweep.find(instant))
+        points = sources.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
+        if sources.frame.present.sum() > 1:
+            points = merged(points, self.sweep.find(sources))
         if len(points) >= self.few:
             return points
         _log.warning("the pictures gave only %d first points", len(points))
-        return merged(points, self.last_resort.find(instant))
+        return merged(points, self.last_resort.find(sources))
 
 
 def merged(first: PointCloud, second: PointCloud) -> PointCloud:

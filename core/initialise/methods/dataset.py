@@ -6,22 +6,22 @@ from dataclasses import dataclass
 
 from core.errors import InputError
 from core.frames import PointCloud
-from core.initialise.method import Instant
+from core.initialise.method import PointSources
 
 
 @dataclass(frozen=True, slots=True)
 class DatasetPoints:
     """The data set's own points as they are."""
 
-    def find(self, instant: Instant) -> PointCloud:
+    def find(self, sources: PointSources) -> PointCloud:
         """Those points.
 
         Raises:
             InputError: the data set has none.
         """
-        if instant.dataset_points is None:
+        if sources.dataset_points is None:
             raise InputError("first points", "the data set has none of its own: choose sweep, random or a points file")
-        return instant.dataset_points
+        return sources.dataset_points
 
 
 METHODS = {"colmap": DatasetPoints()}

@@ -10,7 +10,7 @@ from core.frames import PointCloud
 from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed
 from core.initialise.consistency import Trust, consistent_points
 from core.initialise.equalise import equalised, with_equal_means
-from core.initialise.method import Instant
+from core.initialise.method import PointSources
 from core.initialise.sweep import plane_count, sweep_views
 from core.initialise.views import Views
 
@@ -29,13 +29,13 @@ class PlaneSweep:
     most_planes: int = 384
     trust: Trust = field(default_factory=Trust)
 
-    def find(self, instant: Instant) -> PointCloud:
+    def find(self, sources: PointSources) -> PointCloud:
         """Points by plane sweep and cross-view consistency.
 
         Raises:
             InputError: fewer than two views, or a rig that cannot measure depth.
         """
-        return self.sweep(instant.views(self.rows), instant.depth_bounds, instant.progress)
+        return self.sweep(sources.views(self.rows), sources.depth_bounds, sources.progress)
 
     def sweep(
         self, views: Views, depth_bounds: tuple[float, float] | None, progress: Callable[[float], None]

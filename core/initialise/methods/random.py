@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from core.frames import PointCloud
-from core.initialise.method import Instant
+from core.initialise.method import PointSources
 from core.initialise.scatter import random_points
 
 
@@ -19,10 +19,10 @@ class RandomPoints:
 
     rows: int = 160
 
-    def find(self, instant: Instant) -> PointCloud:
+    def find(self, sources: PointSources) -> PointCloud:
         """Points within the depth bounds."""
-        views = instant.views(self.rows)
-        return random_points(views, instant.bounds(views), instant.seed)
+        views = sources.views(self.rows)
+        return random_points(views, sources.bounds(views), sources.seed)
 
 
 METHODS = {"random": RandomPoints()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from core.frames import PointCloud
-from core.initialise.method import Instant
+from core.initialise.method import PointSources
 from core.initialise.vggt import vggt_points
 
 
@@ -19,9 +19,9 @@ class VggtPoints:
 
     rows: int = 518
 
-    def find(self, instant: Instant) -> PointCloud:
+    def find(self, sources: PointSources) -> PointCloud:
         """Points on which the placed depth maps agree."""
-        return vggt_points(instant.views(self.rows))
+        return vggt_points(sources.views(self.rows))
 
 
 METHODS = {"vggt": VggtPoints()}
