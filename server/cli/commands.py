@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from core.errors import BackendUnavailable, InputError, StreamlodError
+from core.errors import BackendUnavailable, InputError
 from core.files import write_text
 from server.pipeline.trace import chrome_trace
 
@@ -156,25 +156,13 @@ def bench(name: str | None, arguments: list[str]) -> str:
 
 
 def warm() -> str:
-    """Compile the kernels now rather than at first use: rasteriser, codec, synthetic clip, plane sweep."""
-    from codec.warm import warm_up as compile_codec
-    from core.initialise import first_points
-    from core.render.cpu import warm as compile_rasteriser
-    from core.synthetic import SyntheticSpec, open_synthetic
-    from core.train.kernels.warming import warm as compile_trainer
+    """Compile all kernels now rather than at first use."""
+    from server.pipeline.warming import WARM_UPS
 
-    with tqdm(total=4, unit="part", desc="compiling kernels") as bar:
-        compile_rasteriser()
-        compile_trainer()
-        bar.update()
-        compile_codec()
-        bar.update()
-        clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=64, height=36))
-        frame = list(clip.frames())[-1]
-        bar.update()
-        with suppress(StreamlodError):  # pictures this small show too little to find many points
-            first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds, method="sweep")
-        bar.update()
+    with tqdm(WARM_UPS.items(), unit="part") as bar:
+        for name, warm_up in bar:
+            bar.set_description(f"compiling: {name}")
+            warm_up()
     return "ready"
 
 
