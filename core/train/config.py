@@ -74,7 +74,7 @@ class KeyframeConfig:
     rounding_from: float = 0.75  # from here on the parameters are rounded as they will be sent
     rounding_share: float = 0.03  # of the squared error there, which rounding may add: each anchor's steps follow
     average_from: float = 0.8  # the result is the mean over the steps from here on; after `growth_until`
-    renewal_steps: int = 200  # of a keyframe in mid-stream, which goes on from the state; 0 sends that as it is
+    refresh_steps: int = 200  # of a keyframe in mid-stream, which goes on from the state; 0 sends that as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +86,13 @@ class PredictConfig:
         minimum_steps: at least so many steps, however few the cameras; or fewer:
         least_gain: where an epoch gains less than this share of what epochs did on average before, the frame moves on
             faster (paper: 0).
-        latent_rate, position_rate: Adam rates in quanta.
+        latent_rate, position_rate: Adam rates in steps.
         optimiser: a name in `core.train.optimise.optimisers`.
         memory: Adam's beta_1 (usual: 0.9). A few dozen steps are too few for a long one.
         continuation: share of the latest change that an anchor's training begins with, where the one before it pointed
             the same way (paper: 0): what moves mostly goes on.
         final_rate: both decay to this share over the frame.
-        feature_step, offset_step: size of a latent quantum in feature and offset units.
+        feature_step, offset_step: width of a latent's step in feature and offset units.
         rate_weight: weight in the loss of the bits of the residual, divided by the numbers of a picture.
         cue: motion cue, a name in `core.train.motion.cues` (paper: canonical).
         posterior: of the mixture's dynamic component, from which an anchor is taken to move (paper: 0.8).

@@ -82,7 +82,7 @@ KEYFRAME = {
     "rounding_from": _reading(0.75, "how the first frame is stored is not said; it is rounded as ours is"),
     "rounding_share": _reading(0.03, "as rounding_from"),
     "average_from": _reading(1.0, "not mentioned: the result is the last step"),
-    "renewal_steps": _reading(0, "not mentioned: no keyframe is trained in mid-stream"),
+    "refresh_steps": _reading(0, "not mentioned: no keyframe is trained in mid-stream"),
 }
 
 PREDICT = {

@@ -15,7 +15,7 @@ PRESETS = {
     "balanced": TrainConfig(),
     "quality": TrainConfig(
         ModelConfig(max_anchors=80_000),
-        KeyframeConfig(steps=1500, growth_interval=75, renewal_steps=400),
+        KeyframeConfig(steps=1500, growth_interval=75, refresh_steps=400),
         PredictConfig(epochs=40, rate_weight=0.003),
     ),
     "paper": paper(),

@@ -1,4 +1,4 @@
-"""What training tells while it runs, and what it returns."""
+"""What training reports while it runs, and what it returns."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from core.scene.anchors import Scene
 from core.scene.keyframe import as_keyframe
 from core.scene.residual import apply
 from core.train.config import PredictConfig, TrainConfig
-from core.train.control.frame_budget import FrameBudget, Pace, StepPace
+from core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
 from core.train.control.rate_control import RateControl, RatePlan
 from core.train.field.convert import scene_of
 from core.train.field.exposure import fitted, neutral
@@ -35,11 +35,11 @@ from core.train.optimise.optimisers import optimiser
 from core.train.pictures.uploading import Uploader
 from core.train.pictures.views import Views
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
-from core.train.refresh.config import renewal_config
-from core.train.refresh.pending import Upcoming
+from core.train.refresh.config import refresh_config
+from core.train.refresh.pending import PendingRefresh
 from core.train.residual.state import State, fresh_state
 from core.train.residual.trainer import ResidualTrainer
-from core.train.residual.update import no_quanta, residual_of, strongest_changes
+from core.train.residual.update import no_update, residual_of, strongest_changes
 
 _REPORT_EVERY = 25
 _AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
@@ -87,7 +87,7 @@ class Trainer:
         self._label = label_motion or target_kbps is not None
         self._uploader = Uploader(self._device)
         self._state: State | None = None
-        self._upcoming = Upcoming(config, self._backend, self._budget, clock)
+        self._pending = PendingRefresh(config, self._backend, self._budget, clock)
 
     @property
     def scene(self) -> Scene:
@@ -132,41 +132,42 @@ class Trainer:
         )
         return TrainedFrame(scene, None, report)
 
-    def want_keyframe(self) -> None:
-        """A keyframe in mid-stream is due: under a frame budget, it is trained in what the next frames leave over."""
-        self._upcoming.is_due = True
+    def request_refresh(self) -> None:
+        """Ask for a refresh keyframe; under a frame budget, it is trained in the time that the next frames leave."""
+        self._pending.is_due = True
 
     @property
-    def keyframe_is_ready(self) -> bool:
-        """Whether a keyframe is wanted and `renew` takes no time that a frame budget would miss."""
-        return self._state is not None and self._upcoming.is_ready(self._state)
+    def refresh_is_ready(self) -> bool:
+        """Whether a refresh keyframe was asked for and `refresh` would not exceed a frame budget."""
+        return self._state is not None and self._pending.is_ready(self._state)
 
-    def renew(self, frames: FrameSet, on_progress: ProgressCallback | None = None) -> TrainedFrame:
+    def refresh(self, frames: FrameSet, on_progress: ProgressCallback | None = None) -> TrainedFrame:
         """A keyframe of the latest state, trained on as configured against `frames`, which that state shows.
 
-        Under a frame budget its training is what `predict` had time for since `want_keyframe`. It is sent as it is
-        where it had none, where nothing has changed since the keyframe before, and where no anchor is alive.
+        Under a frame budget its training is what `predict` had time for since `request_refresh`. The state is sent
+        untrained where that was none, where nothing has changed since the keyframe before, and where no anchor is
+        alive.
 
         Raises:
             ModelError: there is no state, or no camera is present.
         """
-        state, watch, successor = self._require(), Stopwatch(self._clock), self._upcoming.take()
-        if not self._upcoming.learns(state) or (self._budget is not None and successor is None):
+        state, watch, background = self._require(), Stopwatch(self._clock), self._pending.take()
+        if not self._pending.needs_training(state) or (self._budget is not None and background is None):
             scene = as_keyframe(state.scene, state.scene.version)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
-        if successor is not None:
-            with watch.stage("renew"):
-                field, precision = successor.learnt(state.alive)
+        if background is not None:
+            with watch.stage("refresh"):
+                field, precision = background.result(state.alive)
                 scene = self._scene_of(field, state.scene.version, precision)
-                self._exposure, self._state = successor.exposure, self._fresh(scene, state.references)
+                self._exposure, self._state = background.exposure, self._fresh(scene, state.references)
             count = scene.anchor_count
-            report = FrameReport(watch.seconds, successor.taken, count, count, 0.0, spans=tuple(watch.spans))
+            report = FrameReport(watch.seconds, background.taken, count, count, 0.0, spans=tuple(watch.spans))
             return TrainedFrame(scene, None, report)
         views = self._views(frames)
-        with watch.stage("renew"):
+        with watch.stage("refresh"):
             field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
-            config = renewal_config(self._config, field, state.scene.version)
+            config = refresh_config(self._config, field, state.scene.version)
             trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure)
             losses = _run(trainer, "keyframe", on_progress)
             scene = self._scene_of(trainer.field, state.scene.version, trainer.precision)
@@ -190,7 +191,7 @@ class Trainer:
         Args:
             keep_references: the scene shows what this trainer's state showed.
         """
-        self._upcoming.take()
+        self._pending.take()
         if keep_references and self._state is not None:
             self._state = self._fresh(scene, self._state.references, self._state.shown)
         else:
@@ -222,7 +223,7 @@ class Trainer:
         with watch.stage("partition"):
             partition, renewed = self._partition(cue, state, frames, views, masks)
         rows = torch.from_numpy(np.flatnonzero(partition.trained)).to(self._device)
-        quanta, trainer = no_quanta(0), None
+        update, trainer = no_update(0), None
         if len(rows):
             with watch.stage("train"):
                 useful = _by_change(views, references, masks) if cue.only_changed_views else views.usable
@@ -230,18 +231,18 @@ class Trainer:
                     state, partition, views, self._exposure, useful, optimiser(config.optimiser, config.memory)
                 )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
-                quanta = trainer.run(config, self._backend, generator, self._pace)
+                update = trainer.run(config, self._backend, generator, self._pace)
         with watch.stage("round"):
             if plan is not None:
                 assert partition.dynamic is not None
-                quanta = strongest_changes(quanta, plan.most_anchors, partition.dynamic[partition.trained])
+                update = strongest_changes(update, plan.most_anchors, partition.dynamic[partition.trained])
             # what had no time or no bytes counts as changed again, and goes on where it ended
-            done = quanta.complete and (plan is None or not plan.strained)
-            residual = residual_of(state.scene, rows.cpu().numpy(), quanta, frames.index)
+            done = update.complete and (plan is None or not plan.strained)
+            residual = residual_of(state.scene, rows.cpu().numpy(), update, frames.index)
             scene = apply(state.scene, residual)
-            before = quanta.sent * 0 if state.change is None else state.change[rows].cpu().numpy()
-            start = quanta.continued(config.continuation, before, done=done)
-            after = state.after(residual, scene, partition, rows, quanta.sent, start)
+            before = update.sent * 0 if state.change is None else state.change[rows].cpu().numpy()
+            start = update.continued(config.continuation, before, done=done)
+            after = state.after(residual, scene, partition, rows, update.sent, start)
         with watch.stage("settle"):
             if trainer is not None:
                 alive = after.alive
@@ -255,18 +256,18 @@ class Trainer:
             for number in unknown:  # trained on for the first time: its static error is nothing that moves
                 references[number] = views.targets[number]
             self._state = replace(after, references=references, shown=shown)
-        if self._upcoming.is_due:
-            with watch.stage("renew"):
-                self._upcoming.train(state, self._state, views, self._exposure)
+        if self._pending.is_due:
+            with watch.stage("refresh"):
+                self._pending.train(state, self._state, views, self._exposure)
         self._learn_costs(watch.seconds)
         moving = len(rows) if partition.dynamic is None else int(partition.dynamic.sum())
         report = FrameReport(
             watch.seconds,
-            quanta.steps,
+            update.steps,
             scene.anchor_count,
             moving,
-            quanta.loss,
-            quanta.repaired,
+            update.loss,
+            update.repaired,
             tuple(watch.spans),
             changed=len(rows) - moving,
         )
@@ -292,8 +293,8 @@ class Trainer:
             for stage, spent in seconds.items():
                 self._budget.spent(stage, spent)
 
-    def _pace(self, steps: int) -> Pace:
-        return StepPace(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
+    def _pace(self, steps: int) -> FrameProgress:
+        return FixedSteps(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
 
     def _planned(self) -> tuple[RatePlan | None, PredictConfig]:
         """What the next frame may spend, None for any, and its configuration under that plan."""
@@ -336,7 +337,7 @@ class Trainer:
     def _adopt(self, scene: Scene, views: Views) -> None:
         references = torch.full_like(views.targets, torch.nan)
         references[views.usable] = views.targets[views.usable]
-        self._upcoming.take()
+        self._pending.take()
         self._state = self._fresh(scene, references)
 
     def _fresh(self, scene: Scene, references: Tensor | None = None, shown: Tensor | None = None) -> State:

@@ -301,10 +301,10 @@ class _Training:
         assert trained.residual is not None
         scene, refresh, spans = trained.scene, None, _spans(trained)
         if self._refresh.due(before, scene) is not None:
-            self._trainer.want_keyframe()
-        if self._trainer.keyframe_is_ready:
+            self._trainer.request_refresh()
+        if self._trainer.refresh_is_ready:
             _LOG.info("version %d: a refresh keyframe", scene.version)
-            keyframe = self._trainer.renew(frame, self._report_refresh)
+            keyframe = self._trainer.refresh(frame, self._report_refresh)
             refresh, spans = keyframe.scene, (*spans, *_spans(keyframe))
         report = _report(trained, spans, scene.version)
         state = _Trained(scene, frame.time_ns, report, (before, trained.residual), refresh, spans=spans)

@@ -49,11 +49,11 @@ class Keyframes:
     def follow(self, trainer: Trainer, before: Scene, frame: FrameSet) -> None:
         """After `frame`, which led on from the state `before`."""
         if self._refresh.due(before, trainer.scene) is not None:
-            trainer.want_keyframe()
-        if not trainer.keyframe_is_ready:
+            trainer.request_refresh()
+        if not trainer.refresh_is_ready:
             return
         begin = time.process_time()
-        renewed = trainer.renew(frame).scene
+        renewed = trainer.refresh(frame).scene
         self.seconds += time.process_time() - begin
         self.sizes.append(len(encode_keyframe(renewed, time_ns=0)))
 
@@ -116,8 +116,8 @@ def main() -> None:
     training = [FrameSet(f.index, f.time_ns, f.images[rows], f.present[rows]) for f in filmed]
     config = preset("live")
     keyframe = replace(config.keyframe, steps=options.steps)
-    if options.renewal_steps is not None:
-        keyframe = replace(keyframe, renewal_steps=options.renewal_steps)
+    if options.refresh_steps is not None:
+        keyframe = replace(keyframe, refresh_steps=options.refresh_steps)
     config = replace(config, keyframe=keyframe, seed=options.seed)
     points = first_points(training[0], cameras, depth_bounds=clip.depth_bounds)
     first = Trainer(cameras, config, clip.fps, "cpu").keyframe(training[0], points).scene

@@ -30,7 +30,7 @@ from core.render.cpu.workspace import Workspace
 from core.scene.gaussians import GaussianCloud
 from core.train.field.decode import Splats
 from core.train.optimise.losses import photometric_loss
-from core.train.residual.tile_cache import Stage, make_stage
+from core.train.residual.tile_cache import TileCache, make_tile_cache
 from tests.bench.growth_plot import growth_plot
 from tests.bench.raster_gpu import gpu_report
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles
@@ -149,23 +149,23 @@ def dirty(count: int = 200_000) -> dict[str, Any]:
             )
             others = tensors(static, gradients=False)
             base = rasterise(*tensors(cloud, gradients=False), camera, background).image
-            stage = make_stage(camera, _splats(dynamic), _splats(static), background, "cpu", base)
+            cache = make_tile_cache(camera, _splats(dynamic), _splats(static), background, "cpu", base)
 
             def whole(loss: Any, dynamic: GaussianCloud = dynamic, others: Any = others) -> None:
                 joined = [torch.cat(pair) for pair in zip(tensors(dynamic), others, strict=True)]
                 loss(rasterise(*joined, camera, background).image, target).backward()
 
-            def part(dynamic: GaussianCloud = dynamic, stage: Stage = stage) -> None:
-                image = stage.render(_splats(dynamic, gradients=True))[0].image
-                photometric_loss(image, target, region=stage.region).backward()
+            def part(dynamic: GaussianCloud = dynamic, cache: TileCache = cache) -> None:
+                image = cache.render(_splats(dynamic, gradients=True))[0].image
+                photometric_loss(image, target, region=cache.region).backward()
 
             subjects: Subjects = {
                 "dirty": part,
                 "full": lambda whole=whole: whole(photometric_loss),
                 "full, convolutions": lambda whole=whole: whole(convolution_loss),
             }
-            assert stage.backdrop is not None
-            tiles, still = float(stage.backdrop.stale.mean()), len(stage.backdrop.records)
+            assert cache.backdrop is not None
+            tiles, still = float(cache.backdrop.stale.mean()), len(cache.backdrop.records)
             numbers = {"tiles dirty": tiles, "static needed": still / max(1, len(static))}
             found[f"{layout} {share:.0%}"] = numbers | ratios(subjects, "dirty", rounds=3)
     return found

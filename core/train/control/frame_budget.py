@@ -1,7 +1,7 @@
-"""A deadline for every frame: whatever does not fit before it is left out, so that quality gives way and latency never.
+"""A deadline for every frame: what does not fit before it is left out, so latency holds at the cost of quality.
 
 The trainer asks before each stage whether it still fits, and during training how far the frame is. Costs are learnt
-from the frames before; a cost that rises is believed at once, one that falls only slowly.
+from earlier frames: a higher cost is taken over at once, a lower one gradually.
 """
 
 from __future__ import annotations
@@ -10,27 +10,27 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-_FORGET = 0.2  # share by which a falling cost follows the latest frame
-_WORST = 3.0  # budgets that a cost is believed to be: a hitch of seconds must not starve a hundred frames
-_UNKNOWN = 0.05  # of the budget, kept for a later stage that has never been timed
-_MARGIN = 0.05  # of the budget, for what no stage accounts for
+_FORGET = 0.2  # weight of the latest frame in a cost that falls
+_MAX_COST = 3.0  # budgets: one pause of seconds must not stop training for a hundred frames
+_UNKNOWN = 0.05  # of the budget, reserved for a later stage that has never been timed
+_MARGIN = 0.05  # of the budget, reserved for work that no stage accounts for
 
 
-class Pace(Protocol):
+class FrameProgress(Protocol):
     """How far a frame's training is, which also says how far its learning rates have decayed."""
 
     def progress(self, step: int) -> float:
         """In [0, 1] before step number `step` (from 0); 1 or more ends the training."""
 
 
-class StepPace:
+class FixedSteps:
     """A fixed number of steps."""
 
     def __init__(self, steps: int) -> None:
         self._steps = steps
 
     def progress(self, step: int) -> float:
-        """As `Pace.progress`."""
+        """As `FrameProgress.progress`."""
         return step / self._steps if self._steps else 1.0
 
 
@@ -58,7 +58,7 @@ class FrameBudget:
 
     def spent(self, stage: str, seconds: float) -> None:
         """Learn that `stage` of the latest frame took so long."""
-        known, seconds = self._costs.get(stage, 0.0), min(seconds, _WORST * self._seconds)
+        known, seconds = self._costs.get(stage, 0.0), min(seconds, _MAX_COST * self._seconds)
         self._costs[stage] = seconds if seconds > known else known + _FORGET * (seconds - known)
 
     def left(self, *later: str) -> float:
@@ -74,14 +74,14 @@ class FrameBudget:
         self._costs[stage] = (1 - _FORGET) * known  # so that it is tried again one day
         return False
 
-    def pace(self, steps: int, *later: str) -> Pace:
-        """A pace that ends after `steps`, or where the next step might run into what `later` needs."""
-        return _TimedPace(self, steps, later, self._clock)
+    def pace(self, steps: int, *later: str) -> FrameProgress:
+        """Progress that ends after `steps`, or where the next step might take time that the stages `later` need."""
+        return _TimedSteps(self, steps, later, self._clock)
 
 
-class _TimedPace:
+class _TimedSteps:
     def __init__(self, budget: FrameBudget, steps: int, later: tuple[str, ...], clock: Callable[[], float]) -> None:
-        self._budget, self._steps, self._later, self._clock = budget, StepPace(steps), later, clock
+        self._budget, self._steps, self._later, self._clock = budget, FixedSteps(steps), later, clock
         self._begin = self._before = clock()
         self._allowed = budget.left(*later)
         self._longest = 0.0

@@ -68,7 +68,7 @@ def join(first: Splats, second: Splats) -> Splats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class ViewInput:
     """What a view-dependent network sees of a camera: its centre [3] and d_max in world units."""
 
     centre: Tensor
@@ -76,7 +76,7 @@ class View:
 
 
 def decode(
-    feature: Tensor, offset: Tensor, scaling: Tensor, position: Tensor, network: Network, view: View | None
+    feature: Tensor, offset: Tensor, scaling: Tensor, position: Tensor, network: Network, view: ViewInput | None
 ) -> Splats:
     """Gaussians of N anchors.
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from core.scene.octree import Octree
-from core.train.field.decode import Network, Splats, View, decode
+from core.train.field.decode import Network, Splats, ViewInput, decode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +48,9 @@ class Field:
         """K, Gaussians an anchor."""
         return self.offset.shape[1]
 
-    def view(self, centre: Tensor) -> View | None:
+    def view(self, centre: Tensor) -> ViewInput | None:
         """What the network sees from a camera at `centre` [3]."""
-        return View(centre, self.reference_distance) if self.view_dependent else None
+        return ViewInput(centre, self.reference_distance) if self.view_dependent else None
 
     @property
     def looks_the_same(self) -> bool:

@@ -1,4 +1,4 @@
-"""The anchors of the first frame while they are optimised: leaves with moments and a mean, whose rows come and go."""
+"""The anchors of the first frame while they are optimised; rows can be added and removed, and steps averaged."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Precision:
     Attributes:
         basis: [F,F] what is sent of features [N,F] is features @ `basis`; the network's first layer undoes it.
         inverse: [F,F] of `basis`.
-        feature: [F], offset: [K,3], scaling: [6] widths of the finest quantum.
+        feature: [F], offset: [K,3], scaling: [6] widths of the finest step.
         shift: [N] doublings of these that each anchor takes.
     """
 
@@ -93,6 +93,6 @@ def _on_grid(values: Tensor, width: Tensor) -> Tensor:
 
 
 def to_int16(values: Tensor, step: Tensor) -> Tensor:
-    """Quanta of `values`, saturated to int16."""
+    """IntegerUpdate of `values`, saturated to int16."""
     limits = torch.iinfo(torch.int16)
     return (values / step).round().clamp(limits.min, limits.max).to(torch.int16)

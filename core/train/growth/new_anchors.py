@@ -65,9 +65,9 @@ def added_levels(field: Field, latent: Int32, position: Int32, header: SceneHead
             AnchorLevel(
                 voxel=field.voxel.cpu().numpy()[rows],
                 position=position[rows],
-                feature=_quanta(field.feature[rows], header.feature_steps),
-                offset=_quanta(field.offset[rows].flatten(1), header.offset_steps),
-                scaling=_quanta(field.scaling[rows], header.scaling_steps),
+                feature=_integers(field.feature[rows], header.feature_steps),
+                offset=_integers(field.offset[rows].flatten(1), header.offset_steps),
+                scaling=_integers(field.scaling[rows], header.scaling_steps),
                 extra_level=np.zeros(count, np.int16),
                 latent=latent[rows].clip(-32768, 32767).astype(np.int16),
                 alive=np.ones(count, np.bool_),
@@ -81,6 +81,6 @@ def _on_grid(values: Tensor, steps: Float32) -> Tensor:
     return (values / width).round() * width
 
 
-def _quanta(values: Tensor, steps: Float32) -> Int16:
+def _integers(values: Tensor, steps: Float32) -> Int16:
     rounded = np.round(values.detach().cpu().numpy() / steps)
     return np.nan_to_num(rounded).clip(-32768, 32767).astype(np.int16)

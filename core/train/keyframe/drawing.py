@@ -1,4 +1,4 @@
-"""Drawing Gaussians for the training cameras of the first frame, and how far the pictures are from the filmed ones."""
+"""Rendering the training cameras of a first frame, and the loss against their pictures."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from core.train.pictures.views import Views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Easel:
-    """Cameras with their pictures, the exposures they were filmed with, and the weights of the loss."""
+class ViewLoss:
+    """Renders training cameras and compares them with their pictures at their exposures."""
 
     views: Views
     exposure: Exposure

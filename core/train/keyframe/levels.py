@@ -1,4 +1,4 @@
-"""A scene gets the levels it needs: those that carry nothing are not kept."""
+"""How many levels a scene needs: finest levels that hardly lower the loss are dropped."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _SEARCH = 30  # halvings of an interval of offsets in doublings
 _FINER = 0.002  # share of the anchors that would take less than the finest step
 _TRIALS = 2
 _FARTHEST = 8.0  # factor by which one trial corrects the next at most
-_LARGEST = 1 << 14  # quanta that a parameter should stay below
+_LARGEST = 1 << 14  # steps that a parameter should stay below
 _TINY = 1e-12
 
 

@@ -19,10 +19,10 @@ from core.train.field.rounding import Precision, usual_precision
 from core.train.growth.refine import count, refine
 from core.train.growth.rule import GrowthStatistics
 from core.train.growth.rules import growth_rule
-from core.train.keyframe.drawing import Easel
+from core.train.keyframe.drawing import ViewLoss
 from core.train.keyframe.levels import needed_levels
 from core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
-from core.train.optimise.convergence import Course, Run
+from core.train.optimise.convergence import Run, RunProgress
 from core.train.optimise.optimisers import optimiser
 from core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from core.train.pictures.views import Views
@@ -50,7 +50,7 @@ class KeyframeTrainer:
         config: TrainConfig,
         backend: Backend,
         exposure: Exposure | None = None,
-        course: Course | None = None,
+        course: RunProgress | None = None,
         precision: Precision | None = None,
     ) -> None:
         self._config, self._model = config.keyframe, config.model
@@ -62,7 +62,7 @@ class KeyframeTrainer:
         self._exposure = neutral(len(views.cameras), device) if exposure is None else exposure.frozen()
         self._whole = views
         first = views.halved() if self._config.half_size_until > 0 else views
-        self._easel = Easel(first, self._exposure, self._config, backend)
+        self._view_loss = ViewLoss(first, self._exposure, self._config, backend)
         self._learned = LearnedField(
             field,
             self._exposure if config.model.exposure else None,
@@ -123,7 +123,7 @@ class KeyframeTrainer:
         field = self._learned.live
         self._highest = unlocked_level(field.octree.levels, config, progress)
         if progress >= config.half_size_until:
-            self._easel = replace(self._easel, views=self._whole)
+            self._view_loss = replace(self._view_loss, views=self._whole)
         number = self._order.next()
         cap = self._random_cap()
         rows = self._drawn_rows(field, number, self._highest if cap is None else cap)
@@ -133,8 +133,8 @@ class KeyframeTrainer:
         splats = self._decode(field, number, rows, rounded=rounded)
         level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
         opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
-        raster = self._easel.draw(replace(splats, opacities=opacities), number)
-        loss = self._easel.loss(raster, splats, number)
+        raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
+        loss = self._view_loss.loss(raster, splats, number)
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
@@ -182,17 +182,17 @@ class KeyframeTrainer:
         def picture(number: int, leaves: tuple[Tensor, ...]) -> Raster:
             feature, offset, scaling = leaves
             view = field.view(self._centres[number])
-            return self._easel.draw(decode(feature, offset, scaling, field.position, network, view), number)
+            return self._view_loss.draw(decode(feature, offset, scaling, field.position, network, view), number)
 
         def draw(number: int, leaves: tuple[Tensor, ...]) -> Tensor:
             raster = picture(number, leaves)
-            exact[number] = max(self._easel.squared_error(raster, number), 1e-9)
+            exact[number] = max(self._view_loss.squared_error(raster, number), 1e-9)
             return raster.image / math.sqrt(exact[number])  # so that no camera counts more than another
 
         @torch.no_grad()
         def added(precision: Precision) -> float:
             rounded = precision.rounded(*leaves)
-            errors = {number: self._easel.squared_error(picture(number, rounded), number) for number in usable}
+            errors = {number: self._view_loss.squared_error(picture(number, rounded), number) for number in usable}
             return sum(errors[number] / exact[number] for number in usable) - len(usable)
 
         found = sensitivity(signed_gradients(leaves, draw, usable, seed=self._steps))
@@ -211,7 +211,7 @@ class KeyframeTrainer:
             losses = []
             for number in judges:
                 splats = self._decode(field, number, rows, rounded=False)
-                losses.append(float(self._easel.loss(self._easel.draw(splats, number), splats, number)))
+                losses.append(float(self._view_loss.loss(self._view_loss.draw(splats, number), splats, number)))
             return sum(losses) / len(losses)
 
         needed = needed_levels(field.octree.levels, loss)

@@ -1,4 +1,4 @@
-"""Training for as long as it pays: where the loss hardly falls any more, a run moves on faster."""
+"""Progress of a training run: where the loss hardly falls any more, the schedule advances faster."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 _WINDOW, _SHORTEST = 0.025, 25  # share of the run, and steps, over whose length losses are compared
-_HASTE = 4  # steps that one step of a run in haste stands for
+PLATEAU_STEP_FACTOR = 4  # steps of the schedule that one step counts for while the loss hardly falls
 
 
-class Course(Protocol):
-    """Where a first frame's training stands."""
+class RunProgress(Protocol):
+    """How far a first frame's training is."""
 
     @property
     def progress(self) -> float:
@@ -23,7 +23,7 @@ class Course(Protocol):
 
 
 class Run:
-    """Where a run of `steps` steps or fewer stands.
+    """How far a run of at most `steps` steps is.
 
     Losses are compared over windows a fortieth of the run long or longer, view by view, as views differ more than
     windows do.
@@ -37,7 +37,7 @@ class Run:
     def __init__(self, steps: int, least_gain: float, marks: tuple[float, ...]) -> None:
         self._steps, self._least_gain, self._marks = steps, least_gain, marks
         self._length = max(round(_WINDOW * steps), _SHORTEST)
-        self._done, self._pace = 0, 1
+        self._done, self._step_factor = 0, 1
         self._phase = -1
         self._window: list[tuple[int, Tensor]] = []
         self._before: dict[int, float] = {}
@@ -55,8 +55,8 @@ class Run:
         """
         phase = sum(self.progress >= mark for mark in self._marks)
         if phase != self._phase:
-            self._phase, self._pace, self._window, self._before = phase, 1, [], {}
-        self._done += self._pace
+            self._phase, self._step_factor, self._window, self._before = phase, 1, [], {}
+        self._done += self._step_factor
         if self._least_gain <= 0 or loss is None:
             return
         self._window.append((view, loss.detach()))
@@ -73,31 +73,31 @@ class Run:
         now = {view: sum(values) / len(values) for view, values in seen.items()}
         ratios = [now[view] / max(self._before[view], 1e-12) for view in now.keys() & self._before.keys()]
         fell = not ratios or sum(ratios) / len(ratios) < 1 - self._least_gain
-        self._pace = 1 if fell else _HASTE
+        self._step_factor = 1 if fell else PLATEAU_STEP_FACTOR
         self._window, self._before = [], now
 
 
 class Epochs:
-    """Where a later frame's run stands, which trains every view once before any comes again.
+    """How far a later frame's run is, which trains every view once before any comes again.
 
     Where an epoch lowers the mean loss by less than `least_gain` of what epochs did on average before it, the rest
-    would gain little: the run moves on faster, its rates decaying all the same.
+    would gain little: each step then counts for several, so that rates decay and the run ends sooner.
 
     Args:
-        views: of an epoch.
-        least_gain: 0 for a step a step, always.
+        views: steps of an epoch.
+        least_gain: 0 to count every step once.
     """
 
     def __init__(self, views: int, least_gain: float) -> None:
         self._views, self._least_gain = views, least_gain
         self._losses: list[Tensor] = []
         self._means: list[float] = []
-        self._pace = 1
+        self._step_factor = 1
         self.done = 0
 
     def advance(self, loss: Tensor) -> None:
         """One step is done, whose loss was `loss`."""
-        self.done += self._pace
+        self.done += self._step_factor
         if self._least_gain <= 0:
             return
         self._losses.append(loss)
@@ -108,4 +108,4 @@ class Epochs:
         if len(self._means) > 2:  # the first gain has nothing to be compared with
             first, *_, before, now = self._means
             average = (first - before) / (len(self._means) - 2)
-            self._pace = 1 if before - now > self._least_gain * average else _HASTE
+            self._step_factor = 1 if before - now > self._least_gain * average else PLATEAU_STEP_FACTOR

@@ -28,7 +28,7 @@ def residual_bits(latent: Tensor, position: Tensor) -> Tensor:
     """[] bits of the residuals of n anchors; on the CPU, value and gradient are one numba pass.
 
     Args:
-        latent: [n,24], position: [n,3] real numbers in quanta, before they are rounded.
+        latent: [n,24], position: [n,3] real numbers in steps, before they are rounded.
     """
     if all(values.device.type == "cpu" and values.dtype == torch.float32 for values in (latent, position)):
         bits: Tensor = _Fused.apply(latent, position)  # type: ignore[no-untyped-call]

@@ -1,8 +1,8 @@
-"""The keyframe to come, trained beside the stream: some steps a frame, so that no frame has to wait for it.
+"""A refresh keyframe trained beside the stream, a few steps a frame, so that no frame has to wait for it.
 
-It begins as the state, in floating point, and goes along with every later frame's residual while it learns what
-residuals leave undone (sizes, the network, what is not worth its bytes). No anchor grows or goes meanwhile, so each
-knows which one of the state it follows.
+It starts as a floating-point copy of the state. Every later frame's residual is added to it, while training improves
+what residuals cannot change (sizes and the network) or what was not worth its bytes. No anchor is added or removed
+meanwhile, so its rows stay those of the state.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from core.render.backends import Backend
 from core.train.config import TrainConfig
-from core.train.control.frame_budget import Pace
+from core.train.control.frame_budget import FrameProgress
 from core.train.field.convert import precision_of
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
@@ -22,15 +22,15 @@ from core.train.field.rounding import Precision
 from core.train.keyframe.trainer import KeyframeTrainer
 from core.train.optimise.loop import run_steps
 from core.train.pictures.views import Views
-from core.train.refresh.config import renewal_config
+from core.train.refresh.config import refresh_config
 from core.train.residual.state import State
 
-FRAMES = 20  # that its training is spread over
-_NEVER = 2.0  # share of a run
+FRAMES = 20  # over which its training is spread
+_NEVER = 2.0  # share of a run, which ends at 1
 
 
-class Successor:
-    """A keyframe in training.
+class BackgroundRefresh:
+    """A refresh keyframe in training.
 
     Args:
         state: what it begins as. views, exposure: pictures of that instant, and of the cameras.
@@ -43,29 +43,29 @@ class Successor:
     def __init__(self, state: State, views: Views, config: TrainConfig, backend: Backend, exposure: Exposure) -> None:
         self._rows = torch.nonzero(state.alive)[:, 0]
         field = state.field.with_rows(self._rows)
-        run = renewal_config(config, field, state.scene.version)
+        run = refresh_config(config, field, state.scene.version)
         run = replace(run, keyframe=replace(run.keyframe, growth_from=_NEVER))
-        self.steps, self.taken, self._course = max(1, run.keyframe.steps // FRAMES), 0, _Course()
+        self.steps, self.taken, self._by_frames = max(1, run.keyframe.steps // FRAMES), 0, _ProgressByFrames()
         known = precision_of(state.scene, self._rows)
-        self._trainer = KeyframeTrainer(field, views, run, backend, exposure, self._course, known)
+        self._trainer = KeyframeTrainer(field, views, run, backend, exposure, self._by_frames, known)
 
     @property
     def complete(self) -> bool:
         """Whether it has had its frames."""
-        return self._course.progress >= 1
+        return self._by_frames.progress >= 1
 
     @property
     def exposure(self) -> Exposure:
         """Gains and offsets fitted so far."""
         return self._trainer.exposure
 
-    def learnt(self, alive: Tensor) -> tuple[Field, Precision]:
-        """What has been learnt of those anchors that still live, of `alive` [N] of the state, and its rounding."""
+    def result(self, alive: Tensor) -> tuple[Field, Precision]:
+        """The trained anchors that are still `alive` [N] in the state, and how they are rounded."""
         kept = torch.nonzero(alive[self._rows])[:, 0]
         precision = self._trainer.precision
         return self._trainer.field.with_rows(kept), replace(precision, shift=precision.shift[kept])
 
-    def go_on(self, before: Field, after: Field, views: Views, pace: Pace) -> int:
+    def train(self, before: Field, after: Field, views: Views, pace: FrameProgress) -> int:
         """Follow the state from `before` to `after`, both of all its rows, and train on the frame's pictures.
 
         Args:
@@ -79,17 +79,17 @@ class Successor:
         self._trainer.follow(changes, views)
 
         def progress(steps: int) -> float:
-            self._course.part = min(pace.progress(steps), 1.0)
-            return self._course.part
+            self._by_frames.part = min(pace.progress(steps), 1.0)
+            return self._by_frames.part
 
         count = len(run_steps(self._trainer.step, progress))
-        self._course.next_frame()
+        self._by_frames.next_frame()
         self.taken += count
         return count
 
 
-class _Course:
-    """Progress by frames, however many steps each of them had time for."""
+class _ProgressByFrames:
+    """Progress of a run by frames, however many steps each of them had time for."""
 
     def __init__(self) -> None:
         self._frame, self.part = 0, 0.0
@@ -104,4 +104,4 @@ class _Course:
         self._frame, self.part = self._frame + 1, 0.0
 
     def advance(self, view: int, loss: Tensor | None) -> None:
-        """A step, which counts for nothing by itself."""
+        """One step is done; only frames count."""

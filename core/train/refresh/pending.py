@@ -1,4 +1,4 @@
-"""A keyframe in mid-stream between being due and being sent: at once, or trained in what frame budgets leave it."""
+"""A refresh keyframe from its request until it is sent: trained at once, or in the time that frame budgets leave."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Callable
 
 from core.render.backends import Backend
 from core.train.config import TrainConfig
-from core.train.control.frame_budget import FrameBudget, StepPace
+from core.train.control.frame_budget import FixedSteps, FrameBudget
 from core.train.field.exposure import Exposure
 from core.train.pictures.views import Views
-from core.train.refresh.background import Successor
+from core.train.refresh.background import BackgroundRefresh
 from core.train.residual.state import State
 
-_STEP = "renewal step"  # of one picture, whose cost the budget learns
+_STEP = "refresh step"  # of one picture, whose cost the budget learns
 
 
-class Upcoming:
-    """Whether a keyframe is due, and the one that is trained.
+class PendingRefresh:
+    """Whether a refresh keyframe was requested, and the one in training beside the stream, if any.
 
     Args:
         config: of the stream.
-        budget: of every frame; None for as long as it takes, where a keyframe is ready as soon as it is due.
+        budget: of every frame; None for as long as it takes: then a keyframe is ready as soon as it is requested.
         clock: seconds that the budget goes by.
     """
 
@@ -33,16 +33,16 @@ class Upcoming:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._config, self._backend, self._budget, self._clock = config, backend, budget, clock
-        self._successor: Successor | None = None
+        self._background: BackgroundRefresh | None = None
         self.is_due = False
 
-    def learns(self, state: State) -> bool:
+    def needs_training(self, state: State) -> bool:
         """Whether a keyframe of `state` is trained at all: it has changed, and training is configured."""
-        return self._config.keyframe.renewal_steps > 0 and state.scene.anchor_count > 0 and not state.is_untouched
+        return self._config.keyframe.refresh_steps > 0 and state.scene.anchor_count > 0 and not state.is_untouched
 
     def is_ready(self, state: State) -> bool:
         """Whether a keyframe is due and takes no time that a frame budget would miss."""
-        trained = self._successor is not None and self._successor.complete
+        trained = self._background is not None and self._background.complete
         return self.is_due and (trained or not self._beside(state))
 
     def train(self, before: State, after: State, views: Views, exposure: Exposure) -> None:
@@ -53,20 +53,20 @@ class Upcoming:
         if not self.is_due or not self._beside(after):
             return
         assert self._budget is not None
-        if self._successor is None:
-            self._successor = Successor(after, views, self._config, self._backend, exposure)
+        if self._background is None:
+            self._background = BackgroundRefresh(after, views, self._config, self._backend, exposure)
             return
-        begin, steps = self._clock(), self._successor.steps
-        pace = self._budget.pace(steps, "encode") if self._budget.allows(_STEP, "encode") else StepPace(0)
-        count = self._successor.go_on(before.field, after.field, views, pace)
+        begin, steps = self._clock(), self._background.steps
+        pace = self._budget.pace(steps, "encode") if self._budget.allows(_STEP, "encode") else FixedSteps(0)
+        count = self._background.train(before.field, after.field, views, pace)
         if count:
             self._budget.spent(_STEP, (self._clock() - begin) / count)
 
-    def take(self) -> Successor | None:
+    def take(self) -> BackgroundRefresh | None:
         """The keyframe that was trained to its end, if any; nothing is due any more."""
-        successor, self._successor, self.is_due = self._successor, None, False
-        return successor if successor is not None and successor.complete else None
+        background, self._background, self.is_due = self._background, None, False
+        return background if background is not None and background.complete else None
 
     def _beside(self, state: State) -> bool:
         """Whether it is trained a few steps a frame; anchors that come with a frame would have no counterpart in it."""
-        return self._budget is not None and self._config.predict.growth_share == 0 and self.learns(state)
+        return self._budget is not None and self._config.predict.growth_share == 0 and self.needs_training(state)

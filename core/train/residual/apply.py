@@ -1,4 +1,4 @@
-"""Residuals onto anchors, with gradients: what the decoder makes of the integers that training would send now."""
+"""Residuals applied to anchors with gradients: the decoder's result for the integers that would be sent now."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from core.train.field.rounding import dead_zone, dead_zone_through
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Quantum:
-    """What one quantum changes: feature [12,F] and offset [12,3K] by the latent decoders, position [L] by level."""
+class UnitChange:
+    """What one step changes: feature [12,F] and offset [12,3K] by the latent decoders, position [L] for each level."""
 
     feature: Tensor
     offset: Tensor
     position: Tensor
 
 
-def applied(field: Field, latent: Tensor, position: Tensor, quantum: Quantum) -> Field:
+def applied(field: Field, latent: Tensor, position: Tensor, unit: UnitChange) -> Field:
     """`field` of n anchors with residuals, rounded as they will be sent; gradients go straight through the rounding.
 
     Args:
-        latent: [n,24], position: [n,3] real numbers in quanta.
+        latent: [n,24], position: [n,3] real numbers, in steps.
     """
-    steps = quantum.position[field.level][:, None]
-    parts = (latent, position, field.feature, field.offset, field.position, quantum.feature, quantum.offset, steps)
+    steps = unit.position[field.level][:, None]
+    parts = (latent, position, field.feature, field.offset, field.position, unit.feature, unit.offset, steps)
     feature, offset, moved = _Applied.apply(*parts)  # type: ignore[no-untyped-call]
     return replace(field, feature=feature, offset=offset, position=moved)
 
 
-def applied_reference(field: Field, latent: Tensor, position: Tensor, quantum: Quantum) -> Field:
+def applied_reference(field: Field, latent: Tensor, position: Tensor, unit: UnitChange) -> Field:
     """`applied`, differentiated by torch."""
     latent, position = dead_zone_through(latent), dead_zone_through(position)
-    offset = latent[:, FEATURE_LATENTS:] @ quantum.offset
+    offset = latent[:, FEATURE_LATENTS:] @ unit.offset
     return replace(
         field,
-        feature=field.feature + latent[:, :FEATURE_LATENTS] @ quantum.feature,
+        feature=field.feature + latent[:, :FEATURE_LATENTS] @ unit.feature,
         offset=field.offset + offset.reshape(field.offset.shape),
-        position=field.position + position * quantum.position[field.level][:, None],
+        position=field.position + position * unit.position[field.level][:, None],
     )
 
 
@@ -62,10 +62,10 @@ class _Applied(torch.autograd.Function):
         steps: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         ctx.save_for_backward(feature_decoder, offset_decoder, steps)
-        quanta = dead_zone(latent)
+        integers = dead_zone(latent)
         return (
-            torch.addmm(feature, quanta[:, :FEATURE_LATENTS], feature_decoder),
-            torch.addmm(offset.flatten(1), quanta[:, FEATURE_LATENTS:], offset_decoder).view(offset.shape),
+            torch.addmm(feature, integers[:, :FEATURE_LATENTS], feature_decoder),
+            torch.addmm(offset.flatten(1), integers[:, FEATURE_LATENTS:], offset_decoder).view(offset.shape),
             torch.addcmul(node, dead_zone(position), steps),
         )
 

@@ -28,7 +28,7 @@ class State:
         references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
         partition: what the latest frame trained.
-        change: [N,27] of the latest frame, latents and positions in quanta; None for zeros.
+        change: [N,27] of the latest frame, latents and positions in steps; None for zeros.
         start: [N,27] likewise, where training of the next frame begins.
         motion: [N,3] world units a frame, mean over the latest frames; None for none.
     """
@@ -66,7 +66,7 @@ class State:
             rows: [n] trained rows, with their `change` [n,27] and where to `start` [n,27] in the next frame.
         """
         if any(len(part.added) for part in residual.levels):
-            return self._relaid(residual, scene, partition)
+            return self._with_added_rows(residual, scene, partition)
         field, starts = self.field, level_starts(scene)
         device = field.feature.device
         feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
@@ -86,7 +86,7 @@ class State:
             self, scene=scene, field=field, partition=partition, change=changes, start=starts_at, motion=motion
         )
 
-    def _relaid(self, residual: Residual, scene: Scene, partition: Partition) -> State:
+    def _with_added_rows(self, residual: Residual, scene: Scene, partition: Partition) -> State:
         """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
         device = str(self.field.feature.device)
         before, origins = level_starts(self.scene), []
@@ -97,8 +97,8 @@ class State:
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         canonical = self.canonical.with_rows(known).with_values(new, field)
-        laid = replace(self, scene=scene, field=field, canonical=canonical, partition=partition.reordered(origin))
-        return replace(laid, change=None, start=None, motion=None)
+        reordered = replace(self, scene=scene, field=field, canonical=canonical, partition=partition.reordered(origin))
+        return replace(reordered, change=None, start=None, motion=None)
 
 
 def fresh_state(

@@ -1,4 +1,4 @@
-"""What one camera needs to render while one frame trains: on the CPU, only what moving Gaussians can change."""
+"""Rendering one camera while one frame trains: on the CPU, only tiles that trained Gaussians can change are drawn."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _WHOLE = 0.7  # share of dirty tiles from which the whole picture is planned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stage:
-    """The still part of one camera's picture.
+class TileCache:
+    """The part of one camera's picture that stays the same while a frame trains.
 
     Attributes:
         camera: whose picture.
@@ -46,19 +46,19 @@ class Stage:
     region: tuple[Box, ...] | None = None
     is_empty: bool = False
 
-    def render(self, dynamic: Splats) -> tuple[Raster, Stage]:
-        """The picture with gradients for `dynamic`, and the stage to go on with: a wider one if one left its room."""
+    def render(self, dynamic: Splats) -> tuple[Raster, TileCache]:
+        """The picture with gradients for `dynamic`, and the cache to continue with: of more tiles if needed."""
         if self.backdrop is None:
             return self._render_whole(dynamic), self
-        stage, raster = self, self._render_over(dynamic)
+        cache, raster = self, self._render_over(dynamic)
         if raster is None:
-            stage = self._for_tiles(_room(self.camera, dynamic) | self.backdrop.stale)
-            raster = stage._render_over(dynamic)
+            cache = self._for_tiles(_room(self.camera, dynamic) | self.backdrop.stale)
+            raster = cache._render_over(dynamic)
         if raster is None:  # what enters from far outside is projected a little differently when room is planned
-            stage = self._for_tiles(np.ones_like(self.backdrop.stale))
-            raster = stage._render_over(dynamic)
+            cache = self._for_tiles(np.ones_like(self.backdrop.stale))
+            raster = cache._render_over(dynamic)
         assert raster is not None
-        return raster, stage
+        return raster, cache
 
     def _render_over(self, dynamic: Splats) -> Raster | None:
         assert self.backdrop is not None
@@ -70,13 +70,13 @@ class Stage:
             *parameters, camera=self.camera, background=self.background, gradient_rows=rows, backend=self.backend
         )
 
-    def _for_tiles(self, tile_mask: Bool) -> Stage:
-        """This stage, planned anew for other tiles."""
+    def _for_tiles(self, tile_mask: Bool) -> TileCache:
+        """This cache, planned anew for other tiles."""
         assert self.backdrop is not None
         return _planned(self, tile_mask, self.backdrop.stale, self.backdrop.base)
 
 
-def make_stage(
+def make_tile_cache(
     camera: Camera,
     dynamic: Splats,
     static: Splats,
@@ -84,28 +84,28 @@ def make_stage(
     backend: Backend,
     base: Tensor | None = None,
     before: Splats | None = None,
-) -> Stage:
+) -> TileCache:
     """Plan `camera`'s picture for `dynamic` Gaussians before `static` ones.
 
     Args:
         base: [H,W,3] the picture of both, where it is at hand; rendered otherwise.
         before: the dynamic ones as `base` shows them, where they have moved since.
     """
-    stage = Stage(camera, static, background, backend)
+    cache = TileCache(camera, static, background, backend)
     if backend != "cpu":
-        return stage
+        return cache
     if base is None:
         with torch.no_grad():
-            base = stage.render(dynamic)[0].image
+            base = cache.render(dynamic)[0].image
     stale = touched_tiles(camera, (dynamic if before is None else before).cloud())
-    return _planned(stage, _room(camera, dynamic) | stale, stale, base.numpy())
+    return _planned(cache, _room(camera, dynamic) | stale, stale, base.numpy())
 
 
-def _planned(stage: Stage, tile_mask: Bool, stale: Bool, base: Float32) -> Stage:
+def _planned(cache: TileCache, tile_mask: Bool, stale: Bool, base: Float32) -> TileCache:
     tile_mask = np.ones_like(tile_mask) if tile_mask.mean() > _WHOLE else tile_mask
-    backdrop = prepare(stage.static.cloud(), stage.camera, tile_mask, stale, base)
-    region = loss_boxes(tile_mask, stage.camera)
-    return replace(stage, backdrop=backdrop, region=region, is_empty=not region)
+    backdrop = prepare(cache.static.cloud(), cache.camera, tile_mask, stale, base)
+    region = loss_boxes(tile_mask, cache.camera)
+    return replace(cache, backdrop=backdrop, region=region, is_empty=not region)
 
 
 def _room(camera: Camera, dynamic: Splats) -> Bool:

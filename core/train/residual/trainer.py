@@ -17,7 +17,7 @@ from core.arrays import Float32, Int32
 from core.render.backends import Backend
 from core.scene.anchors import LATENTS
 from core.train.config import PredictConfig
-from core.train.control.frame_budget import Pace, StepPace
+from core.train.control.frame_budget import FixedSteps, FrameProgress
 from core.train.field.decode import Splats
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
@@ -33,10 +33,10 @@ from core.train.optimise.optimisers import Adam, Optimiser
 from core.train.optimise.rate import residual_bits
 from core.train.optimise.schedule import ViewOrder
 from core.train.pictures.views import Views
-from core.train.residual.apply import Quantum, applied
+from core.train.residual.apply import UnitChange, applied
 from core.train.residual.state import State
-from core.train.residual.tile_cache import Stage, make_stage
-from core.train.residual.update import Quanta, no_quanta
+from core.train.residual.tile_cache import TileCache, make_tile_cache
+from core.train.residual.update import IntegerUpdate, no_update
 
 _PREPARATION = 0.3  # of a frame's training time, after which no further camera's picture is planned
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
@@ -74,7 +74,7 @@ class ResidualTrainer:
         self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
-        self._quantum = Quantum(*(torch.from_numpy(part).to(device) for part in steps))
+        self._unit_change = UnitChange(*(torch.from_numpy(part).to(device) for part in steps))
         start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
         begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
@@ -82,7 +82,7 @@ class ResidualTrainer:
         static_splats = _static_splats(field, static, self._centres)
         self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
         self._shown = state.shown
-        self._stages: dict[int, Stage] = {}
+        self._caches: dict[int, TileCache] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
 
     def run(
@@ -90,18 +90,18 @@ class ResidualTrainer:
         config: PredictConfig,
         backend: Backend,
         generator: torch.Generator,
-        pace_of: Callable[[int], Pace] = StepPace,
-    ) -> Quanta:
+        progress_of: Callable[[int], FrameProgress] = FixedSteps,
+    ) -> IntegerUpdate:
         """Train as configured and round.
 
         Args:
-            pace_of: makes the pace of a number of steps.
+            progress_of: makes the pace of a number of steps.
         """
         total = max(config.epochs * len(self._useful), config.minimum_steps)
-        pace = pace_of(total)
+        pace = progress_of(total)
         views = self._prepare(pace, backend)
         if not views:
-            return no_quanta(self._known)
+            return no_update(self._known)
         order, epochs = ViewOrder(views, generator), Epochs(len(views), config.least_gain)
         progress, has_grown = 0.0, False
 
@@ -121,20 +121,20 @@ class ResidualTrainer:
 
         losses = run_steps(step, reached)
         if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
-            return replace(no_quanta(self._known), complete=False, wanted=self._wanted())
+            return replace(no_update(self._known), complete=False, wanted=self._wanted())
         loss = float(torch.stack(losses[-len(views) :]).mean())
-        quanta = self._quanta(len(losses), loss)
-        return replace(quanta, complete=epochs.done >= total and len(self._stages) == len(self._useful))
+        update = self._integer_update(len(losses), loss)
+        return replace(update, complete=epochs.done >= total and len(self._caches) == len(self._useful))
 
-    def _prepare(self, pace: Pace, backend: Backend) -> list[int]:
+    def _prepare(self, pace: FrameProgress, backend: Backend) -> list[int]:
         """Plan the cameras' pictures, as far as time allows; those that show an anchor to train."""
         views = list[int]()
         with torch.no_grad():
             for number in self._useful:
                 if views and pace.progress(0) > _PREPARATION:
                     break
-                stage = self._stages[number] = self._stage(number, self._dynamic_splats(number), backend)
-                if not stage.is_empty:
+                cache = self._caches[number] = self._cache_of(number, self._dynamic_splats(number), backend)
+                if not cache.is_empty:
                     views.append(number)
         return views
 
@@ -142,16 +142,16 @@ class ResidualTrainer:
         """[C,H,W,3] what the usable cameras film once `field` has taken over at `rows`; NaN for the others."""
         pictures = torch.full_like(self._views.targets, torch.nan)
         with torch.no_grad():
-            for number, stage in self._stages.items():
+            for number, cache in self._caches.items():
                 splats = field.decode(self._centres[number], rows)
-                pictures[number] = stage.render(self._exposure.before(splats, number))[0].image
+                pictures[number] = cache.render(self._exposure.before(splats, number))[0].image
         return pictures
 
     def _step(self, number: int, config: PredictConfig, decay: float) -> Tensor:
         """One view, one update; returns the detached loss."""
-        raster, stage = self._stages[number].render(self._dynamic_splats(number))
-        self._stages[number] = stage
-        loss = photometric_loss(raster.image, self._views.targets[number], config.dssim_weight, stage.region)
+        raster, cache = self._caches[number].render(self._dynamic_splats(number))
+        self._caches[number] = cache
+        loss = photometric_loss(raster.image, self._views.targets[number], config.dssim_weight, cache.region)
         if config.rate_weight:
             bits = residual_bits(self._optimiser.parameters["latent"], self._optimiser.parameters["position"])
             loss = loss + config.rate_weight * bits / raster.image.numel()
@@ -161,16 +161,16 @@ class ResidualTrainer:
         self._optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
         return loss.detach()
 
-    def _stage(self, number: int, dynamic: Splats, backend: Backend) -> Stage:
+    def _cache_of(self, number: int, dynamic: Splats, backend: Backend) -> TileCache:
         camera = self._views.cameras[number]
         known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
         before = dynamic if known is None else self._base.decode(self._centres[number])
-        return make_stage(camera, dynamic, self._static[number], self._backgrounds[number], backend, known, before)
+        return make_tile_cache(camera, dynamic, self._static[number], self._backgrounds[number], backend, known, before)
 
     def _dynamic_field(self) -> Field:
         """The dynamic anchors with their residuals, rounded as they will be sent."""
         parameters = self._optimiser.parameters
-        return applied(self._base, parameters["latent"], parameters["position"], self._quantum)
+        return applied(self._base, parameters["latent"], parameters["position"], self._unit_change)
 
     def _dynamic_splats(self, number: int) -> Splats:
         return self._exposure.before(self._dynamic_field().decode(self._centres[number]), number)
@@ -190,8 +190,8 @@ class ResidualTrainer:
         self._optimiser.replace_rows(torch.arange(len(current), device=device), nothing)
         self._statistics = GrowthStatistics(len(self._base), self._base.slots, device)
 
-    def _quanta(self, steps: int, loss: float) -> Quanta:
-        latent, position = (_finite_quanta(self._optimiser.parameters[name]) for name in ("latent", "position"))
+    def _integer_update(self, steps: int, loss: float) -> IntegerUpdate:
+        latent, position = (_finite_integers(self._optimiser.parameters[name]) for name in ("latent", "position"))
         with torch.no_grad():
             opacity = self._dynamic_splats(self._views.usable[0]).opacities.reshape(len(latent), -1).amax(dim=1)
         # what looks different to every camera may be transparent to one only
@@ -202,7 +202,7 @@ class ResidualTrainer:
             chosen = self._base.with_rows(torch.from_numpy(new).to(opacity.device))
             added = added_levels(chosen, latent[new], position[new], self._header)
         broken, wanted = self._optimiser.broken, self._wanted()
-        return Quanta(latent[known], position[known], ~shown[known], added, steps, loss, broken, wanted=wanted)
+        return IntegerUpdate(latent[known], position[known], ~shown[known], added, steps, loss, broken, wanted=wanted)
 
     def _wanted(self) -> Float32:
         """[n,27] latents and positions before rounding, of the anchors that were there before."""
@@ -223,7 +223,7 @@ def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[
     return decoded
 
 
-def _finite_quanta(values: Tensor) -> Int32:
+def _finite_integers(values: Tensor) -> Int32:
     """Integers as training saw them; what is not finite stays at its last good state, zero."""
     limit = 2.0**24
     rounded = dead_zone(torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0)).clamp(-limit, limit)

@@ -1,4 +1,4 @@
-"""What one later frame's training found, in integers, and the residual that it becomes."""
+"""The integer update that training one later frame results in, and the residual that it is sent as."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
 from core.scene.residual import LevelResidual, Residual
 from core.train.field.convert import level_starts
 
-_LARGEST_REST = 2.0  # quanta; more is no rest but a change that could not be sent
-_FURTHEST = 64.0  # quanta that a change may be continued by: a wild one must not throw an anchor out of the scene
+_MAX_REMAINDER = 2.0  # steps; more is not left by rounding, but a change that could not be sent
+_MAX_CONTINUATION = 64.0  # steps: one wild change must not throw an anchor out of the scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Quanta:
-    """What one frame's training found, in integers.
+class IntegerUpdate:
+    """Changes of n trained anchors, in integer steps.
 
     Attributes:
-        latent: [n,24] int32, position: [n,3] int32: differences of the n dynamic anchors.
-        removed: [n] bool, those that have become transparent.
+        latent: [n,24] int32, position: [n,3] int32: differences to the state before.
+        removed: [n] bool, anchors that have become transparent.
         added: new anchors by level, or None for none.
         steps, loss, repaired: figures of the training.
-        complete: whether all that was planned was trained, and nothing held back.
+        complete: whether training ran to its end and every change is sent.
         wanted: [n,27] float32 latents and positions before rounding, or None for zeros.
     """
 
@@ -44,55 +44,57 @@ class Quanta:
         return np.concatenate([self.latent, self.position], axis=1).astype(np.float32)
 
     @property
-    def rest(self) -> Float32:
-        """[n,27] what rounding, and what held changes back, left undone."""
+    def remainder(self) -> Float32:
+        """[n,27] what rounding and dropped changes left undone, in steps."""
         sent = self.sent
         if self.wanted is None:
             return np.zeros_like(sent)
-        return np.asarray(np.clip(self.wanted - sent, -_LARGEST_REST, _LARGEST_REST))
+        return np.asarray(np.clip(self.wanted - sent, -_MAX_REMAINDER, _MAX_REMAINDER))
 
     def continued(self, share: float, before: Float32, *, done: bool) -> Float32:
-        """[n,27] where the next frame's training begins: `share` of this change, for what moves mostly goes on.
+        """[n,27] where the next frame's training begins: `share` of this change, since motion mostly continues.
 
-        Only where the change `before` [n,27] pointed the same way: a flash is over in the next frame.
+        Only where the change `before` [n,27] had the same sign: a flash is over in the next frame.
 
         Args:
-            done: nothing was cut short; otherwise the rest is added.
+            done: nothing was cut short; otherwise `remainder` is added.
         """
         sent = self.sent
-        onwards = np.clip(np.float32(share) * sent * (sent * before > 0), -_FURTHEST, _FURTHEST)
-        return np.asarray(onwards if done else onwards + self.rest)
+        onwards = np.clip(np.float32(share) * sent * (sent * before > 0), -_MAX_CONTINUATION, _MAX_CONTINUATION)
+        return np.asarray(onwards if done else onwards + self.remainder)
 
 
-def no_quanta(anchors: int) -> Quanta:
-    """Nothing changes."""
-    return Quanta(np.zeros((anchors, LATENTS), np.int32), np.zeros((anchors, 3), np.int32), np.zeros(anchors, np.bool_))
+def no_update(anchors: int) -> IntegerUpdate:
+    """No change."""
+    return IntegerUpdate(
+        np.zeros((anchors, LATENTS), np.int32), np.zeros((anchors, 3), np.int32), np.zeros(anchors, np.bool_)
+    )
 
 
-def strongest_changes(quanta: Quanta, most: int, first: Bool) -> Quanta:
-    """At most `most` of the changes: those of the anchors `first` [n] before others, and those of most quanta first."""
-    energy = np.abs(quanta.latent).sum(axis=1, dtype=np.int64) + np.abs(quanta.position).sum(axis=1, dtype=np.int64)
+def strongest_changes(update: IntegerUpdate, most: int, first: Bool) -> IntegerUpdate:
+    """At most `most` of the changes: anchors of `first` [n] bool before others, and then the largest sums of steps."""
+    energy = np.abs(update.latent).sum(axis=1, dtype=np.int64) + np.abs(update.position).sum(axis=1, dtype=np.int64)
     if np.count_nonzero(energy) <= most:
-        return quanta
+        return update
     kept = np.zeros(len(energy), np.bool_)
     kept[np.lexsort((-energy, ~first | (energy == 0)))[:most]] = True
     return replace(
-        quanta,
-        latent=np.where(kept[:, None], quanta.latent, 0).astype(np.int32),
-        position=np.where(kept[:, None], quanta.position, 0).astype(np.int32),
+        update,
+        latent=np.where(kept[:, None], update.latent, 0).astype(np.int32),
+        position=np.where(kept[:, None], update.position, 0).astype(np.int32),
         complete=False,
     )
 
 
-def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Residual:
-    """The residual of `scene` to `version` that `quanta` of `rows` (numbered over all levels) stand for."""
+def residual_of(scene: Scene, rows: Int64, update: IntegerUpdate, version: int) -> Residual:
+    """The residual of `scene` to `version` that changes `rows` (numbered over all levels) by `update`."""
     starts = level_starts(scene)
-    changed = (quanta.latent.any(axis=1) | quanta.position.any(axis=1)) & ~quanta.removed
+    changed = (update.latent.any(axis=1) | update.position.any(axis=1)) & ~update.removed
     levels = []
     for number, level in enumerate(scene.levels):
         inside = (rows >= starts[number]) & (rows < starts[number + 1])
-        own, dead = rows[inside & changed] - starts[number], rows[inside & quanta.removed] - starts[number]
-        latent, position = quanta.latent[inside & changed], quanta.position[inside & changed]
+        own, dead = rows[inside & changed] - starts[number], rows[inside & update.removed] - starts[number]
+        latent, position = update.latent[inside & changed], update.position[inside & changed]
         empty = empty_level(level.feature.shape[1], scene.header.gaussians_per_anchor)
         levels.append(
             LevelResidual(
@@ -100,14 +102,14 @@ def residual_of(scene: Scene, rows: Int64, quanta: Quanta, version: int) -> Resi
                 position=_within(level.position[own], position),
                 latent=_within(level.latent[own], latent),
                 removed=dead,
-                added=empty if quanta.added is None else quanta.added[number],
+                added=empty if update.added is None else update.added[number],
             )
         )
     return Residual(scene.keyframe, scene.version, version, tuple(levels))
 
 
 def _within(values: Int16 | Int32, change: Int32) -> Int32:
-    """`change` of `values`, as far as their integers reach."""
+    """`change`, limited so that `values` stay within their integer type."""
     limits = np.iinfo(values.dtype)
     total = np.clip(values.astype(np.int64) + change, limits.min, limits.max)
     return np.asarray((total - values).astype(np.int32))

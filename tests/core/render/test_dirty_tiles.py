@@ -17,7 +17,7 @@ from core.scene.gaussians import GaussianCloud
 from core.train.field.decode import Splats
 from core.train.optimise.losses import photometric_loss
 from core.train.residual.region import loss_boxes
-from core.train.residual.tile_cache import make_stage
+from core.train.residual.tile_cache import make_tile_cache
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
 
 CAMERA = make_camera(200, 150)
@@ -122,12 +122,12 @@ def test_picture_is_that_of_any_number_of_threads(threads: int) -> None:
 @pytest.mark.parametrize("pixels", [0.5, 30.0, 2000.0])
 def test_stage_follows_gaussians_that_leave_their_room(pixels: float) -> None:
     dynamic, static = (Splats(*tensors(cloud)) for cloud in scene())
-    stage = make_stage(CAMERA, dynamic, static, BACKGROUND, "cpu")
+    cache = make_tile_cache(CAMERA, dynamic, static, BACKGROUND, "cpu")
     now = moved(scene()[0], (pixels * PER_PIXEL, 0.0, 0.0))
     ours, wanted = ([t.clone().requires_grad_() for t in tensors(now)] for _ in range(2))
-    raster, wider = stage.render(Splats(*ours))
+    raster, wider = cache.render(Splats(*ours))
     whole = full(wanted, scene()[1])
-    assert (wider is stage) == (pixels != 30.0)  # out of the picture they reach no tile
+    assert (wider is cache) == (pixels != 30.0)  # out of the picture they reach no tile
     assert torch.equal(raster.image, whole.image)
     if pixels < 100:  # further away nothing is seen of them
         assert wider.region is not None
@@ -202,25 +202,25 @@ def test_what_has_moved_since_the_known_picture_is_not_left_standing_in_it() -> 
     known = full(tensors(dynamic), static).image
     now = Splats(*tensors(moved(dynamic, (30.0 * PER_PIXEL, 0.0, 0.0))))
     before, still = Splats(*tensors(dynamic)), Splats(*tensors(static))
-    stage = make_stage(CAMERA, now, still, BACKGROUND, "cpu", known, before)
-    raster, _ = stage.render(now)
+    cache = make_tile_cache(CAMERA, now, still, BACKGROUND, "cpu", known, before)
+    raster, _ = cache.render(now)
     assert torch.equal(raster.image, full(now.astuple(), static).image)
 
 
 def test_nothing_dynamic_means_nothing_dirty() -> None:
     static = make_cloud(50)
     base = torch.rand(150, 200, 3)
-    stage = make_stage(CAMERA, Splats(*tensors(make_cloud(0))), Splats(*tensors(static)), BACKGROUND, "cpu", base)
-    assert stage.is_empty
-    assert stage.region == ()
-    raster, _ = stage.render(Splats(*tensors(make_cloud(0))))
+    cache = make_tile_cache(CAMERA, Splats(*tensors(make_cloud(0))), Splats(*tensors(static)), BACKGROUND, "cpu", base)
+    assert cache.is_empty
+    assert cache.region == ()
+    raster, _ = cache.render(Splats(*tensors(make_cloud(0))))
     assert torch.equal(raster.image, base)
 
 
 def test_the_whole_picture_is_planned_where_most_of_it_moves() -> None:
     cloud = make_cloud(300, size=0.4)
     dynamic, static = rows_of(cloud, np.arange(150)), rows_of(cloud, np.arange(150, 300))
-    stage = make_stage(CAMERA, Splats(*tensors(dynamic)), Splats(*tensors(static)), BACKGROUND, "cpu")
-    assert stage.region == (Box(0, 0, 200, 150),)
-    raster, _ = stage.render(Splats(*tensors(dynamic)))
+    cache = make_tile_cache(CAMERA, Splats(*tensors(dynamic)), Splats(*tensors(static)), BACKGROUND, "cpu")
+    assert cache.region == (Box(0, 0, 200, 150),)
+    raster, _ = cache.render(Splats(*tensors(dynamic)))
     assert torch.equal(raster.image, full(tensors(dynamic), static).image)

@@ -85,7 +85,7 @@ from core.render.cpu import backdrop, frame, listing, photometric
 from core.render.cpu import dirty_tiles as dirty
 from core.train.optimise.losses import photometric_loss
 from core.train.field.decode import Splats
-from core.train.residual.tile_cache import make_stage
+from core.train.residual.tile_cache import make_tile_cache
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
 
 cpu.warm()
@@ -95,7 +95,7 @@ before = [len(kernel.signatures) for kernel in kernels]
 cloud, camera = make_cloud(40, size=0.1), make_camera(96, 64)
 parameters = [torch.from_numpy(getattr(cloud, name)).requires_grad_() for name in NAMES]
 splats, background = Splats(*parameters), torch.zeros(3)
-raster, _ = make_stage(camera, splats, splats.detached(), background, "cpu").render(splats)
+raster, _ = make_tile_cache(camera, splats, splats.detached(), background, "cpu").render(splats)
 photometric_loss(raster.image, torch.zeros(64, 96, 3)).backward()
 rasterise(*parameters, camera, background).image.sum().backward()
 print(len(before), all(before), before == [len(kernel.signatures) for kernel in kernels])

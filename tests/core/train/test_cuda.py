@@ -19,7 +19,7 @@ from core.train.field.decode import Network, decode, decode_reference
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.losses import photometric_loss, photometric_reference
 from core.train.optimise.rate import residual_bits, residual_bits_reference
-from core.train.residual.apply import Quantum, applied
+from core.train.residual.apply import UnitChange, applied
 from tests.core.train.fields import random_field
 
 pytestmark = pytest.mark.cuda
@@ -51,7 +51,7 @@ def test_residuals_are_applied_as_on_the_cpu(gpu: str) -> None:
     parts = [torch.randn(LATENTS - OFFSET_LATENTS, 8), torch.randn(OFFSET_LATENTS, 12), torch.rand(3)]
     for device in ("cpu", gpu):
         leaves = [value.to(device).requires_grad_() for value in values]
-        after = applied(field.to(device), *leaves, Quantum(*(part.to(device) for part in parts)))
+        after = applied(field.to(device), *leaves, UnitChange(*(part.to(device) for part in parts)))
         total = after.feature.sum() + after.offset.square().sum() + after.position.sum()
         found.append([after.feature, after.offset, *torch.autograd.grad(total, leaves)])
     for mine, theirs in zip(*found, strict=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from core.train.control.frame_budget import FrameBudget, StepPace
+from core.train.control.frame_budget import FixedSteps, FrameBudget
 
 
 class Clock:
@@ -30,9 +30,9 @@ def trained_steps(budget: FrameBudget, clock: Clock, planned: int, step_seconds:
 
 
 def test_without_a_budget_all_steps_are_taken() -> None:
-    pace = StepPace(4)
+    pace = FixedSteps(4)
     assert [pace.progress(step) for step in range(5)] == [0, 0.25, 0.5, 0.75, 1]
-    assert StepPace(0).progress(0) == 1
+    assert FixedSteps(0).progress(0) == 1
 
 
 def test_training_that_fits_is_not_cut_short() -> None:

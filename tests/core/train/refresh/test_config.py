@@ -33,7 +33,7 @@ def config() -> TrainConfig:
     return replace(
         live,
         model=replace(live.model, max_anchors=2500),
-        keyframe=replace(live.keyframe, steps=80, growth_interval=20, renewal_steps=60),
+        keyframe=replace(live.keyframe, steps=80, growth_interval=20, refresh_steps=60),
         predict=replace(live.predict, epochs=2, minimum_steps=8),
     )
 
@@ -55,10 +55,10 @@ def first(clip: Dataset, frames: list[FrameSet]) -> Scene:
 
 
 def trainer_at(
-    clip: Dataset, first: Scene, pictures: list[FrameSet], budget_ms: float | None = None, renewal_steps: int = 60
+    clip: Dataset, first: Scene, pictures: list[FrameSet], budget_ms: float | None = None, refresh_steps: int = 60
 ) -> Trainer:
     """A trainer that has seen `pictures`."""
-    chosen = replace(config(), keyframe=replace(config().keyframe, renewal_steps=renewal_steps))
+    chosen = replace(config(), keyframe=replace(config().keyframe, refresh_steps=refresh_steps))
     trainer = Trainer(clip.cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget_ms)
     trainer.resume(first)
     for frame in pictures:
@@ -77,7 +77,7 @@ def test_catches_up_and_goes_on(clip: Dataset, frames: list[FrameSet], first: Sc
     """It shows its frame better than the state did, and the frames after it lead on from what viewers decode."""
     trainer = trainer_at(clip, first, frames[1:5])
     before = trainer.scene
-    renewed = trainer.renew(frames[4])
+    renewed = trainer.refresh(frames[4])
     assert renewed.report.steps == 60
     assert (renewed.scene.keyframe, renewed.scene.version) == (before.version, before.version)
     assert quality(renewed.scene, clip, frames[4]) > quality(before, clip, frames[4]) + 0.5
@@ -99,7 +99,7 @@ def test_a_still_scene_trains_nothing(clip: Dataset, frames: list[FrameSet], fir
     keyframe = as_keyframe(trainer.scene, 1)
     trainer.resume(keyframe, keep_references=True)
     trainer.predict(replace(frames[0], index=2))
-    renewed = trainer.renew(replace(frames[0], index=2))
+    renewed = trainer.refresh(replace(frames[0], index=2))
     assert renewed.report.steps == 0
     assert (renewed.scene.keyframe, renewed.scene.version) == (2, 2)
     for mine, theirs in zip(renewed.scene.levels, keyframe.levels, strict=True):
@@ -126,15 +126,15 @@ class Clock:
 
 def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
     """As many steps as without one, spread over frames in which things move; the frames after it lead on from it."""
-    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, renewal_steps=12 * FRAMES)
-    trainer.want_keyframe()
+    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, refresh_steps=12 * FRAMES)
+    trainer.request_refresh()
     last = 1 + 1 + FRAMES  # it begins with a frame, and has the next ones
     for frame in pictures[2 : last + 1]:
-        assert not trainer.keyframe_is_ready
+        assert not trainer.refresh_is_ready
         trainer.predict(frame)
-    assert trainer.keyframe_is_ready
+    assert trainer.refresh_is_ready
     before = trainer.scene
-    renewed = trainer.renew(pictures[last])
+    renewed = trainer.refresh(pictures[last])
     assert renewed.report.steps == 12 * FRAMES
     assert (renewed.scene.keyframe, renewed.scene.version) == (before.version, before.version)
     assert renewed.scene.anchor_count == before.anchor_count
@@ -159,13 +159,13 @@ def test_no_time_at_all_sends_the_state_as_it_is(clip: Dataset, pictures: list[F
     trainer.predict(pictures[1])
     trainer.predict(pictures[2])
     clock.look = 100.0
-    trainer.want_keyframe()
+    trainer.request_refresh()
     for number in range(FRAMES + 1):
-        assert not trainer.keyframe_is_ready
+        assert not trainer.refresh_is_ready
         trainer.predict(replace(pictures[3], index=3 + number))
-    assert trainer.keyframe_is_ready
+    assert trainer.refresh_is_ready
     known = trainer.scene
-    renewed = trainer.renew(pictures[3])
+    renewed = trainer.refresh(pictures[3])
     assert renewed.report.steps == 0
     expected = as_keyframe(known, known.version)
     shown, as_it_is = (quality(scene, clip, pictures[3]) for scene in (renewed.scene, expected))
@@ -176,15 +176,15 @@ def test_asked_for_before_its_time_it_is_the_state_as_it_is(
     clip: Dataset, pictures: list[FrameSet], first: Scene
 ) -> None:
     trainer = trainer_at(clip, first, pictures[1:3], budget_ms=60_000)
-    trainer.want_keyframe()
+    trainer.request_refresh()
     trainer.predict(pictures[3])
     trainer.predict(pictures[4])
     expected = as_keyframe(trainer.scene, trainer.scene.version)
-    renewed = trainer.renew(pictures[4])
+    renewed = trainer.refresh(pictures[4])
     assert renewed.report.steps == 0
     assert [level.digest() for level in renewed.scene.levels] == [level.digest() for level in expected.levels]
     trainer.predict(pictures[5])
-    assert not trainer.keyframe_is_ready  # it is not wanted any more
+    assert not trainer.refresh_is_ready  # it is not wanted any more
 
 
 @pytest.mark.parametrize("alive", [0, 1, 3])
@@ -195,7 +195,7 @@ def test_a_scene_that_is_nearly_gone(clip: Dataset, frames: list[FrameSet], firs
     levels += [replace(level, alive=np.zeros(len(level), np.bool_)) for level in finer]
     trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
     trainer.resume(replace(first, levels=tuple(levels)))
-    renewed = trainer.renew(frames[0]).scene
+    renewed = trainer.refresh(frames[0]).scene
     assert renewed.anchor_count <= alive
     SceneDecoder().push(encode_keyframe(renewed, time_ns=0))
 

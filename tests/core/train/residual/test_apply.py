@@ -10,7 +10,7 @@ from torch import Tensor
 
 from core.scene.anchors import LATENTS, OFFSET_LATENTS
 from core.train.field.field import Field
-from core.train.residual.apply import Quantum, applied, applied_reference
+from core.train.residual.apply import UnitChange, applied, applied_reference
 from tests.core.train.fields import random_field
 
 NAMES = ("feature", "offset", "position")
@@ -41,7 +41,7 @@ def _outcome(function: Callable[..., Field], count: int, slots: int) -> list[Ten
     return [part.detach() for part in parts] + list(torch.autograd.grad(torch.stack(weighted).sum(), leaves))
 
 
-def _case(count: int, slots: int) -> tuple[Field, Tensor, Tensor, Quantum]:
+def _case(count: int, slots: int) -> tuple[Field, Tensor, Tensor, UnitChange]:
     field, generator = random_field(max(count, 1), slots).with_rows(torch.arange(count)), torch.Generator()
     generator.manual_seed(count)
 
@@ -49,5 +49,5 @@ def _case(count: int, slots: int) -> tuple[Field, Tensor, Tensor, Quantum]:
         return torch.randn(*shape, generator=generator)
 
     features = field.feature.shape[1]
-    quantum = Quantum(random(LATENTS - OFFSET_LATENTS, features), random(OFFSET_LATENTS, 3 * slots), random(3).abs())
+    quantum = UnitChange(random(LATENTS - OFFSET_LATENTS, features), random(OFFSET_LATENTS, 3 * slots), random(3).abs())
     return field, 3 * random(count, LATENTS), 3 * random(count, 3), quantum

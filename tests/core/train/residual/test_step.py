@@ -97,7 +97,7 @@ def prepared(view_dependent: bool) -> ResidualTrainer:
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     trainer = ResidualTrainer(state, Partition(None, some), views, neutral(1), [0])
-    trainer._stages[0] = trainer._stage(0, trainer._dynamic_splats(0), "cuda")
+    trainer._caches[0] = trainer._cache_of(0, trainer._dynamic_splats(0), "cuda")
     return trainer
 
 

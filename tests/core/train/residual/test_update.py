@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.train.residual.update import Quanta, strongest_changes
+from core.train.residual.update import IntegerUpdate, strongest_changes
 
 
-def quanta(sizes: list[int]) -> Quanta:
+def quanta(sizes: list[int]) -> IntegerUpdate:
     latent = np.zeros((len(sizes), 24), np.int32)
     latent[:, 3] = sizes
     wanted = np.concatenate([latent, np.zeros((len(sizes), 3))], axis=1).astype(np.float32) + 0.25
-    return Quanta(latent, np.zeros((len(sizes), 3), np.int32), np.zeros(len(sizes), np.bool_), wanted=wanted)
+    return IntegerUpdate(latent, np.zeros((len(sizes), 3), np.int32), np.zeros(len(sizes), np.bool_), wanted=wanted)
 
 
 def test_few_changes_are_all_kept() -> None:
@@ -29,10 +29,10 @@ def test_what_moves_comes_first_then_what_is_largest() -> None:
 
 def test_what_is_not_sent_is_left_to_do_but_never_much() -> None:
     kept = strongest_changes(quanta([9, 1]), 1, np.array([False, False]))
-    assert kept.rest[0, 3] == 0.25  # rounding
-    assert kept.rest[1, 3] == 1.25  # rounding and a change that was held back
+    assert kept.remainder[0, 3] == 0.25  # rounding
+    assert kept.remainder[1, 3] == 1.25  # rounding and a change that was held back
     held = strongest_changes(quanta([9, -8]), 1, np.array([True, False]))
-    assert held.rest[1, 3] == -2.0
+    assert held.remainder[1, 3] == -2.0
 
 
 def test_a_change_that_points_as_the_one_before_goes_on() -> None:
