@@ -107,7 +107,7 @@ def decode_removed(data: bytes, profile: int, alive: Bool, room: Room) -> Int64:
 
 
 def _check_existing(rows: int, columns: int, held: int, room: Room) -> None:
-    """Refuse a table of more of a level's rows than are `held`, or with too few bytes behind it."""
+    """Refuse a table of more rows than the level has, `held`, or with too few bytes behind it."""
     if rows > held:
         raise BitstreamError("corrupt_chunk", f"{rows} rows of a level that has {held}")
     room.check(rows, columns)

@@ -1,4 +1,4 @@
-"""Interleaved rANS and the items it codes, as compiled loops; `oracle` is the slow twin. FORMAT.md section 6.2.
+"""Interleaved rANS and the items it codes, as compiled loops; `oracle` is the slow reference. FORMAT.md section 6.2.
 
 Encoding has two passes: a model pass lists *items* (start << 16 | frequency, in order of decoding), then `rans_encode`
 codes the list backwards. Model passes return the number of items, or one beyond the list's length if it was too short.

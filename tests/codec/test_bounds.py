@@ -19,7 +19,7 @@ from codec.packet.bytes import build, parse
 from codec.packet.limits import MAX_NUMBERS_A_BYTE, DecoderLimits
 from codec.packet.packet import PADDING, ChunkKind, make_chunk
 from core.errors import BitstreamError
-from core.scene.anchors import AnchorLevel, Scene
+from core.scene.anchors import AnchorLevel, Scene, identify
 from tests.codec.scenes import grow, make_scene, move
 from tests.vectors.make import FOLDER, read_stream
 from tests.vectors.valid import key, packet, small
@@ -209,3 +209,18 @@ def test_time_does_not_grow_with_what_is_announced() -> None:
                 decoder.push(data)
         times.append(time.process_time() - begin)
     assert times[1] < 3 * times[0] + 0.1
+
+
+def test_identifiers_tell_keyframes_apart_and_are_the_same_for_the_same_content() -> None:
+    scene = make_scene((5, 30))
+    level = scene.levels[0]
+    other = (replace(level, feature=level.feature + np.int16(1)), *scene.levels[1:])
+    bias = replace(scene.weights, hidden_bias=scene.weights.hidden_bias + np.float32(1))
+    made = [
+        identify(scene.header, scene.weights, scene.levels, 0),
+        identify(scene.header, scene.weights, scene.levels, 1),
+        identify(scene.header, scene.weights, other, 0),
+        identify(scene.header, bias, scene.levels, 0),
+    ]
+    assert len(set(made)) == len(made)
+    assert made[0] == identify(*(getattr(make_scene((5, 30)), name) for name in ("header", "weights", "levels")), 0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -128,3 +130,22 @@ def test_a_wrong_index_is_not_believed(tmp_path: Path, clip: tuple[list[Scene], 
     path.write_bytes(whole)
     with SlodReader(path) as reader:
         assert list(reader.packets()) == packets
+
+
+def test_the_way_through_a_long_chain_takes_linear_time(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
+    """100 000 steps, and steps that lead nowhere or back, as a hostile index may hold."""
+    path = tmp_path / "a.slod"
+    _write(path, clip[1])
+    with SlodReader(path) as reader:
+        key, step, *_ = reader.entries
+        chain = [replace(step, from_version=n, to_version=n + 1) for n in range(100_000)]
+        loops = [replace(step, from_version=n, to_version=max(n - 1, 0), size_bytes=0) for n in range(0, 100_000, 7)]
+        reader.entries = (
+            key,
+            *chain,
+            *loops,
+            *(replace(e, to_version=e.from_version, size_bytes=0) for e in chain[:9]),
+        )
+        begin = time.process_time()
+        assert reader.plan(100_000) == tuple(range(100_001))
+        assert time.process_time() - begin < 5

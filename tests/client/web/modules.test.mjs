@@ -1,10 +1,11 @@
 // The page's modules that need no page.
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { deflateRawSync } from "node:zlib";
 import * as camera from "../../../client/web/view/camera.js";
 import { crc32 } from "../../../client/web/decode/checksum.js";
-import { moments, plan } from "../../../client/web/decode/container.js";
+import { FOOTER, moments, plan, readFooter, readIndex, walkRecords } from "../../../client/web/decode/container.js";
 import { inflateColumns } from "../../../client/web/decode/deflate.js";
 import { Reader } from "../../../client/web/decode/packet.js";
 import { held, outside, seenSpace } from "../../../client/web/view/limits.js";
@@ -123,6 +124,54 @@ test("the way to a version: parts of the keyframe, then the fewest bytes", () =>
   assert.deepEqual(plan(entries, 4, { keyframe: 0, version: 2 }), [6, 7]);
   assert.deepEqual(moments(entries).map(({ version }) => version), [0, 1, 2, 3, 4]);
   assert.throws(() => plan(entries.slice(2), 1, null), { code: "bad_file" });
+});
+
+/** A `.slod` file of the packets of a stream, with the index given or its own. */
+function fileOf(packets, entries) {
+  const size = (n) => Uint8Array.from([n, n >> 8, n >> 16, n >> 24]);
+  const head = [83, 76, 79, 68, 1, 0, 0, 0], records = packets.flatMap((packet) => [...size(packet.length), ...packet]);
+  const index = new DataView(new ArrayBuffer(8 + 40 * entries.length));
+  index.setUint32(0, 0xffffffff, true);
+  index.setUint32(4, entries.length, true);
+  entries.forEach(({ offset, size, kind }, i) => {
+    index.setBigUint64(8 + 40 * i, BigInt(offset), true);
+    index.setUint32(16 + 40 * i, size, true);
+    index.setUint8(40 + 40 * i, kind);
+  });
+  const footer = new DataView(new ArrayBuffer(16)), bytes = new Uint8Array(index.buffer);
+  footer.setBigUint64(0, BigInt(8 + records.length), true);
+  footer.setUint32(8, crc32(bytes), true);
+  footer.setUint32(12, 0x58494c53, true);
+  return Uint8Array.from([...head, ...records, ...bytes, ...new Uint8Array(footer.buffer)]);
+}
+
+test("an index is believed only if all of it is sound; otherwise the records are walked", () => {
+  const stream = new Uint8Array(readFileSync(new URL("../../vectors/valid-growth-profile1.slps", import.meta.url)));
+  const packets = [];
+  for (let at = 0; at < stream.length; ) {
+    const size = new DataView(stream.buffer, stream.byteOffset).getUint32(at, true);
+    packets.push(stream.slice(at + 4, at + 4 + size));
+    at += 4 + size;
+  }
+  let at = 12;
+  const entries = packets.map(({ length }, i) => ({ offset: (at += i ? packets[i - 1].length + 4 : 0), size: length, kind: i ? 1 : 0 }));
+  const read = (/** @type {Uint8Array} */ file) => {
+    const footer = readFooter(file.subarray(-FOOTER), file.length);
+    return footer && readIndex(file.subarray(footer.start, -FOOTER), footer.checksum, footer.start);
+  };
+  const whole = fileOf(packets, entries);
+  assert.deepEqual(read(whole).map(({ offset, size, kind }) => ({ offset, size, kind })), entries);
+  assert.deepEqual(walkRecords(whole).map(({ offset, size, kind }) => ({ offset, size, kind })), entries);
+  for (const wrong of [{ offset: 11 }, { size: 1 << 25 }, { offset: whole.length }, { kind: 2 }]) {
+    assert.equal(read(fileOf(packets, [{ ...entries[0], ...wrong }, ...entries.slice(1)])), null);
+  }
+  const damaged = Uint8Array.from(whole);
+  damaged[whole.length - 30] ^= 1;
+  assert.equal(read(damaged), null);
+  assert.equal(walkRecords(whole.subarray(0, entries[2].offset + 50)).length, 2);
+  const broken = Uint8Array.from(whole);
+  broken[entries[1].offset + 33] ^= 1; // the header's checksum no longer fits
+  assert.equal(walkRecords(broken).length, 1);
 });
 
 const welcome = (more = {}) => JSON.stringify({ type: "welcome", version: 1, state: "live", epoch: 1, levels: 3, fps: 30, ack_every: 4,
