@@ -41,21 +41,20 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    begin = time.monotonic()
     run = _differential if options.target == "differential" else _alone
-    count = run(options.target, begin + options.seconds, options.seed)
-    sys.stdout.write(f"{options.target}: {count} executions in {time.monotonic() - begin:.0f} s, no finding\n")
+    count = run(options.target, options.seconds, options.seed)
+    sys.stdout.write(f"{options.target}: {count} executions in {options.seconds:.0f} s, no finding\n")
 
 
-def _alone(name: str, end: float, seed: int) -> int:
-    """Mutants for one target until `end`; the number of executions."""
+def _alone(name: str, seconds: float, seed: int) -> int:
+    """Mutants for one target for so long; the number of executions."""
     seeds, fix = SEEDS[name](), REPAIRS.get(name, lambda data: data)
     warm_up()
     for data in seeds:
         TARGETS[name](data)
     _limit_memory()
     signal.signal(signal.SIGVTALRM, _too_slow)
-    count = 0
+    count, end = 0, time.monotonic() + seconds
     for data in mutants(seeds, 1 << 40, seed):
         _within_limits(TARGETS[name], fix(data))
         count += 1
@@ -84,13 +83,14 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (taken + _MEMORY, taken + _MEMORY))
 
 
-def _differential(_: str, end: float, seed: int) -> int:
-    """Mutants of the last packet of each stream for both decoders until `end`; the number of mutants."""
+def _differential(_: str, seconds: float, seed: int) -> int:
+    """Mutants of the last packet of each stream for both decoders for so long; the number of mutants."""
     streams = [read_stream(path) for path in sorted(FOLDER.glob("*.slps"))]
     lasts = [stream[-1] for stream in streams if len(stream[-1]) < 20_000]
     before = {stream[-1]: stream[:-1] for stream in streams}
     ready = {last: _decoded(before[last]) for last in lasts}
     count, batches = 0, mutants([struct.pack("<I", n) + last for n, last in enumerate(lasts)], 1 << 40, seed)
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         chosen: list[tuple[bytes, bytes]] = []
         for data in islice(batches, _BATCH):
