@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, W
 
 from client.events import Disconnected, Event, NewScene
 from client.playback import Playback
-from codec.packet.limits import DEFAULT_LIMITS
+from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from core.close_codes import REFUSALS, CloseCode
 from core.errors import InputError, SessionError
 
@@ -37,12 +37,14 @@ class WatchOptions:
     Attributes:
         token: bearer token, where the server wants one.
         start: position (epoch, version) to replay from; the live edge by default.
+        limits: what the decoder accepts; a stream that needs more ends with a SessionError.
         levels: how many levels, coarse ones first; all by default.
     """
 
     token: str | None = None
     start: tuple[int, int] | None = None
     levels: int | None = None
+    limits: DecoderLimits = DEFAULT_LIMITS
 
 
 async def watch(url: str, options: WatchOptions = WatchOptions(), attempts: int = 8) -> AsyncGenerator[Event, None]:
@@ -61,7 +63,7 @@ async def watch(url: str, options: WatchOptions = WatchOptions(), attempts: int 
         raise InputError(url, "is not a websocket address; it looks like ws://HOST:PORT/v1/streams/main/live")
     failures, ever, start = 0, False, options.start
     while True:
-        playback = Playback()
+        playback = Playback(options.limits)
         try:
             async with _open(url, options) as socket:
                 await socket.send(playback.hello(start, options.levels))
@@ -118,7 +120,7 @@ def _open(url: str, options: WatchOptions) -> connect:
         subprotocols=[SUBPROTOCOL],  # type: ignore[list-item]
         additional_headers=headers,
         compression=None,
-        max_size=DEFAULT_LIMITS.packet_bytes,
+        max_size=options.limits.packet_bytes,
         open_timeout=_OPEN_SECONDS,
         close_timeout=_CLOSE_SECONDS,
     )

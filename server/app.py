@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 
 from server.api import downloads, live, push, streams
 from server.api.access import grant_of, need, registry_of
+from server.api.openapi import describe, operation_id
 from server.api.schemas import Health
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem, problem_response
@@ -60,8 +61,12 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
         yield
         await registry.drain()
 
-    app = FastAPI(title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, redoc_url=None)
+    app = FastAPI(
+        title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, redoc_url=None,
+        generate_unique_id_function=operation_id,
+    )  # fmt: skip
     app.state.registry = registry
+    app.openapi = lambda: describe(app, needs_tokens=settings.has_tokens)  # type: ignore[method-assign]
     _add_errors(app)
     app.include_router(live.router)
     app.include_router(push.router)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from codec.packet.limits import DecoderLimits
 from core.errors import InputError
 from server.pipeline.new_stream import NewStream
 
@@ -26,6 +27,10 @@ class Limits(BaseModel):
     viewers_per_address: int = Field(default=200, ge=1, description="viewers from one network address")
     connections: int = Field(default=2000, ge=1, description="connections of any kind; further ones get 503")
     packet_bytes: int = Field(default=16 * 2**20, ge=1024, description="largest packet that is accepted from a worker")
+    state_bytes: int = Field(
+        default=256 * 2**20, ge=2**20, description="memory of a decoded scene; a stream that needs more is refused"
+    )
+    anchors: int = Field(default=2**20, ge=1, description="anchors of a decoded scene")
     request_bytes: int = Field(default=65536, ge=4096, description="largest head, and largest body, of a REST request")
     request_seconds: float = Field(default=10.0, gt=0, description="time in which a request must have arrived whole")
     message_bytes: int = Field(default=4096, ge=256, description="largest control message")
@@ -44,6 +49,11 @@ class Limits(BaseModel):
     thin_viewers: int = Field(default=4, ge=0, description="viewers for which the server draws; 0 for none")
     thin_pixels: int = Field(default=921_600, ge=4096, le=2**25, description="largest picture drawn for a viewer")
     refusals_per_minute: int = Field(default=30, ge=1, description="wrong tokens from one address before it gets 429")
+
+    @property
+    def decoder(self) -> DecoderLimits:
+        """What the server's decoders accept."""
+        return DecoderLimits(packet_bytes=self.packet_bytes, anchors=self.anchors, state_bytes=self.state_bytes)
 
 
 class Retention(BaseModel):
@@ -64,6 +74,9 @@ class WorkerSettings(BaseModel):
 
     heartbeat_seconds: float = Field(
         default=30.0, gt=0, description="a worker silent for so long is killed and restarted"
+    )
+    start_seconds: float = Field(
+        default=180.0, gt=0, description="a worker that has said nothing so long after its start is replaced"
     )
     stall_seconds: float = Field(default=600.0, gt=0, description="so long without progress counts as a hang")
     memory_bytes: int = Field(

@@ -51,7 +51,7 @@ class Stream:
         self.spec, self._settings, self.push_socket = spec, settings, push_socket
         self.bus = Bus(settings.retention.memory_bytes, recording)
         self.counters = Counters()
-        self.hub = Hub(_HUB_BYTES, self.counters)
+        self.hub = Hub(_HUB_BYTES, self.counters, settings.limits.decoder)
         self.viewers = self.thin_viewers = 0
         self.state, self.detail = "idle", ""
         self.progress: dict[str, Any] | None = None

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from codec.decoder import SceneDecoder
+from codec.packet.limits import DecoderLimits
 from core.camera import Camera, pinhole
 from core.close_codes import CloseCode
 from core.errors import SessionError
@@ -39,9 +40,9 @@ _MIN_INTERVAL_SECONDS = 0.05  # between two pictures
 class _DecodingTransport:
     """The transport of the ordinary session: packets go to a decoder, events to the viewer."""
 
-    def __init__(self, outer: Transport, changed: asyncio.Event) -> None:
+    def __init__(self, outer: Transport, changed: asyncio.Event, limits: DecoderLimits) -> None:
         self._outer, self._changed = outer, changed
-        self._decoder = SceneDecoder()
+        self._decoder = SceneDecoder(limits)
         self.scene: Scene | None = None
         self.levels = 0  # of the scene that are up to date, counted from the coarsest
 
@@ -80,7 +81,7 @@ class ThinSession(ViewerSession):
         self, stream: Stream, hello: Hello, transport: Transport, limits: Limits, renderer: PictureRenderer
     ) -> None:
         self._changed = asyncio.Event()
-        self._decoding = _DecodingTransport(transport, self._changed)
+        self._decoding = _DecodingTransport(transport, self._changed, limits.decoder)
         super().__init__(stream, hello, self._decoding, limits)
         self._delivery.counters = Counters()  # packets stay in this process and are not counted as sent
         self._viewer, self._renderer = transport, renderer

@@ -90,7 +90,7 @@ class Supervisor:
         self._spare: _Worker | None = None  # a second process, waiting with everything loaded
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
-        self._handling = False
+        self._handling = self._spoke = False
         self.restarts = 0
 
     @property
@@ -127,7 +127,7 @@ class Supervisor:
 
     async def _run_once(self) -> Ending:
         resume = await self._owner.resume_point()
-        self._ending, self._heard = None, time.monotonic()
+        self._ending, self._heard, self._spoke = None, time.monotonic(), False
         spare, self._spare = self._spare, None
         worker = self._worker = spare if spare is not None and spare.process.is_alive() else self._start()
         begun = self._heard
@@ -182,7 +182,7 @@ class Supervisor:
                 message = pipe.recv_bytes(self._limit)
             except (EOFError, OSError):
                 return
-            self._heard = time.monotonic()
+            self._heard, self._spoke = time.monotonic(), True
             tag, body = Tag(message[0]), message[1:]
             if tag is Tag.HEARTBEAT:
                 continue
@@ -192,12 +192,12 @@ class Supervisor:
                 failure: dict[str, Any] = json.loads(body)
                 self._ending = Ending(failure["text"], fatal=failure["fatal"])
             else:
-                if tag is not Tag.INGEST or json.loads(body)["waiting"]:  # waiting for pictures counts as progress
-                    self._progressed = self._heard
                 self._handling = True
                 handled: Awaitable[None] = self._owner.on_message(tag, body)
                 try:
                     asyncio.run_coroutine_threadsafe(_await(handled), loop).result()
+                    if tag is not Tag.INGEST or json.loads(body)["waiting"]:  # waiting for pictures counts as progress
+                        self._progressed = time.monotonic()
                 except Exception as error:
                     _LOG.exception("stream %s: a message of the worker is refused", self._spec.id)
                     self._ending = Ending(f"the worker sent something unusable ({error})")
@@ -210,7 +210,10 @@ class Supervisor:
         now = time.monotonic()
         if self._handling:  # heartbeats are queued behind the message that is being handled
             return None
-        if now - self._heard > self._settings.heartbeat_seconds:
+        if not self._spoke:  # loading takes longer than any silence later, on a busy machine above all
+            if now - self._heard > self._settings.start_seconds:
+                return f"the worker did not start within {self._settings.start_seconds:g} s"
+        elif now - self._heard > self._settings.heartbeat_seconds:
             return f"the worker was silent for {self._settings.heartbeat_seconds:g} s"
         if now - self._progressed > self._settings.stall_seconds:
             return f"the worker made no progress for {self._settings.stall_seconds:g} s"
