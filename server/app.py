@@ -92,7 +92,10 @@ def _add_errors(app: FastAPI) -> None:
         return problem_response(error.status_code, str(error.detail), dict(error.headers or {}))
 
     @app.exception_handler(RequestValidationError)
-    async def invalid(_: Request, error: RequestValidationError) -> Response:
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+        if kind not in {"", "application/json"} and not kind.endswith("+json"):
+            return problem_response(415, "a body has the type application/json")
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         return problem_response(422, f"{place}: {first['msg']}")

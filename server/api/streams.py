@@ -24,7 +24,7 @@ from server.registry import Registry
 from server.stream.sealing import masked
 from server.stream.stream import Stream
 
-_USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 422, 429)}
+_USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 415, 422, 429)}
 
 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
