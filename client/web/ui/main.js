@@ -8,6 +8,7 @@ import { Quality, QUALITIES } from "../view/quality.js";
 import { NO_WEBGL, words } from "./states.js";
 import { hideWhenIdle, Latency, show } from "./status.js";
 import { chooseStream, liveAddress, showStreams } from "./streams.js";
+import { attachPhone } from "./phone.js";
 import { Rig } from "./rig.js";
 import { attachSharing, copyMoment, savePicture } from "./sharing.js";
 import { fillStatistics, Rates } from "./statistics.js";
@@ -201,7 +202,8 @@ async function start(viewer) {
     } else if (/^[1-9]$/.test(key)) goTo(Number(key) - 1);
   });
 
-  const wake = hideWhenIdle(() => viewer.picture !== null && viewer.status?.mode !== "paused");
+  attachPhone(viewer);
+  const wake = hideWhenIdle(() => viewer.picture !== null && viewer.status?.mode !== "paused" && !document.querySelector(".sheet, .menu:not([hidden])"));
   viewer.addEventListener("picture", wake, { once: true });
   window.addEventListener("pagehide", () => clearInterval(heartbeat));
 

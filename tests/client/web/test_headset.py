@@ -81,6 +81,7 @@ def test_both_eyes_see_the_scene(page: Any, clip: Clip) -> None:
         shows(page, "s.version === 4")
         page.evaluate("streamlod.setCamera(2)")
         pose = page.evaluate("import('/view/camera.js').then((m) => m.fromText(streamlod.state.camera))")
+        page.click("#b-more")  # the tools of a small page are a sheet
         page.click("#b-vr")
         page.wait_for_function("window.ticks > 3", **WAIT)
         page.wait_for_timeout(500)

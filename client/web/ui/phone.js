@@ -1,0 +1,52 @@
+/** What phones need: tools as a sheet from below, a hint about gestures, help without keys, a screen that stays on. */
+
+import { button, toast } from "./page.js";
+
+/** @typedef {import("../view/viewer.js").Viewer} Viewer */
+
+const HINT = "Drag to look around, pinch to come closer, two fingers to move", HINT_MS = 5000;
+const AFTER_WARNING_MS = 6000; // the page says first that it draws in software
+const PLAYING = ["live", "behind", "replay", "preview"];
+
+/** @param {Viewer} viewer */
+export function attachPhone(viewer) {
+  const { classList } = document.body, more = button("b-more");
+  /** @param {boolean} open */
+  const sheet = (open) => {
+    classList.toggle("sheet", open);
+    more.setAttribute("aria-expanded", String(open));
+  };
+  more.onclick = () => sheet(!classList.contains("sheet"));
+  viewer.canvas.addEventListener("pointerdown", () => sheet(false));
+
+  /** Help speaks of the input that was used last. @param {boolean} touch */
+  const use = (touch) => classList.toggle("touch", touch);
+  use(matchMedia("(pointer: coarse)").matches);
+  window.addEventListener("pointerdown", ({ pointerType }) => use(pointerType === "touch"));
+  window.addEventListener("keydown", () => use(false));
+  const hint = () => classList.contains("touch") && toast(HINT, HINT_MS);
+  viewer.addEventListener("picture", () => setTimeout(hint, viewer.software ? AFTER_WARNING_MS : 0), { once: true });
+
+  /** @type {WakeLockSentinel | null} */
+  let lock = null;
+  let asking = false;
+  /** The screen stays on while something plays. */
+  const stayOn = async () => {
+    const wanted = PLAYING.includes(viewer.status?.phase ?? "") && document.visibilityState === "visible";
+    if (!wanted) {
+      lock?.release();
+      lock = null;
+    } else if (!asking && (!lock || lock.released) && "wakeLock" in navigator) {
+      asking = true;
+      lock = await navigator.wakeLock.request("screen").catch(() => null); // refused where the battery is low, and in some frames
+      asking = false;
+    }
+  };
+  let phase = "";
+  viewer.addEventListener("status", () => {
+    if (viewer.status?.phase === phase) return;
+    phase = viewer.status?.phase ?? "";
+    stayOn();
+  });
+  document.addEventListener("visibilitychange", stayOn);
+}
