@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from client.connection import WatchOptions
 from client.evaluation.file_scores import DecodedScore, evaluate_file
+from client.evaluation.report.plots import frames_plot
 from client.inspection import describe_file
 from client.recording import decode_frames, decode_version, versions
 from client.viewing import record_stream
@@ -82,7 +83,7 @@ def evaluate(
     images: Path | None = None,
     layout: str | None = None,
 ) -> str:
-    """Measure a file against held-out cameras; the report goes to `report` as JSON."""
+    """Measure a file against held-out cameras; the report goes to `report` as JSON, beside it a plot over frames."""
     if not test:
         raise InputError("--test", "name at least one held-out camera, for example --test cam00")
     with tqdm(unit="frame", desc="evaluate", delay=0.5) as bar:
@@ -94,6 +95,7 @@ def evaluate(
         figures = evaluate_file(scene, data, test, images, layout, tell)
     if report is not None:
         _write_text(report, json.dumps(figures, indent=1))
+        _write_text(report.with_suffix(".svg"), frames_plot(scene.stem, figures["per_frame"]))
     return _summary(figures["mean"], figures["frames"])
 
 
@@ -158,6 +160,8 @@ def _summary(mean: dict[str, Any], frames: int) -> str:
         ("PSNR, exposure fitted", "psnr_fitted", lambda x: f"{x:.2f} dB"),
         ("SSIM", "ssim", lambda x: f"{x:.4f}"),
         ("LPIPS", "lpips", lambda x: f"{x:.4f}"),
+        ("PSNR, moving pixels", "moving_psnr", lambda x: f"{x:.2f} dB"),
+        ("SSIM, moving pixels", "moving_ssim", lambda x: f"{x:.4f}"),
         ("keyframe", "keyframe_kilobytes", lambda x: f"{x:.1f} KB"),
         ("predicted packet", "predicted_kilobytes", lambda x: f"{x:.2f} KB"),
         ("largest predicted packet", "largest_predicted_kilobytes", lambda x: f"{x:.2f} KB"),

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from client.evaluation.measure.moving import MovingPixels, MovingScore, mean_moving, moving_figures, moving_score
 from client.evaluation.measure.scores import PictureScore, draw, load_perception, mean_score, score
 from client.evaluation.report.output import result_folder, side_by_side
 from client.recorder import write_png
@@ -23,6 +24,7 @@ from core.arrays import UInt8
 from core.data import Dataset, open_dataset
 from core.errors import InputError
 from core.scene.anchors import SceneHeader
+from core.synthetic import read_spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +35,14 @@ class DecodedScore:
         frame: its number in the data set.
         picture: quality and rendering time, means over the held-out cameras.
         key_bytes, predicted_bytes: of the frame's packets.
+        moving: quality on moving pixels, None where nothing is known to move.
     """
 
     frame: int
     picture: PictureScore
     key_bytes: int
     predicted_bytes: int
+    moving: MovingScore | None
 
 
 def evaluate_file(
@@ -61,12 +65,16 @@ def evaluate_file(
     """
     perception = load_perception(vgg=False)
     scores: list[DecodedScore] = []
+    movers: MovingPixels | None = None
+    spec = read_spec(data) if data.is_dir() else None
     with closing(_pairs(scene, data, test, layout)) as pairs:
         for decoded, index, dataset, truth in pairs:
             if not scores:
                 draw(decoded.scene, dataset.cameras[0])  # so that compiling is not timed
             picture, drawn = score(decoded.scene, dataset.cameras, truth, perception)
-            scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes))
+            movers = movers or MovingPixels(dataset.cameras, spec)
+            moving = moving_score(drawn, truth, movers.masks(index, truth), perception.alex)
+            scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes, moving))
             if images is not None:
                 for camera, *pair in zip(dataset.cameras, truth, drawn, strict=True):
                     write_png(result_folder(images) / f"{camera.name}_{index:05d}.png", side_by_side(*pair))
@@ -132,6 +140,7 @@ def _report(
                 "lpips": score.picture.lpips_alex,
                 "bytes": score.key_bytes + score.predicted_bytes,
                 "psnr_fitted": score.picture.psnr_fitted,
+                **moving_figures(score.moving),
             }
             for score in scores
         ],
@@ -145,6 +154,7 @@ def _report(
             "first_frame_seconds": figures.get("first_frame_seconds"),
             "render_fps": 1 / max(mean.render_seconds, 1e-9),
             "psnr_fitted": mean.psnr_fitted,
+            **moving_figures(mean_moving([score.moving for score in scores])),
             "largest_predicted_kilobytes": max(predicted) / 1000 if predicted else None,
         },
         "frames": len(scores),

@@ -13,7 +13,6 @@ from typing import Any
 from client.evaluation.measure.footage import Footage, chosen_split, open_footage
 from client.evaluation.measure.machine import machine
 from client.evaluation.measure.scores import Perception, load_perception
-from client.evaluation.measure.truth import read_spec
 from client.evaluation.report.output import result_folder, side_by_side, write_json
 from client.evaluation.report.plots import study_plots
 from client.evaluation.report.quoted import quoted_json
@@ -24,7 +23,7 @@ from client.evaluation.summary import run_figures, spread
 from client.evaluation.systems import PERCEIVED, FirstFrames, run_system
 from client.recorder import write_png
 from core.files import write_text
-from core.synthetic import SyntheticSpec
+from core.synthetic import SyntheticSpec, read_spec
 
 _log = logging.getLogger(__name__)
 SCHEMA = 3

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from client.evaluation.measure.moving import MOVING_METRICS, mean_moving, moving_figures
 from client.evaluation.measure.scores import METRICS
 from client.evaluation.measure.sizes import stream_bytes
 from client.evaluation.systems import SystemRun, TrainedScore
@@ -15,7 +16,7 @@ from client.evaluation.systems import SystemRun, TrainedScore
 # The figures of a run that tables show; means over its frames unless the name says otherwise. The rendering speed is a
 # median, so that another process of the machine spoils a few frames and not the figure.
 FIGURES = (
-    *(metric.field for metric in METRICS),
+    *(metric.field for metric in (*METRICS, *MOVING_METRICS)),
     "keyframe_bytes",
     "predicted_bytes_mean",
     "predicted_bytes_max",
@@ -51,6 +52,7 @@ def run_figures(run: SystemRun) -> dict[str, Any]:
     return {
         "seed": run.seed,
         **{metric.field: mean(getattr(picture, metric.field) for picture in pictures) for metric in METRICS},
+        **moving_figures(mean_moving([frame.moving for frame in run.frames])),
         "keyframe_bytes": keyframe,
         "keyframe_level_bytes": _level_means(first),
         "predicted_bytes_mean": predicted,
@@ -105,6 +107,7 @@ def _frame_figures(frame: TrainedScore) -> dict[str, Any]:
     return {
         "frame": frame.frame,
         **{metric.field: getattr(frame.picture, metric.field) for metric in METRICS},
+        **moving_figures(frame.moving),
         "bytes": frame.size.total_bytes,
         "shannon_bytes": frame.shannon_bytes,
         "seconds": frame.report.total_seconds,

@@ -11,6 +11,7 @@ import numpy as np
 
 from client.evaluation.measure.footage import Footage
 from client.evaluation.measure.memory import forget_peak, peak_bytes
+from client.evaluation.measure.moving import MovingPixels, MovingScore, moving_score
 from client.evaluation.measure.scores import Perception, PictureScore, draw, score
 from client.evaluation.measure.sizes import PacketSize, packet_size, shannon_keyframe_bytes, shannon_residual_bytes
 from client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
@@ -37,6 +38,7 @@ class TrainedScore:
         size: bytes of the real packet; shannon_bytes: the usual estimate.
         report: of the trainer. cpu_seconds: processor time of training, of all threads.
         motion: the dynamic set against the truth, None where there is no truth.
+        moving: quality on moving pixels, None where nothing is known to move.
     """
 
     frame: int
@@ -46,6 +48,7 @@ class TrainedScore:
     report: FrameReport
     cpu_seconds: float
     motion: MotionScore | None = None
+    moving: MovingScore | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +125,11 @@ def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:
     )
 
 
+def perceived_frames(frames: int) -> set[int]:
+    """The frames of a clip of so many on which LPIPS is measured."""
+    return set(np.linspace(0, frames - 1, PERCEIVED).round().astype(int).tolist())
+
+
 def run_system(
     config: TrainConfig,
     footage: Footage,
@@ -142,7 +150,8 @@ def run_system(
         ModelError: the footage has no frame with all held-out cameras, or training cannot go on.
     """
     by_distance = config.model.selection == "distance"
-    perceived = set(np.linspace(0, footage.frames - 1, PERCEIVED).round().astype(int).tolist())
+    perceived = perceived_frames(footage.frames)
+    movers = MovingPixels(footage.testing.cameras, spec)
     scores: list[TrainedScore] = []
     peak, scene, truth = 0, None, None
     for trained, before, testing, held, seconds in _trained_frames(config, footage, first_frames, frozen):
@@ -155,6 +164,7 @@ def run_system(
             draw(scene, cameras[0], by_distance=by_distance)  # compiling is not timed
         networks = perception if index in perceived else None
         picture, drawn = score(scene, cameras, truth, networks, by_distance=by_distance)
+        moving = moving_score(drawn, truth, movers.masks(index, truth), networks.alex if networks else None)
         size = packet_size(before, scene, trained.residual)
         motion = None
         if before is None or trained.residual is None:
@@ -164,7 +174,7 @@ def run_system(
             if spec is not None:
                 dynamic = np.zeros(_rows(before), np.bool_) if trained.dynamic is None else trained.dynamic
                 motion = dynamic_precision_recall(spec, before, dynamic, index, footage.training.cameras)
-        scores.append(TrainedScore(index, picture, size, shannon, trained.report, seconds, motion))
+        scores.append(TrainedScore(index, picture, size, shannon, trained.report, seconds, motion, moving))
     if scene is None or truth is None:
         raise ModelError("no frame could be measured: the held-out cameras delivered nothing")
     caps = tuple(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 from core.arrays import Float32, Float64, UInt8
 
 MAX_PSNR = 100.0  # dB: equal pictures would have infinity, which no mean and no JSON file can hold
+Distance = Callable[[UInt8, UInt8], float]  # of a picture to the truth, such as LPIPS
 WINDOW = 11
 SIGMA = 1.5
 _C1, _C2 = 0.01**2, 0.03**2  # for values in [0, 1]
@@ -42,6 +44,11 @@ def ssim(picture: UInt8 | Float32, truth: UInt8 | Float32) -> float:
     Raises:
         ValueError: different shapes, or numbers that are not finite.
     """
+    return float(np.mean(ssim_map(picture, truth)))
+
+
+def ssim_map(picture: UInt8 | Float32, truth: UInt8 | Float32) -> Float64:
+    """[H,W,3] what `ssim` is the mean of; arguments as there."""
     a, b = unit_pair(picture, truth)
     mean_a, mean_b = _blur(a), _blur(b)
     variance_a = _blur(a * a) - mean_a * mean_a
@@ -49,7 +56,7 @@ def ssim(picture: UInt8 | Float32, truth: UInt8 | Float32) -> float:
     covariance = _blur(a * b) - mean_a * mean_b
     luminance = (2 * mean_a * mean_b + _C1) / (mean_a * mean_a + mean_b * mean_b + _C1)
     structure = (2 * covariance + _C2) / (variance_a + variance_b + _C2)
-    return float(np.mean(luminance * structure))
+    return np.asarray(luminance * structure, np.float64)
 
 
 def unit_pair(picture: UInt8 | Float32, truth: UInt8 | Float32) -> tuple[Float64, Float64]:

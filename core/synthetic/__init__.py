@@ -5,8 +5,15 @@ and things that move (`movers`). Compiled `casting`, `lighting` and `textures` m
 (`render`), offered as a data set or as files (`clip`).
 """
 
-from core.synthetic.clip import open_synthetic, write_clip
-from core.synthetic.render import GroundTruth, is_dynamic, render_frame, render_image, surface_motion
+from core.synthetic.clip import open_synthetic, read_spec, write_clip
+from core.synthetic.render import (
+    GroundTruth,
+    is_dynamic,
+    moving_surface,
+    render_frame,
+    render_image,
+    surface_motion,
+)
 from core.synthetic.spec import SyntheticSpec, cameras
 
 __all__ = [
@@ -14,7 +21,9 @@ __all__ = [
     "SyntheticSpec",
     "cameras",
     "is_dynamic",
+    "moving_surface",
     "open_synthetic",
+    "read_spec",
     "render_frame",
     "render_image",
     "surface_motion",

@@ -8,9 +8,10 @@ import shutil
 import tempfile
 from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -18,11 +19,14 @@ import numpy as np
 from core.arrays import Float64, UInt8
 from core.camera import Camera
 from core.data.dataset import Dataset, RawRecording, dataset
+from core.data.files import read_json
 from core.errors import InputError
 from core.synthetic.render import depth_bounds, render_frame, render_image
 from core.synthetic.spec import SyntheticSpec, cameras, exposures
 
 _QUALITY = "16"  # constant rate factor of H.264: artefacts stay below the camera noise
+_SPEC = Path("ground_truth") / "spec.json"
+_LATER = {"kind", "speed"}  # absent from clips of earlier versions
 _TRUTH_FRAMES = 4  # instants whose ground truth is written: the first, the last and two between
 
 
@@ -90,6 +94,25 @@ def write_clip(spec: SyntheticSpec, folder: Path, progress: Callable[[float], No
         raise InputError(folder, f"cannot be written: {error.strerror}") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def read_spec(data: Path) -> SyntheticSpec | None:
+    """The description of a synthetic clip in folder `data`, None for any other recording.
+
+    Raises:
+        InputError: a description that is none.
+    """
+    path = data / _SPEC
+    if not path.is_file():
+        return None
+    value = read_json(path).get("spec")
+    known: dict[str, type[Any]] = {field.name: type(field.default) for field in fields(SyntheticSpec)}
+    if not isinstance(value, dict) or not set(known) - _LATER <= set(value) <= set(known):
+        raise InputError(path, "does not describe a synthetic clip")
+    for name, kind in known.items():
+        if not isinstance(value.get(name, kind()), str if kind is str else int | float):
+            raise InputError(path, f"holds a value of {name} that is of another type")
+    return SyntheticSpec(**{name: known[name](held) for name, held in value.items()})
 
 
 def poses_bounds(rig: tuple[Camera, ...], bounds: tuple[float, float]) -> Float64:

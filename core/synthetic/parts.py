@@ -132,6 +132,19 @@ def shifted(parts: list[Part], by: Vector) -> list[Part]:
     return [replace(part, place=part.place + np.array(by)) for part in parts]
 
 
+def turned(parts: list[Part], about: Vector, angle: float) -> list[Part]:
+    """`parts` turned together by `angle` radians about the upright line through the point `about`."""
+    rotation, centre = turn("z", angle), np.array(about)
+    return [
+        replace(
+            part,
+            place=rotation @ (part.place - centre) + centre,
+            rotation=rotation if part.rotation is None else rotation @ part.rotation,
+        )
+        for part in parts
+    ]
+
+
 @dataclass(frozen=True, slots=True)
 class Lamp:
     """One lamp, as in `shapes.Lamps`; `spot` is what a spot light points at and half its cone's angle in radians."""

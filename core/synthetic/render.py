@@ -183,6 +183,19 @@ def surface_motion(spec: SyntheticSpec, index: int, camera: Camera) -> Float32:
     return np.asarray(moved.reshape(camera.height, camera.width), np.float32)
 
 
+def moving_surface(spec: SyntheticSpec, index: int, camera: Camera) -> Bool:
+    """[H,W] bool, whether what `camera` sees at frame `index` moves in the step to that frame.
+
+    In frame 0, to which nothing moves, the step to frame 1 counts instead. Any camera will do, of the rig or not,
+    without lens distortion.
+    """
+    _check(spec, index)
+    other = index - 1 if index else min(1, spec.frames - 1)
+    now, then = scene_at(spec, index), scene_at(spec, other)
+    truth = _in_batches(np.arange(camera.width * camera.height), lambda pixels: _truth(now, then, camera, pixels))
+    return np.asarray(np.linalg.norm(truth[:, 1:4], axis=1) > _MOVED, np.bool_).reshape(camera.height, camera.width)
+
+
 def depth_bounds(spec: SyntheticSpec) -> tuple[float, float]:
     """Nearest and farthest depth that any camera sees at frame 0, the sky left out, with a margin, in metres."""
     depths = []

@@ -55,7 +55,7 @@ def synth(
     frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
     size: Annotated[str, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = "480x270",
     seed: Seed = DEFAULTS["seed"],
-    kind: Annotated[str, typer.Option(help="The place: room, bright, theatre or outdoor.")] = "room",
+    kind: Annotated[str, typer.Option(help="The place: room, bright, theatre, outdoor or hard.")] = "room",
     speed: Annotated[float, typer.Option(min=0, help="Pixels a frame of the fastest; 0: the place's own pace.")] = 0.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
 ) -> None:
@@ -85,7 +85,9 @@ def evaluate(
     scene: SlodFile,
     data: Data,
     test: Test,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the report here.")] = None,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the report here, and a plot over frames beside it.")
+    ] = None,
     save_images: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write truth, rendering and difference side by side.")
     ] = None,

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 
+from client.evaluation.plain import PlainGaussians, plain_views
 from codec.encoder import encode_keyframe
 from core.arrays import Float32
 from core.data import linspace_split, open_dataset
@@ -27,8 +27,6 @@ from core.render.cpu import render
 from core.scene.anchors import empty_level
 from core.scene.expand import expand
 from core.train import TrainConfig, Trainer, preset
-from core.train.pictures.views import Views
-from tests.bench.plain_gaussians import PlainGaussians
 
 
 def fitted(picture: Float32, truth: Float32) -> Float32:
@@ -74,7 +72,6 @@ def main() -> None:
     truth = frame.images[names.index(options.test)].astype(np.float32) / 255
     training = FrameSet(frame.index, frame.time_ns, frame.images[rows], frame.present[rows])
     points = first_points(training, cameras, depth_bounds=dataset.depth_bounds, dataset_points=dataset.points())
-    targets = torch.from_numpy(training.images).float() / 255
 
     def show(label: str, seed: int, picture: Float32, size: str, seconds: float) -> None:
         picture = picture.clip(0, 1)
@@ -108,10 +105,10 @@ def main() -> None:
             show(f"anchors-{highest}", seed, render(cloud, held_out, scene.header.background).image, size, seconds)
         if options.no_plain:
             continue
-        plain = PlainGaussians(points, Views(cameras, targets, list(range(len(rows)))), seed=seed)
+        plain = PlainGaussians(points, plain_views(training, cameras), seed=seed)
         plain.train(seconds)
-        with torch.no_grad():
-            show("plain", seed, plain.render(camera=held_out).image.numpy(), f"{len(plain)} Gaussians", seconds)
+        picture = plain.picture(held_out).astype(np.float32) / 255
+        show("plain", seed, picture, f"{len(plain)} Gaussians", seconds)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,12 @@ def open_footage(
         raise InputError("--test", "needs at least one held-out camera to measure with")
     whole = open_dataset(data, downscale=downscale)
     testing = open_dataset(data, downscale=test_downscale or downscale, cameras=split.test)
-    training = whole.select(split.train)
+    return footage_of(whole, split, frames=frames, testing=testing)
+
+
+def footage_of(whole: Dataset, split: Split, *, frames: int | None, testing: Dataset | None = None) -> Footage:
+    """As `open_footage`, of a data set that is open already; `testing` holds the held-out cameras at another size."""
+    training, testing = whole.select(split.train), testing or whole.select(split.test)
     count = whole.frame_count if frames is None else min(frames, whole.frame_count)
     first = next(iter(training.frames(0, 1)))
     points = first_points(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from core.arrays import Float32, UInt8
 from core.camera import Camera
 from core.errors import BackendUnavailable
-from core.metrics import psnr, ssim
+from core.metrics import Distance, psnr, ssim
 from core.metrics.lpips_weights import MIN_SIDE, Net
 from core.render.cpu import render
 from core.scene.anchors import Scene
@@ -21,8 +21,6 @@ from core.scene.expand import expand
 _log = logging.getLogger(__name__)
 
 _DRAWINGS = 3  # of each picture; the fastest counts, since other processes can only slow it down
-
-Distance = Callable[[UInt8, UInt8], float]
 
 
 @dataclass(frozen=True, slots=True)

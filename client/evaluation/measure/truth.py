@@ -9,17 +9,13 @@ Anchors that no camera sees are left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from core.arrays import Bool, Float64
 from core.camera import Camera
-from core.data.files import read_json
-from core.errors import InputError
 from core.scene.anchors import Scene
 from core.synthetic import SyntheticSpec, surface_motion
 from core.train.field.convert import field_of
@@ -29,8 +25,6 @@ VISIBLE = 0.25  # pixels in one step: the finest motion that video codecs descri
 _ANY = 0.01  # pixels
 _MOSTLY, _PARTLY = 0.5, 0.1  # of what an anchor shows
 _SEEN = 0.3  # pixels, over all training pictures
-_LATER = {"kind", "speed"}  # absent from clips of earlier versions
-_SPEC = Path("ground_truth") / "spec.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,22 +91,3 @@ def shown_motion(
     shown = np.zeros((len(field), 3))
     shown[rows.numpy()] = sums.double().numpy()
     return shown[:, 0], shown[:, 1], shown[:, 2]
-
-
-def read_spec(data: Path) -> SyntheticSpec | None:
-    """The description of a synthetic clip in folder `data`, None for any other recording.
-
-    Raises:
-        InputError: a description that is none.
-    """
-    path = data / _SPEC
-    if not path.is_file():
-        return None
-    value = read_json(path).get("spec")
-    known: dict[str, type[Any]] = {field.name: type(field.default) for field in fields(SyntheticSpec)}
-    if not isinstance(value, dict) or not set(known) - _LATER <= set(value) <= set(known):
-        raise InputError(path, "does not describe a synthetic clip")
-    for name, kind in known.items():
-        if not isinstance(value.get(name, kind()), str if kind is str else int | float):
-            raise InputError(path, f"holds a value of {name} that is of another type")
-    return SyntheticSpec(**{name: known[name](held) for name, held in value.items()})

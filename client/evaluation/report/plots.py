@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from client.evaluation.report.figures import Axis, Curve, Dot, curves, scatter
@@ -32,9 +32,25 @@ def study_plots(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, str]:
         front = pareto_front([(sign * cost, value) for cost, value in zip(costs, quality, strict=True)])
         dots = [Dot(row["name"], costs[n], quality[n], n in front) for n, row in enumerate(known)]
         plots[key] = scatter(f"{name}: PSNR against {label}", Axis(label, min(costs) > 0), Axis("PSNR dB"), dots)
-    over_time = [
-        Curve(row["name"], tuple((frame["frame"], frame["psnr"]) for frame in row["seeds"][0]["per_frame"]))
-        for row in rows
-    ]
-    plots["frames"] = curves(f"{name}: PSNR by frame (first seed)", Axis("frame"), Axis("PSNR dB"), over_time)
+    runs = {row["name"]: row["seeds"][0]["per_frame"] for row in rows}
+    whole, moving = over_time(runs, "psnr"), over_time(runs, "moving_psnr")
+    plots["frames"] = curves(f"{name}: PSNR by frame (first seed)", Axis("frame"), Axis("PSNR dB"), whole)
+    if moving:
+        title = f"{name}: PSNR of moving pixels by frame (first seed)"
+        plots["moving"] = curves(title, Axis("frame"), Axis("PSNR dB"), moving)
     return plots
+
+
+def over_time(runs: Mapping[str, Sequence[dict[str, Any]]], figure: str) -> list[Curve]:
+    """A curve a run of `figure` over the frames where it was measured; none for a run where it never was."""
+    points = {
+        name: tuple((frame["frame"], frame[figure]) for frame in frames if frame[figure] is not None)
+        for name, frames in runs.items()
+    }
+    return [Curve(name, found) for name, found in points.items() if found]
+
+
+def frames_plot(name: str, frames: Sequence[dict[str, Any]]) -> str:
+    """An SVG document of PSNR over the `frames` of one file: whole pictures, and moving pixels where some are known."""
+    lines = over_time({"whole picture": frames}, "psnr") + over_time({"moving pixels": frames}, "moving_psnr")
+    return curves(f"{name}: PSNR by frame", Axis("frame"), Axis("PSNR dB"), lines)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from client.evaluation.measure.moving import MOVING_METRICS
 from client.evaluation.measure.scores import METRICS
 from client.evaluation.measure.sizes import KEYFRAME_INTERVAL
 from client.evaluation.report.quoted import ABLATIONS, PEERS, PEERS_SOURCE, SOURCE, TABLES, Peer, Quoted, QuotedAblation
 from client.evaluation.report.tables import number, spread_number, table
 from client.evaluation.report.verdicts import verdict_table
 
-_QUALITY = ("system", *(metric.heading for metric in METRICS))
+_QUALITY = ("system", *(metric.heading for metric in (*METRICS, *MOVING_METRICS)))
 _COST = (
     "system",
     "key KB",
@@ -45,6 +46,7 @@ def study_report(study: dict[str, Any]) -> str:
         "Bytes are real packets (P: predicted frames; stream: mean over a stream in which every frame is predicted and "
         f"every {KEYFRAME_INTERVAL}th comes as a keyframe as well); 'est.' is Shannon's zeroth-order estimate, as "
         "papers report it. "
+        "Moving pixels are those of surfaces that move in this step, dilated (on real video: pixels that change). "
         "Rendering includes the expansion of all anchors and runs on the processor. CPU seconds are those of "
         "all threads, the others wall time. LPIPS is measured on up to "
         f"{protocol['lpips_frames']} frames of a clip. MB is the peak memory of the process while a system trains and "
@@ -84,7 +86,10 @@ def _split(split: dict[str, Any]) -> list[str]:
 
 def _quality(row: dict[str, Any]) -> list[str]:
     figures = row["summary"]
-    return [row["name"], *(spread_number(figures[metric.field], metric.digits) for metric in METRICS)]
+    return [
+        row["name"],
+        *(spread_number(figures[metric.field], metric.digits) for metric in (*METRICS, *MOVING_METRICS)),
+    ]
 
 
 def _cost(row: dict[str, Any]) -> list[str]:

@@ -57,6 +57,7 @@ def test_report_holds_the_contract(clip: tuple[Path, Path, list[Scene], list[byt
     assert mean["psnr_fitted"] >= mean["psnr"]
     assert mean["ssim"] > 0.8
     assert f"PSNR                      {mean['psnr']:.2f} dB" in text
+    assert "PSNR by frame" in (tmp_path / "new" / "report.svg").read_text()
     names = sorted(path.name for path in (tmp_path / "images").iterdir())
     assert names == [f"cam01_{index:05d}.png" for index in range(FRAMES)]
     assert cv2.imread(str(tmp_path / "images" / names[0])).shape == (48, 3 * 80, 3)

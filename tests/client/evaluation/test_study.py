@@ -37,7 +37,7 @@ def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) 
     for split in value["splits"]:
         assert [row["name"] for row in split["rows"]] == [row.name for row in rows]
         assert not set(split["train"]) & set(split["test"])
-        assert len(split["plots"]) == 4
+        assert len(split["plots"]) == 5
         for plot in split["plots"]:
             ElementTree.fromstring((tmp_path / "out" / plot).read_text())
         for row in split["rows"]:

@@ -10,7 +10,15 @@ import pytest
 
 from core.data import open_dataset
 from core.errors import InputError
-from core.synthetic import SyntheticSpec, cameras, open_synthetic, render_frame, render_image, write_clip
+from core.synthetic import (
+    SyntheticSpec,
+    cameras,
+    open_synthetic,
+    read_spec,
+    render_frame,
+    render_image,
+    write_clip,
+)
 
 SPEC = SyntheticSpec(cameras=3, frames=5, width=320, height=180, fps=25.0)
 
@@ -86,3 +94,35 @@ def test_an_interrupted_clip_leaves_nothing_behind(tmp_path: Path) -> None:
 def test_odd_sizes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="even"):
         write_clip(SyntheticSpec(width=161, height=90), tmp_path / "clip")
+
+
+def test_the_description_of_a_clip_is_read_back(clip: Path, tmp_path: Path) -> None:
+    assert read_spec(clip) == SPEC
+    assert read_spec(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["[]", "{}", '{"spec": {"cameras": 3}}', '{"spec": 5}', "{", '{"spec": {"cameras": "many", "rest": 0}}']
+)
+def test_a_damaged_description_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "ground_truth").mkdir()
+    (tmp_path / "ground_truth" / "spec.json").write_text(text)
+    with pytest.raises(InputError):
+        read_spec(tmp_path)
+
+
+def test_a_description_with_a_value_of_another_type_is_refused(clip: Path, tmp_path: Path) -> None:
+    value = json.loads((clip / "ground_truth" / "spec.json").read_text())
+    value["spec"]["frames"] = "10"
+    (tmp_path / "ground_truth").mkdir()
+    (tmp_path / "ground_truth" / "spec.json").write_text(json.dumps(value))
+    with pytest.raises(InputError):
+        read_spec(tmp_path)
+
+
+def test_a_description_of_an_earlier_version_means_the_room(clip: Path, tmp_path: Path) -> None:
+    value = json.loads((clip / "ground_truth" / "spec.json").read_text())
+    del value["spec"]["kind"], value["spec"]["speed"]
+    (tmp_path / "ground_truth").mkdir()
+    (tmp_path / "ground_truth" / "spec.json").write_text(json.dumps(value))
+    assert read_spec(tmp_path) == SPEC

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from client.evaluation.measure.footage import Footage
-from client.evaluation.measure.truth import dynamic_precision_recall, read_spec, shown_motion
+from client.evaluation.measure.truth import dynamic_precision_recall, shown_motion
 from core.camera import Camera
-from core.errors import InputError
 from core.scene.anchors import Scene
 from core.train import TrainConfig, Trainer
 from tests.client.evaluation.conftest import SPEC
@@ -74,27 +71,3 @@ def test_nothing_moves_in_a_still_clip(scene: Scene, cameras: tuple[Camera, ...]
 def test_flags_that_do_not_fit_are_refused(scene: Scene, cameras: tuple[Camera, ...]) -> None:
     with pytest.raises(ValueError, match="do not fit"):
         dynamic_precision_recall(SPEC, scene, np.zeros(3, np.bool_), 1, cameras)
-
-
-def test_the_description_of_a_clip_is_read_back(clip: Path, tmp_path: Path) -> None:
-    assert read_spec(clip) == SPEC
-    assert read_spec(tmp_path) is None
-
-
-@pytest.mark.parametrize(
-    "text", ["[]", "{}", '{"spec": {"cameras": 3}}', '{"spec": 5}', "{", '{"spec": {"cameras": "many", "rest": 0}}']
-)
-def test_a_damaged_description_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "ground_truth").mkdir()
-    (tmp_path / "ground_truth" / "spec.json").write_text(text)
-    with pytest.raises(InputError):
-        read_spec(tmp_path)
-
-
-def test_a_description_with_a_value_of_another_type_is_refused(clip: Path, tmp_path: Path) -> None:
-    value = json.loads((clip / "ground_truth" / "spec.json").read_text())
-    value["spec"]["frames"] = "10"
-    (tmp_path / "ground_truth").mkdir()
-    (tmp_path / "ground_truth" / "spec.json").write_text(json.dumps(value))
-    with pytest.raises(InputError):
-        read_spec(tmp_path)

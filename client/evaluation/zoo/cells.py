@@ -1,0 +1,89 @@
+"""Results of the zoo on disk: one line of JSON a cell, appended when it is measured, so that a run can go on later."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from core.errors import InputError
+
+_log = logging.getLogger(__name__)
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """What identifies a cell.
+
+    Attributes:
+        scene: of the zoo. views: training cameras. seed: of the training.
+        system: ``ours``, ``plain`` or ``paper``. preset: which of ours; plain gets the CPU time that it took.
+        downscale: of the pictures, from nominal. frames: measured, the first one included.
+    """
+
+    scene: str
+    views: int
+    seed: int
+    system: str
+    preset: str
+    downscale: float
+    frames: int
+
+
+class Cells:
+    """The cells of one file. A cell does not know which program measured it: after a change, take a new folder.
+
+    Raises:
+        InputError: the file holds something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._known: dict[Key, dict[str, Any]] = {}
+        if path.is_file():
+            self._read()
+
+    def __contains__(self, key: Key) -> bool:
+        return key in self._known
+
+    def get(self, key: Key) -> dict[str, Any] | None:
+        """The figures of a cell, None where it was not measured."""
+        return self._known.get(key)
+
+    def items(self) -> list[tuple[Key, dict[str, Any]]]:
+        """All cells, in the order in which they were measured."""
+        return list(self._known.items())
+
+    def add(self, key: Key, figures: dict[str, Any]) -> None:
+        """Append a cell; one write, so that a run that is stopped leaves whole lines."""
+        line = json.dumps({"schema": SCHEMA, "key": asdict(key), "figures": figures}, allow_nan=False) + "\n"
+        try:
+            descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            try:
+                os.write(descriptor, line.encode())
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            raise InputError(self._path, f"cannot be written ({error.strerror})") from error
+        self._known[key] = figures
+
+    def _read(self) -> None:
+        data = self._path.read_bytes()
+        whole = data.rfind(b"\n") + 1
+        if whole < len(data):
+            _log.warning("%s: the last line is incomplete and is measured again", self._path)
+            os.truncate(self._path, whole)
+        for number, line in enumerate(data[:whole].decode("utf-8", "replace").splitlines(), 1):
+            try:
+                value = json.loads(line)
+                schema, key, figures = value["schema"], Key(**value["key"]), dict(value["figures"])
+            except (ValueError, TypeError, KeyError) as error:
+                raise InputError(self._path, f"line {number} is no cell of the zoo; name another folder") from error
+            if schema != SCHEMA:
+                raise InputError(self._path, f"line {number} has another schema; name another folder")
+            self._known[key] = figures

@@ -1,0 +1,152 @@
+"""The zoo's report: a table of rows, means of scenes and halves, what moves, and levels cut away."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from client.evaluation.report.tables import number, table
+from client.evaluation.zoo.cells import Cells, Key
+from client.evaluation.zoo.scenes import SCENES
+
+_HALF = {scene.name: scene.half for scene in SCENES}
+_ORDER = {scene.name: place for place, scene in enumerate(SCENES)}
+_HEAD = (
+    "scene",
+    "views",
+    "seeds",
+    "ours dB",
+    "SSIM",
+    "LPIPS",
+    "plain dB",
+    "SSIM",
+    "LPIPS",
+    "ours - plain dB",
+    "paper dB",
+    "CPU s ours",
+    "plain",
+    "paper",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """The cells of one scene and number of views, by system, one a seed."""
+
+    scene: str
+    views: int
+    cells: dict[str, list[dict[str, Any]]]
+
+    def first(self, system: str, figure: str) -> float | None:
+        """Mean over the seeds of a figure of the first frame."""
+        return _mean(cell["frames"][0].get(figure) for cell in self.cells.get(system, []))
+
+    def later(self, system: str, figure: str) -> float | None:
+        """Mean over the seeds of a figure of the last frame, None where there is one frame only."""
+        return _mean(cell["frames"][-1].get(figure) for cell in self.cells.get(system, []) if len(cell["frames"]) > 1)
+
+    @property
+    def lead(self) -> float | None:
+        """How far ours is above plain in the first frame, dB."""
+        ours, plain = self.first("ours", "psnr"), self.first("plain", "psnr")
+        return None if ours is None or plain is None else ours - plain
+
+
+def zoo_report(cells: Cells, missing: Sequence[str] = ()) -> str:
+    """Markdown of all `cells`, a section for each preset and size; `missing` scenes were not there."""
+    groups: dict[tuple[str, float], list[tuple[Key, dict[str, Any]]]] = defaultdict(list)
+    for key, figures in cells.items():
+        groups[key.preset, key.downscale].append((key, figures))
+    parts = ["# Zoo", ""]
+    if missing:
+        parts += [f"Not under the data root, so not measured: {', '.join(missing)}.", ""]
+    for (preset, downscale), found in groups.items():
+        parts += _section(preset, downscale, _lines(found))
+    return "\n".join(parts)
+
+
+def _section(preset: str, downscale: float, lines: Sequence[Line]) -> list[str]:
+    parts = [
+        f"## Preset {preset}, pictures {downscale:g} times smaller than nominal",
+        "",
+        "Held-out camera, first frame, means over seeds; plain is trained for the CPU seconds that ours took.",
+        "",
+    ]
+    for half in ("choosing", "reporting"):
+        inside = [line for line in lines if _HALF[line.scene] == half]
+        if inside:
+            rows = [_row(line) for line in inside] + [_mean_row(f"mean of the {half} half", inside)]
+            parts += [f"### {half.capitalize()} half", "", table(_HEAD, rows)]
+    moving = [line for line in lines if line.later("ours", "psnr") is not None]
+    if moving:
+        parts += ["### First and last frame", "", table(*_moving(moving))]
+    cut = [line for line in lines if any(cell["levels"] for cell in line.cells.get("ours", []))]
+    if cut:
+        parts += ["### Ours cut at each level, last frame, first seed, dB", "", table(*_levels(cut))]
+    return parts
+
+
+def _row(line: Line) -> list[str]:
+    seeds = max(len(found) for found in line.cells.values())
+    return [line.scene, str(line.views), str(seeds), *_figures([line])]
+
+
+def _mean_row(name: str, lines: Sequence[Line]) -> list[str]:
+    """Means over the rows in which every system of the table was measured alike."""
+    return [name, "", "", *_figures([line for line in lines if line.lead is not None])]
+
+
+def _figures(lines: Sequence[Line]) -> list[str]:
+    texts = []
+    for system in ("ours", "plain"):
+        for figure, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)):
+            texts.append(number(_mean(line.first(system, figure) for line in lines), digits))
+    lead = _mean(line.lead for line in lines)
+    texts.append("-" if lead is None else f"{lead:+.2f}")
+    texts.append(number(_mean(line.first("paper", "psnr") for line in lines)))
+    return texts + [
+        number(_mean(line.first(system, "cpu_seconds") for line in lines), 1) for system in ("ours", "plain", "paper")
+    ]
+
+
+def _moving(lines: Sequence[Line]) -> tuple[list[str], list[list[str]]]:
+    head = ["scene", "views"]
+    for system in ("ours", "plain"):
+        head += [f"{system} first dB", f"{system} last dB", f"{system} moving, first", f"{system} moving, last"]
+    rows = []
+    for line in lines:
+        row = [line.scene, str(line.views)]
+        for system in ("ours", "plain"):
+            for figure in ("psnr", "moving_psnr"):
+                row += [number(line.first(system, figure)), number(line.later(system, figure))]
+        rows.append(row)
+    return head, rows
+
+
+def _levels(lines: Sequence[Line]) -> tuple[list[str], list[list[str]]]:
+    most = max(len(line.cells["ours"][0]["levels"]) for line in lines)
+    head = ["scene", "views", *(str(count + 1) for count in range(most)), "finest gains"]
+    rows = []
+    for line in lines:
+        levels = line.cells["ours"][0]["levels"]
+        texts = [number(value) for value in levels] + ["-"] * (most - len(levels))
+        gain = f"{levels[-1] - levels[-2]:+.2f}" if len(levels) > 1 else "-"
+        rows.append([line.scene, str(line.views), *texts, gain])
+    return head, rows
+
+
+def _lines(found: Sequence[tuple[Key, dict[str, Any]]]) -> list[Line]:
+    grouped: dict[tuple[str, int], dict[str, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
+    for key, figures in found:
+        grouped[key.scene, key.views][key.system].append(figures)
+    lines = [Line(scene, views, dict(systems)) for (scene, views), systems in grouped.items()]
+    return sorted(lines, key=lambda line: (_ORDER[line.scene], line.views))
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None

@@ -1,0 +1,67 @@
+"""Plain Gaussians learn a small scene within their time, from points that were thinned."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from client.evaluation.plain import PlainConfig, PlainGaussians, plain_views, thinned
+from core.frames import FrameSet, PointCloud
+from core.initialise import first_points
+from core.metrics import psnr
+from core.synthetic import SyntheticSpec, cameras, open_synthetic
+
+SPEC = SyntheticSpec(cameras=4, frames=3, width=96, height=54)
+
+
+@pytest.fixture(scope="module")
+def instants() -> list[FrameSet]:
+    return list(open_synthetic(SPEC).frames())
+
+
+@pytest.fixture(scope="module")
+def points(instants: list[FrameSet]) -> PointCloud:
+    data = open_synthetic(SPEC)
+    return first_points(instants[0], data.cameras, depth_bounds=data.depth_bounds)
+
+
+def test_it_learns_the_scene_and_follows_it(instants: list[FrameSet], points: PointCloud) -> None:
+    rig = cameras(SPEC)
+    views = plain_views(instants[0], rig)
+    model = PlainGaussians(points, views)
+    model.train(0.05)
+    early = psnr(model.picture(rig[1]), instants[0].images[1])
+    model = PlainGaussians(points, views)
+    begin = time.process_time()
+    steps = model.train(3.0)
+    assert time.process_time() - begin == pytest.approx(3.0, abs=1.0)
+    assert steps > 20
+    late = psnr(model.picture(rig[1]), instants[0].images[1])
+    assert late > max(early, 20)
+    before = psnr(model.picture(rig[0]), instants[2].images[0])
+    model.follow(plain_views(instants[2], rig), 2.0)
+    assert psnr(model.picture(rig[0]), instants[2].images[0]) > before
+
+
+def test_thinning_leaves_one_point_a_cell_and_keeps_the_mean() -> None:
+    rig = cameras(SPEC)
+    generator = np.random.default_rng(0)
+    near = generator.uniform(-0.5, 0.5, (4000, 3)) + np.array([0, 0, 1])
+    far = near + np.array([0, 60, 0])
+    positions = np.concatenate([near, far]).astype(np.float32)
+    cloud = PointCloud(positions, generator.uniform(0, 1, positions.shape).astype(np.float32))
+    thin = thinned(cloud, rig, 4.0)
+    close = (thin.positions[:, 1] < 30).sum()
+    assert close > 10 * (len(thin) - close) > 0  # cells grow with distance
+    assert np.allclose(thin.colours.mean(), 0.5, atol=0.05)
+    assert len(thinned(cloud, rig, 0.0)) == len(cloud)
+
+
+def test_the_result_is_the_mean_of_the_last_steps(instants: list[FrameSet], points: PointCloud) -> None:
+    config = PlainConfig(average_from=0.0, half_size_until=0.0)
+    model = PlainGaussians(points, plain_views(instants[0], cameras(SPEC)), config)
+    model.train(0.5)
+    assert model._mean["means"].shape == model._optimiser.parameters["means"].shape
+    assert not np.allclose(model._mean["means"], model._optimiser.parameters["means"].detach())

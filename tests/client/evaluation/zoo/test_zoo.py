@@ -1,0 +1,136 @@
+"""The zoo goes on where it stopped, gives plain the time of ours, and reports what it measured."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from client.evaluation.zoo.cells import Cells, Key
+from client.evaluation.zoo.run import ZooOptions, run_zoo
+from client.evaluation.zoo.scenes import SCENES, view_counts
+from client.evaluation.zoo.tables import zoo_report
+from core.errors import InputError
+
+pytestmark = pytest.mark.timeout(600)  # one row is trained, however busy the machine
+QUICK = ZooOptions(("bright",), (3,), 1, ("ours", "plain"), "live", 7.5, 2)
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The zoo of one small row."""
+    folder = tmp_path_factory.mktemp("zoo") / "out"
+    run_zoo(None, folder, QUICK)
+    return folder
+
+
+def lines(out: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (out / "cells.jsonl").read_text().splitlines()]
+
+
+def test_a_row_is_measured_with_equal_time(out: Path) -> None:
+    ours, plain = lines(out)
+    assert (ours["key"]["system"], plain["key"]["system"]) == ("ours", "plain")
+    assert len(ours["figures"]["frames"]) == len(plain["figures"]["frames"]) == 2
+    for mine, theirs in zip(ours["figures"]["frames"], plain["figures"]["frames"], strict=True):
+        assert theirs["cpu_seconds"] == pytest.approx(mine["cpu_seconds"], rel=0.2, abs=0.3)
+        assert 8 < theirs["psnr"] < 50
+        assert 8 < mine["psnr"] < 50
+        assert mine["moving_psnr"] is not None
+        assert theirs["moving_psnr"] is not None
+    assert ours["figures"]["levels"][-1] == pytest.approx(ours["figures"]["frames"][-1]["psnr"], abs=0.01)
+    assert ours["figures"]["frames"][0]["bytes"] > 0
+
+
+def test_pictures_and_report_lie_beside_the_cells(out: Path) -> None:
+    both = cv2.imread(str(out / "pictures" / "bright_3_live_0_all.png"))
+    assert both is not None
+    assert both.shape == (36, 3 * 64, 3)
+    report = (out / "zoo.md").read_text()
+    assert "| bright | 3 | 1 |" in report
+    assert "mean of the choosing half" in report
+    assert "reporting half" not in report
+
+
+def test_it_goes_on_where_it_stopped(out: Path) -> None:
+    before = (out / "cells.jsonl").read_bytes()
+    run_zoo(None, out, QUICK)
+    assert (out / "cells.jsonl").read_bytes() == before
+
+
+def test_recordings_that_are_not_there_are_skipped_and_named(tmp_path: Path) -> None:
+    options = ZooOptions(("castle", "stage"), (3,), 1)
+    assert "castle, stage" in run_zoo(tmp_path, tmp_path / "out", options)
+
+
+def test_plain_alone_is_refused(tmp_path: Path) -> None:
+    options = ZooOptions(("bright",), (3,), 1, ("plain",), "live", 8.0, 1)
+    with pytest.raises(InputError, match="measure ours as well"):
+        run_zoo(None, tmp_path, options)
+
+
+@pytest.mark.parametrize(
+    "fields", [{"scenes": ("cellar",)}, {"systems": ("theirs",)}, {"views": (1,)}, {"seeds": 0}, {"downscale": 0.5}]
+)
+def test_options_that_mean_nothing_are_refused(fields: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        ZooOptions(**fields)
+
+
+def test_the_halves_are_as_agreed() -> None:
+    halves = {half: {scene.name for scene in SCENES if scene.half == half} for half in ("choosing", "reporting")}
+    assert halves["choosing"] == {"room", "bright", "castle", "flame_steak_frame0"}
+    assert halves["reporting"] == {"theatre", "outdoor", "stage", "fountain", "caliscope_4cam"}
+
+
+def test_no_more_views_than_cameras_remain() -> None:
+    assert view_counts((3, 4, 6, 12), ("a",) * 9) == (3, 4, 6, 8)
+    assert view_counts((3, 4, 6, 12), ("a",) * 4) == (3,)
+    assert view_counts((12, 20), ("a",) * 30) == (12,)
+
+
+def key(system: str, scene: str = "bright", seed: int = 0) -> Key:
+    return Key(scene, 3, seed, system, "live", 2.0, 1)
+
+
+def cell(psnr: float, cpu: float = 10.0) -> dict[str, Any]:
+    return {"frames": [{"psnr": psnr, "ssim": 0.9, "lpips": None, "cpu_seconds": cpu}], "levels": [psnr - 2, psnr]}
+
+
+def test_a_line_that_was_cut_off_is_measured_again(tmp_path: Path) -> None:
+    path = tmp_path / "cells.jsonl"
+    cells = Cells(path)
+    cells.add(key("ours"), cell(30))
+    cells.add(key("plain"), cell(29))
+    path.write_bytes(path.read_bytes()[:-20])
+    cells = Cells(path)
+    assert key("ours") in cells
+    assert key("plain") not in cells
+    cells.add(key("plain"), cell(28))
+    assert Cells(path).get(key("plain")) == cell(28)
+
+
+def test_another_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cells.jsonl"
+    path.write_text("shopping\nlist\n")
+    with pytest.raises(InputError, match="line 1"):
+        Cells(path)
+    path.write_text(json.dumps({"schema": 99, "key": asdict(key("ours")), "figures": {}}) + "\n")
+    with pytest.raises(InputError, match="schema"):
+        Cells(path)
+
+
+def test_means_are_over_the_rows_that_both_have(tmp_path: Path) -> None:
+    cells = Cells(tmp_path / "cells.jsonl")
+    for seed, psnr in ((0, 30.0), (1, 32.0)):
+        cells.add(key("ours", seed=seed), cell(psnr))
+        cells.add(key("plain", seed=seed), cell(29.0))
+    cells.add(key("ours", "room"), cell(10.0))
+    report = zoo_report(cells)
+    assert "| bright | 3 | 2 | 31.00 | 0.900 | - | 29.00 | 0.900 | - | +2.00 |" in report
+    assert "| mean of the choosing half |  |  | 31.00 | 0.900 | - | 29.00 | 0.900 | - | +2.00 |" in report
+    assert "| bright | 3 | 28.00 | 30.00 | +2.00 |" in report
