@@ -81,7 +81,7 @@ def address(data: bytes) -> None:
         found = _parse_range(text, 1000)
         assert found is None or 0 <= found[0] < found[1] <= 1000
     fields = dict(part.partition("=")[::2] for part in text.split("&"))
-    assert not _signer().allows("/v1/streams/main/bitstream", fields), "a link was forged"
+    assert not _signer().allows("/v1/streams/main/bitstream", fields, "1"), "a link was forged"
 
 
 @cache
