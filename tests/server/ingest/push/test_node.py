@@ -51,8 +51,8 @@ def test_finds_cameras_in_folders_and_by_name(folder: Path) -> None:
     [
         ("nothing", "is not a folder"),
         ("a=nothing.mp4", "does not exist"),
-        ("a=push:", "a server does"),
-        ("a=rtsp+listen://0.0.0.0:5/x", "a server does"),
+        ("a=push:", "let the server read it"),
+        ("a=rtsp+listen://0.0.0.0:5/x", "let the server read it"),
         ("a=gopher://x", "scheme"),
         ("{}/empty", "holds no video"),
         ("a={}/empty", "holds no JPEG"),
