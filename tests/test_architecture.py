@@ -32,7 +32,7 @@ LAYERS = {
     ),
     "server": (
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer", "registry",
-        "metrics api", "app", "run", "cli",
+        "api", "service", "cli",
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead metrics", "rig", "live"),
     "client": (

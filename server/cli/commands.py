@@ -111,7 +111,7 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
 def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
     """Serve until told to stop."""
     from core.render import select
-    from server.run import serve as run
+    from server.service.run import serve as run
 
     for stream in streams:
         job = stream.job

@@ -18,10 +18,10 @@ from typing import cast
 
 import uvloop
 
-from server.app import create_app
 from server.pipeline.spec import StreamSpec
 from server.protocol.packets import binary_frame
-from server.run import Server, server_config
+from server.service.app import create_app
+from server.service.run import Server, server_config
 from server.settings import Limits, Retention, Settings
 from server.worker.process import Tag
 from tests.bench.fanout_load import Run, kernel_bytes, make_packets, resident_bytes

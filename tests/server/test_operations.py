@@ -11,8 +11,8 @@ from pathlib import Path
 from prometheus_client import generate_latest
 from pydantic import BaseModel
 
-from server.metrics import collector_registry
 from server.pipeline.spec import StreamSpec
+from server.service.metrics import collector_registry
 from server.settings import Limits, Retention, Settings, WorkerSettings, load_settings
 from tests.server.conftest import Clip, running, viewing
 
@@ -64,6 +64,7 @@ def test_the_dashboard_and_its_containers_ask_for_what_exists(clip: Clip) -> Non
 
 
 def test_serving_loads_no_training_library() -> None:
-    heavy = "import sys, server.run, server.worker; print([m for m in ('torch', 'cv2', 'av') if m in sys.modules])"
+    imports = "import sys, server.service.run, server.worker.process"
+    heavy = f"{imports}; print([m for m in ('torch', 'cv2', 'av') if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", heavy], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"

@@ -16,7 +16,7 @@ SCHEMA = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class CellKey:
     """What identifies a cell.
 
     Attributes:
@@ -43,22 +43,22 @@ class Cells:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._known: dict[Key, dict[str, Any]] = {}
+        self._known: dict[CellKey, dict[str, Any]] = {}
         if path.is_file():
             self._read()
 
-    def __contains__(self, key: Key) -> bool:
+    def __contains__(self, key: CellKey) -> bool:
         return key in self._known
 
-    def get(self, key: Key) -> dict[str, Any] | None:
+    def get(self, key: CellKey) -> dict[str, Any] | None:
         """The figures of a cell, None where it was not measured."""
         return self._known.get(key)
 
-    def items(self) -> list[tuple[Key, dict[str, Any]]]:
+    def items(self) -> list[tuple[CellKey, dict[str, Any]]]:
         """All cells, in the order in which they were measured."""
         return list(self._known.items())
 
-    def add(self, key: Key, figures: dict[str, Any]) -> None:
+    def add(self, key: CellKey, figures: dict[str, Any]) -> None:
         """Append a cell; one write, so that a run that is stopped leaves whole lines."""
         line = json.dumps({"schema": SCHEMA, "key": asdict(key), "figures": figures}, allow_nan=False) + "\n"
         try:
@@ -81,7 +81,7 @@ class Cells:
         for number, line in enumerate(data[:whole].decode("utf-8", "replace").splitlines(), 1):
             try:
                 value = json.loads(line)
-                schema, key, figures = value["schema"], Key(**value["key"]), dict(value["figures"])
+                schema, key, figures = value["schema"], CellKey(**value["key"]), dict(value["figures"])
             except (ValueError, TypeError, KeyError) as error:
                 raise InputError(self._path, f"line {number} is no cell of the zoo; name another folder") from error
             if schema != SCHEMA:

@@ -14,7 +14,7 @@ import numpy as np
 from client.evaluation.measure.footage import footage_of
 from client.evaluation.measure.scores import Perception, load_perception
 from client.evaluation.report.output import result_folder
-from client.evaluation.zoo.cells import Cells, Key
+from client.evaluation.zoo.cells import CellKey, Cells
 from client.evaluation.zoo.contenders import Contest, Measured
 from client.evaluation.zoo.scenes import SCENES, ZooScene, view_counts
 from client.evaluation.zoo.tables import zoo_report
@@ -92,12 +92,12 @@ def run_zoo(root: Path | None, out: Path, options: ZooOptions) -> str:
 
 def _measured(
     scene: ZooScene, whole: Dataset, options: ZooOptions, cells: Cells, perception: Perception
-) -> Iterator[tuple[Key, Measured]]:
+) -> Iterator[tuple[CellKey, Measured]]:
     """The cells of a scene that are not known yet, ours first, since plain gets its CPU time."""
     frames = min(options.frames, whole.frame_count)
     for views in view_counts(options.views, whole.names):
         keys = [
-            Key(scene.name, views, seed, system, options.preset, options.downscale, frames)
+            CellKey(scene.name, views, seed, system, options.preset, options.downscale, frames)
             for seed in range(options.seeds)
             for system in SYSTEMS
             if system in options.systems
@@ -117,15 +117,15 @@ def _measured(
                 yield key, contest.ours(options.preset if key.system == "ours" else "paper", key.seed)
 
 
-def _with_system(key: Key, system: str) -> Key:
-    return Key(key.scene, key.views, key.seed, system, key.preset, key.downscale, key.frames)
+def _with_system(key: CellKey, system: str) -> CellKey:
+    return CellKey(key.scene, key.views, key.seed, system, key.preset, key.downscale, key.frames)
 
 
-def _picture(key: Key, shown: str) -> str:
+def _picture(key: CellKey, shown: str) -> str:
     return f"{key.scene}_{key.views}_{key.preset}_{key.seed}_{shown}.png"
 
 
-def _compose(pictures: Path, key: Key) -> None:
+def _compose(pictures: Path, key: CellKey) -> None:
     """Truth, ours and plain side by side, where all three have been drawn."""
     paths = [pictures / _picture(key, shown) for shown in ("truth", "ours", "plain")]
     if all(path.is_file() for path in paths):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from client.evaluation.report.tables import number, table
-from client.evaluation.zoo.cells import Cells, Key
+from client.evaluation.zoo.cells import CellKey, Cells
 from client.evaluation.zoo.scenes import SCENES
 
 _HALF = {scene.name: scene.half for scene in SCENES}
@@ -34,7 +34,7 @@ _HEAD = (
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class SceneRow:
     """The cells of one scene and number of views, by system, one a seed."""
 
     scene: str
@@ -58,7 +58,7 @@ class Line:
 
 def zoo_report(cells: Cells, missing: Sequence[str] = ()) -> str:
     """Markdown of all `cells`, a section for each preset and size; `missing` scenes were not there."""
-    groups: dict[tuple[str, float], list[tuple[Key, dict[str, Any]]]] = defaultdict(list)
+    groups: dict[tuple[str, float], list[tuple[CellKey, dict[str, Any]]]] = defaultdict(list)
     for key, figures in cells.items():
         groups[key.preset, key.downscale].append((key, figures))
     parts = ["# Zoo", ""]
@@ -69,7 +69,7 @@ def zoo_report(cells: Cells, missing: Sequence[str] = ()) -> str:
     return "\n".join(parts)
 
 
-def _section(preset: str, downscale: float, lines: Sequence[Line]) -> list[str]:
+def _section(preset: str, downscale: float, lines: Sequence[SceneRow]) -> list[str]:
     parts = [
         f"## Preset {preset}, pictures {downscale:g} times smaller than nominal",
         "",
@@ -90,17 +90,17 @@ def _section(preset: str, downscale: float, lines: Sequence[Line]) -> list[str]:
     return parts
 
 
-def _row(line: Line) -> list[str]:
+def _row(line: SceneRow) -> list[str]:
     seeds = max(len(found) for found in line.cells.values())
     return [line.scene, str(line.views), str(seeds), *_figures([line])]
 
 
-def _mean_row(name: str, lines: Sequence[Line]) -> list[str]:
+def _mean_row(name: str, lines: Sequence[SceneRow]) -> list[str]:
     """Means over the rows in which every system of the table was measured alike."""
     return [name, "", "", *_figures([line for line in lines if line.lead is not None])]
 
 
-def _figures(lines: Sequence[Line]) -> list[str]:
+def _figures(lines: Sequence[SceneRow]) -> list[str]:
     texts = []
     for system in ("ours", "plain"):
         for figure, digits in (("psnr", 2), ("ssim", 3), ("lpips", 3)):
@@ -113,7 +113,7 @@ def _figures(lines: Sequence[Line]) -> list[str]:
     ]
 
 
-def _moving(lines: Sequence[Line]) -> tuple[list[str], list[list[str]]]:
+def _moving(lines: Sequence[SceneRow]) -> tuple[list[str], list[list[str]]]:
     head = ["scene", "views"]
     for system in ("ours", "plain"):
         head += [f"{system} first dB", f"{system} last dB", f"{system} moving, first", f"{system} moving, last"]
@@ -127,7 +127,7 @@ def _moving(lines: Sequence[Line]) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def _levels(lines: Sequence[Line]) -> tuple[list[str], list[list[str]]]:
+def _levels(lines: Sequence[SceneRow]) -> tuple[list[str], list[list[str]]]:
     most = max(len(line.cells["ours"][0]["levels"]) for line in lines)
     head = ["scene", "views", *(str(count + 1) for count in range(most)), "finest gains"]
     rows = []
@@ -139,11 +139,11 @@ def _levels(lines: Sequence[Line]) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def _lines(found: Sequence[tuple[Key, dict[str, Any]]]) -> list[Line]:
+def _lines(found: Sequence[tuple[CellKey, dict[str, Any]]]) -> list[SceneRow]:
     grouped: dict[tuple[str, int], dict[str, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
     for key, figures in found:
         grouped[key.scene, key.views][key.system].append(figures)
-    lines = [Line(scene, views, dict(systems)) for (scene, views), systems in grouped.items()]
+    lines = [SceneRow(scene, views, dict(systems)) for (scene, views), systems in grouped.items()]
     return sorted(lines, key=lambda line: (_ORDER[line.scene], line.views))
 
 

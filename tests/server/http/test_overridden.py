@@ -1,4 +1,4 @@
-"""What `server.http` and `server.run` override or read inside uvicorn and websockets is still there.
+"""What `server.http` and `server.service.run` override or read inside uvicorn and websockets is still there.
 
 `pyproject.toml` holds both libraries below the next minor or major version. Whoever raises a bound and sees one of
 these tests fail has to read the new base class, mend the override that is named, and only then the table here.
@@ -22,7 +22,7 @@ from websockets.server import ServerProtocol
 
 from server.http.limits import LimitedProtocol
 from server.http.websocket import ViewerProtocol
-from server.run import Server
+from server.service.run import Server
 
 WEBSOCKET = """connection_made(transport) data_received(data) handle_text(event) handle_cont(event) handle_ping()
     pause_writing() resume_writing() connection_lost(exc) handle_close(event) shutdown() handle_parser_exception()

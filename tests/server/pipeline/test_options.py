@@ -16,13 +16,13 @@ from core.data import LAYOUTS
 from core.errors import InputError
 from core.initialise import METHODS
 from core.train import preset
-from server.app import create_app
 from server.cli.main import serve, train
 from server.cli.options import TRAINING, takes
 from server.pipeline.job import JOB_OPTIONS, TrainJob
 from server.pipeline.new_stream import NewStream
 from server.pipeline.options import Option
 from server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
+from server.service.app import create_app
 from server.settings import Settings, load_settings
 
 PAGE = (Path(__file__).parents[3] / "docs" / "operations.md").read_text()

@@ -24,10 +24,10 @@ from core.errors import SessionError
 from core.render.splatter import Splatter
 from core.scene.anchors import Scene
 from core.scene.gaussians import GaussianCloud
-from server.metrics import collector_registry
 from server.pipeline.spec import StreamSpec
 from server.protocol.messages import parse_control, parse_hello
 from server.protocol.thin_messages import ViewMessage
+from server.service.metrics import collector_registry
 from server.settings import Limits, Settings
 from server.viewer.renderer import GRADES, HEADER, GradeControl, draw, fitted
 from tests.client.web.miniserver import make_clip

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import pytest
 
-from client.evaluation.zoo.cells import Cells, Key
+from client.evaluation.zoo.cells import CellKey, Cells
 from client.evaluation.zoo.run import ZooOptions, run_zoo
 from client.evaluation.zoo.scenes import SCENES, view_counts
 from client.evaluation.zoo.tables import zoo_report
@@ -93,8 +93,8 @@ def test_no_more_views_than_cameras_remain() -> None:
     assert view_counts((12, 20), ("a",) * 30) == (12,)
 
 
-def key(system: str, scene: str = "bright", seed: int = 0) -> Key:
-    return Key(scene, 3, seed, system, "live", 2.0, 1)
+def key(system: str, scene: str = "bright", seed: int = 0) -> CellKey:
+    return CellKey(scene, 3, seed, system, "live", 2.0, 1)
 
 
 def cell(psnr: float, cpu: float = 10.0) -> dict[str, Any]:

@@ -22,9 +22,9 @@ from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem, problem_response
 from server.http.site_policy import SitePolicy
 from server.http.static_page import PageFiles
-from server.metrics import collector_registry
 from server.pipeline.spec import StreamSpec
 from server.registry import Registry
+from server.service.metrics import collector_registry
 from server.settings import Settings
 
 _DESCRIPTION = """

@@ -20,13 +20,13 @@ from prometheus_client import make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
 
 from core.errors import InputError, StreamlodError
-from server.app import create_app
 from server.http.limits import http_class
 from server.http.websocket import websocket_class
-from server.metrics import collector_registry
 from server.pipeline.spec import StreamSpec
 from server.pipeline.warming import warm_codec
 from server.registry import Registry
+from server.service.app import create_app
+from server.service.metrics import collector_registry
 from server.settings import Settings
 
 _LOG = logging.getLogger(__name__)

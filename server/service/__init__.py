@@ -1,0 +1,1 @@
+"""The service as a process: application, metrics, sockets and signals."""
