@@ -7,9 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.device import pretend
 from tests.device.fixture import gpu
 
 __all__ = ["gpu"]
+
+pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
 
 
 def data_folder() -> Path | None:

@@ -233,7 +233,7 @@ def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
         chooser, hub = random.Random(seed), Hub(10**7, Counters())
         states = [make_scene((5, 20, 40), seed=seed)]
         await hub.accept(stream_packet(0, 1, encode_keyframe(states[0], time_ns=0, profile=0)))
-        decoder, number = SceneDecoder(), None
+        decoder, sequence = SceneDecoder(), None
         for version in range(1, 25):
             states.append(move(states[-1], seed=version))
             residual = difference(states[-2], states[-1])
@@ -253,7 +253,7 @@ def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
                     if following is not None:
                         decoder.push(unframed(following.framed(3)))
                         sequence = following.sequence
-                case "skip" if sequence is not None and number < version:
+                case "skip" if sequence is not None and sequence < version:
                     newest, frame = await hub.skip(sequence, 3)
                     decoder.push(unframed(frame))
                     sequence = newest.sequence
