@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import itertools
 import re
 import threading
 from collections.abc import Iterator
@@ -74,7 +75,8 @@ def test_every_call_is_answered(page: Any, site: Site) -> None:
     page.evaluate("player.addEventListener('picture', (e) => { window.shown = e.detail; })")
     page.locator("button[aria-label=Play]").click()
     page.wait_for_function("window.shown?.version === 39", **WAIT)
-    page.wait_for_function("player.state().then((state) => state.phase === 'ended')", **WAIT)
+    before = list(itertools.islice(iter(lambda: page.evaluate("player.state()")["phase"], "ended"), 5000))
+    assert set(before) <= {"connecting", "waiting", "replay"}
     answers = page.evaluate("""async () => ({
       state: await told(player.state()), pause: await told(player.pause()), seek: await told(player.seek(12)),
       picture: await told(player.captureFrame().then((blob) => [blob.type, blob.size > 500])),
