@@ -72,6 +72,17 @@ def listen(page: Any) -> None:
     page.evaluate("streamlod.on('picture', (p) => { window.drawn = p; }); 0")
 
 
+def focuses(page: Any, before: str) -> None:
+    """Double-click on the picture until something is hit: where the drag has led depends on what is known of depths."""
+    for x, y in ((160, 150), (120, 120), (200, 120), (160, 90), (100, 150), (220, 150)):
+        page.mouse.dblclick(x, y)
+        for _ in range(20):
+            if page.evaluate("streamlod.state.camera") != before:
+                return
+            page.wait_for_timeout(100)
+    raise AssertionError("no double-click turned the camera")
+
+
 def test_the_server_draws_the_same_picture_and_obeys(page: Any, server: Running, clip: Clip) -> None:
     """Pictures of rig cameras agree with the Python client's; orbit, seek, pause and focus work."""
     page.goto(f"{server.url}/?ui=0")
@@ -100,8 +111,7 @@ def test_the_server_draws_the_same_picture_and_obeys(page: Any, server: Running,
     turned = page.evaluate("streamlod.state.camera")
     assert turned != home
     assert psnr(picture(page), expected) < 25
-    page.mouse.dblclick(160, 150)
-    page.wait_for_function("(before) => streamlod.state.camera !== before", arg=turned, **WAIT)
+    focuses(page, turned)
     page.keyboard.press("End")
     shows(page, f"s.version === {FRAMES - 1} && s.mode === 'live'")
 
