@@ -17,6 +17,7 @@ from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
 from server.stream.store import Recording, Store
 from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 from server.viewer.renderer import PictureRenderer
 from server.viewer.session import ViewerSession
 
@@ -60,11 +61,12 @@ class Registry:
     def start(self) -> None:
         """Show every stream's last state, and start those of the settings and those that ran before."""
         for name, stream in self.streams.items():
-            self._spawn(self._begin(stream, start=name in self._initial))
+            if isinstance(stream, WorkerStream):
+                self._spawn(self._begin(stream, start=name in self._initial))
         if self.store is not None:
             self._spawn(self._retain(self.store))
 
-    async def create(self, spec: StreamSpec, *, start: bool = False) -> Stream:
+    async def create(self, spec: StreamSpec, *, start: bool = False) -> WorkerStream:
         """Add a stream, remember it, and start it if wanted.
 
         Raises:
@@ -90,14 +92,14 @@ class Registry:
             stream.start()
         return stream
 
-    async def delete(self, name: str, *, erase: bool) -> None:
+    async def delete(self, stream: WorkerStream, *, erase: bool) -> None:
         """Remove a stream, with its recording if that is to be erased."""
-        stream = self.streams.pop(name)
+        del self.streams[stream.id]
         recording = stream.bus.recording
         await stream.delete(erase=erase)
         if recording is not None and not erase:
             recording.note(definition=None, running=False)
-            self.kept[name] = recording
+            self.kept[stream.id] = recording
 
     async def drain(self) -> None:
         """Disconnect viewers, stop workers and finish recordings; only the first call does anything."""
@@ -116,20 +118,20 @@ class Registry:
         self.renderer.close()
         for task in self._tasks:
             task.cancel()
-        stops = (stream.stop(remember=False) for stream in self.streams.values())
+        stops = (stream.close() for stream in self.streams.values())
         await asyncio.gather(*self._tasks, *stops, return_exceptions=True)
         if self.store is not None:
             await asyncio.to_thread(self.store.close)
         if self._sockets is not None:
             self._sockets.cleanup()
 
-    def _add(self, spec: StreamSpec) -> Stream:
+    def _add(self, spec: StreamSpec) -> WorkerStream:
         recording = self.kept.pop(spec.id, None)
         if recording is None and self.store is not None:
             recording = self.store.recording(spec.id)
         socket = self._push_socket() if spec.is_live else None
-        self.streams[spec.id] = Stream(spec, self.settings, recording, socket)
-        return self.streams[spec.id]
+        stream = self.streams[spec.id] = WorkerStream(spec, self.settings, recording, socket)
+        return stream
 
     def _sealed(self, spec: StreamSpec) -> Any:
         return self.store.seal.close(spec.to_json()) if self.store is not None else None
@@ -148,7 +150,7 @@ class Registry:
             except InputError as error:
                 _LOG.warning("a remembered stream is left out: %s", error)
 
-    async def _begin(self, stream: Stream, *, start: bool) -> None:
+    async def _begin(self, stream: WorkerStream, *, start: bool) -> None:
         await stream.restore()
         if start and not self.draining:
             stream.start()

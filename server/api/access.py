@@ -19,6 +19,7 @@ from server.http.problems import Problem
 from server.http.site_policy import is_own_host
 from server.registry import Registry
 from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, but cannot read the answer
 RECHECK_SECONDS = 5.0  # between two looks at the token of a websocket
@@ -162,4 +163,14 @@ def find_stream(stream_id: str, request: Request) -> Stream:
 
 
 StreamOf = Annotated[Stream, Depends(find_stream)]
+
+
+def find_worker_stream(stream: StreamOf) -> WorkerStream:
+    """The stream that the path names; 409 for one that is made elsewhere."""
+    if not isinstance(stream, WorkerStream):
+        raise Problem(409, "this stream is made by another server; control it there")
+    return stream
+
+
+WorkerStreamOf = Annotated[WorkerStream, Depends(find_worker_stream)]
 Handler = Callable[..., Awaitable[Any]]

@@ -94,15 +94,15 @@ async def bitstream(
 @router.get("/recording", summary="The file that the stream plays", response_class=Response, responses=_ANSWERS)
 async def recording(stream: StreamOf, request: Request) -> Response:
     """The whole `.slod` file behind a stream whose source is a recording, whatever part of it has been played."""
-    if stream.spec.play is None:
+    if stream.played_file is None:
         raise Problem(404, "the stream plays no recording; what is retained of it is at bitstream")
     try:
-        pieces = await asyncio.to_thread(splice, [stream.spec.play])
+        pieces = await asyncio.to_thread(splice, [stream.played_file])
     except (OSError, StreamlodError) as error:
         raise Problem(404, "the recording cannot be read") from error
-    changed_ns = (await asyncio.to_thread(stream.spec.play.stat)).st_mtime_ns
-    state = f"{stream.spec.id} {changed_ns} {list(map(size_of, pieces))}"
-    return respond(request, Download(pieces, _hash(state.encode()), _FILE_TYPE, FRESH, f"{stream.spec.id}.slod"))
+    changed_ns = (await asyncio.to_thread(stream.played_file.stat)).st_mtime_ns
+    state = f"{stream.id} {changed_ns} {list(map(size_of, pieces))}"
+    return respond(request, Download(pieces, _hash(state.encode()), _FILE_TYPE, FRESH, f"{stream.id}.slod"))
 
 
 async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Download:
@@ -111,7 +111,7 @@ async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Dow
     if not found:
         raise _absent(stream, place)
     data = found[0].data
-    return Download((data,), _hash(data), _PACKET_TYPE, caching, f"{stream.spec.id}-{epoch}-{version}.slpk")
+    return Download((data,), _hash(data), _PACKET_TYPE, caching, f"{stream.id}-{epoch}-{version}.slpk")
 
 
 async def _group_file(stream: Stream, epoch: int, first: int, caching: str) -> Download:
@@ -145,7 +145,7 @@ async def _file(stream: Stream, groups: dict[Position, Group], caching: str, nam
     ]
     pieces = await asyncio.to_thread(splice, parts)
     state = f"{stream.incarnation} {sorted(groups)} {list(map(size_of, pieces))}"
-    return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{stream.spec.id}-{name}.slod")
+    return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{stream.id}-{name}.slod")
 
 
 def _hash(data: bytes) -> str:

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from codec.container import SlodReader
 from core.errors import BitstreamError, InputError, StorageError
-from server.api.access import StreamOf, grant_of, need, refusal, registry_of
+from server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
 from server.api.reach import check_reach
 from server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
@@ -32,6 +32,7 @@ def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 router = APIRouter(prefix="/v1/streams", tags=["streams"], responses=_USUAL)
+control = APIRouter(prefix="/v1/streams", tags=["streams"], responses=_USUAL)  # of streams that are made here
 
 
 @router.get("", summary="All streams", dependencies=[need(Right.READ)])
@@ -48,7 +49,7 @@ async def list_streams(
     return StreamList(items=items, next_cursor=page[-1] if len(names) > limit else None)
 
 
-@router.post(
+@control.post(
     "", status_code=201, summary="Create a stream", responses={status: PROBLEMS[status] for status in (409, 507)}
 )
 async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
@@ -92,35 +93,35 @@ async def get_ready(stream: StreamOf, response: Response) -> Health:
     return Health(status="ok" if ready else stream.state, detail=stream.detail)
 
 
-@router.get("/{stream_id}/definition", summary="What a stream is made from", dependencies=[need(Right.CONTROL)])
-async def get_definition(stream: StreamOf) -> dict[str, Any]:
+@control.get("/{stream_id}/definition", summary="What a stream is made from", dependencies=[need(Right.CONTROL)])
+async def get_definition(stream: WorkerStreamOf) -> dict[str, Any]:
     """The fields with which the stream was created, and defaults; passwords are left out."""
     found: dict[str, Any] = masked(stream.spec.to_json())
     return found
 
 
-@router.delete("/{stream_id}", status_code=204, summary="Delete a stream", dependencies=[need(Right.CONTROL)])
+@control.delete("/{stream_id}", status_code=204, summary="Delete a stream", dependencies=[need(Right.CONTROL)])
 async def delete_stream(
-    stream: StreamOf,
+    stream: WorkerStreamOf,
     request: Request,
     erase: Annotated[bool, Query(description="erase what was recorded, too")] = False,
 ) -> None:
     """Stop a stream and close its viewers with 1000. What was recorded stays on the disk unless `erase` is given."""
     try:
-        await registry_of(request).delete(stream.spec.id, erase=erase)
+        await registry_of(request).delete(stream, erase=erase)
     except StorageError as error:
         raise Problem(507, str(error)) from error
 
 
-@router.post("/{stream_id}/start", status_code=202, summary="Start", dependencies=[need(Right.CONTROL)])
-async def start_stream(stream: StreamOf) -> StreamBody:
+@control.post("/{stream_id}/start", status_code=202, summary="Start", dependencies=[need(Right.CONTROL)])
+async def start_stream(stream: WorkerStreamOf) -> StreamBody:
     """Start the worker; one that runs goes on, an ended source begins again."""
     stream.start()
     return StreamBody.model_validate(stream.describe())
 
 
-@router.post("/{stream_id}/stop", status_code=202, summary="Stop", dependencies=[need(Right.CONTROL)])
-async def stop_stream(stream: StreamOf) -> StreamBody:
+@control.post("/{stream_id}/stop", status_code=202, summary="Stop", dependencies=[need(Right.CONTROL)])
+async def stop_stream(stream: WorkerStreamOf) -> StreamBody:
     """Stop the worker; viewers stay connected and the recording stays."""
     await stream.stop()
     return StreamBody.model_validate(stream.describe())
@@ -131,7 +132,7 @@ async def stop_stream(stream: StreamOf) -> StreamBody:
 )
 async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link:
     """An address with which anybody may fetch a download, or all of the stream's, until it or the token expires."""
-    scope = f"/v1/streams/{stream.spec.id}/{body.path}"
+    scope = f"/v1/streams/{stream.id}/{body.path}"
     expires = int(time.time()) + body.seconds
     if (limit := grant_of(request).expires) is not None:
         expires = min(expires, limit)
@@ -155,7 +156,7 @@ async def get_manifest(
     newest = stream.newest
     return Manifest.model_validate(
         {
-            "stream": stream.spec.id,
+            "stream": stream.id,
             "incarnation": stream.incarnation,
             "state": stream.state,
             "epoch": newest.epoch if newest else None,
@@ -187,7 +188,7 @@ async def _wait_for_later(registry: Registry, stream: Stream, place: Position, s
     stream.hub.listeners.add(wake.set)
     try:
         async with asyncio.timeout(seconds):
-            while (stream.newest is None or stream.newest <= place) and not (stream.deleted or registry.draining):
+            while (stream.newest is None or stream.newest <= place) and not (stream.is_over or registry.draining):
                 wake.clear()
                 await wake.wait()
     except TimeoutError:
@@ -220,5 +221,5 @@ def _group(stream: Stream, first: Position, last: int, packets: int, size: int, 
         "packets": packets,
         "bytes": size,
         "begun_ns": begun,
-        "path": f"/v1/streams/{stream.spec.id}/incarnations/{stream.incarnation}/gops/{first.epoch}/{first.version}",
+        "path": f"/v1/streams/{stream.id}/incarnations/{stream.incarnation}/gops/{first.epoch}/{first.version}",
     }

@@ -71,6 +71,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     app.include_router(live.router)
     app.include_router(push.router)
     app.include_router(streams.router)
+    app.include_router(streams.control)
     app.include_router(downloads.router)
     _add_health(app)
     _add_page(app)

@@ -1,54 +1,56 @@
-"""One stream: its worker, its live end, its recording, and its published state."""
+"""One stream as its viewers see it: its live end, its retained packets, its published state.
+
+Where its packets come from is a subclass's business: a worker process (`WorkerStream`), or another server.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import logging
-import secrets
 import time
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from core.errors import StorageError, StreamlodError
-from server.ingest.statistics import complaint
-from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
-from server.protocol.packets import Position, stream_packet, text_frame
+from server.protocol.packets import Position, StreamPacket, text_frame
 from server.settings import Settings
 from server.stream.bus import Bus
 from server.stream.counters import Counters
 from server.stream.hub import Hub
 from server.stream.sealing import masked
 from server.stream.store import Recording
-from server.worker.process import Resume, Tag
-from server.worker.supervisor import Ending, Supervisor
 
-_LOG = logging.getLogger(__name__)
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
 _WINDOW_SECONDS = 1.0  # from one window event to the next
+Source = Literal["cameras", "data", "recording"]
 
 
 class Stream:
-    """A running or idle stream; owner of its supervisor.
+    """What is common to streams of all sources.
 
     Args:
-        spec: what it is made from.
+        name: its id in addresses.
+        incarnation: names its packets for good.
         settings: of the server.
         recording: its place on disk, or None.
+
+    Attributes:
+        source, loop, created_at: as in STREAM of docs/protocol.md.
+        deleted: its viewers are told that it is over.
+        replaced: its viewers are told to connect again.
         push_socket: where its worker takes pictures that capture nodes push, or None.
+        played_file: the recording that it plays, or None.
     """
 
-    def __init__(
-        self,
-        spec: StreamSpec,
-        settings: Settings,
-        recording: Recording | None = None,
-        push_socket: Path | None = None,
-    ) -> None:
-        self.spec, self._settings, self.push_socket = spec, settings, push_socket
+    source: Source = "data"
+    loop = False
+    created_at = datetime.fromtimestamp(0, UTC)
+    push_socket: Path | None = None
+    played_file: Path | None = None
+
+    def __init__(self, name: str, incarnation: str, settings: Settings, recording: Recording | None = None) -> None:
+        self.id, self.incarnation = name, incarnation
         self.bus = Bus(settings.retention.memory_bytes, recording)
         self.counters = Counters()
         self.hub = Hub(_HUB_BYTES, self.counters, settings.limits.decoder)
@@ -57,34 +59,24 @@ class Stream:
         self.progress: dict[str, Any] | None = None
         self.report: dict[str, Any] | None = None
         self.ingest: dict[str, Any] | None = None  # figures of live cameras
-        created_ns = recording.stored.created_ns if recording else time.time_ns()
-        self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
-        self.incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
-        self.deleted = False
+        self.deleted = self.replaced = False
         self.live_at = 0.0  # monotonic time of the newest packet
-        self._epoch = recording.last_epoch if recording else 0
         self._sequence = 0
         self._windowed_at = 0.0
-        self._new_epoch = True
-        self._frames_done = 0
         self._events: list[asyncio.Queue[dict[str, Any]]] = []
-        self._supervisor = self._make_supervisor()
-        self._task: asyncio.Task[None] | None = None
+
+    async def close(self) -> None:
+        """Take no more packets, because the server ends."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing new can come of it."""
+        return self.deleted or self.replaced
 
     @property
     def restarts(self) -> int:
-        """Worker restarts since the start."""
-        return self._supervisor.restarts
-
-    @property
-    def worker_pid(self) -> int | None:
-        """Process id of the worker."""
-        return self._supervisor.pid
-
-    @property
-    def is_running(self) -> bool:
-        """Whether there is a worker, or one is about to be started."""
-        return self._task is not None and not self._task.done()
+        """How often what delivers packets had to be started again."""
+        return 0
 
     @property
     def newest(self) -> Position | None:
@@ -108,11 +100,11 @@ class Stream:
         """STREAM of docs/protocol.md."""
         scene, newest = self.hub.scene, self.newest
         return {
-            "id": self.spec.id,
-            "name": self.spec.id,
+            "id": self.id,
+            "name": self.id,
             "incarnation": self.incarnation,
-            "source": self.spec.source,
-            "loop": self.spec.play is not None and self.spec.loop,
+            "source": self.source,
+            "loop": self.loop,
             "state": self.state,
             "detail": masked(self.detail),
             "epoch": newest.epoch if newest else None,
@@ -127,57 +119,12 @@ class Stream:
             "report": self.report,
             "ingest": masked(self.ingest),
             "created_at": self.created_at.isoformat(timespec="seconds").replace("+00:00", "Z"),
-            "live_path": f"/v1/streams/{self.spec.id}/live",
+            "live_path": f"/v1/streams/{self.id}/live",
         }
 
-    def start(self) -> None:
-        """Start the worker, unless it runs or the stream was deleted; an ended source begins again."""
-        if self.is_running or self.deleted:
-            return
-        if self.state in {"ended", "failed"}:
-            self._frames_done, self._new_epoch = 0, True
-        self._supervisor = self._make_supervisor()
-        self._note(running=True)
-        self._enter("starting")
-        self._task = asyncio.create_task(self._supervisor.run())
-
-    async def restore(self) -> None:
-        """Show the recording's last state, so that its past can be seen before the worker sends anything."""
-        recording = self.bus.recording
-        if recording is None or not recording.segments or self.hub.newest is not None:
-            return
-        last = recording.segments[-1]
-        try:
-            for packet in await self.bus.read(last.first, last.last):
-                await self.hub.accept(replace(packet, sequence=self._sequence))
-                self._sequence += 1
-        except (StreamlodError, OSError, ValueError) as error:
-            _LOG.warning("stream %s: its last state cannot be shown: %s", self.spec.id, error)
-
-    async def stop(self, *, remember: bool = True) -> None:
-        """Stop the worker and finish the open segment; viewers stay.
-
-        Args:
-            remember: that it is not to be started with the server.
-        """
-        if remember:
-            self._note(running=False)
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
-            self._task = None
-        if self.bus.recording is not None:
-            await self.bus.recording.close()
-        if self.state in {"starting", "live", "degraded"}:
-            self._enter("idle")
-
-    async def delete(self, *, erase: bool) -> None:
-        """Stop for good, and erase the recording if wanted."""
-        self.deleted = True  # so that nobody starts it again meanwhile
-        await self.stop()
-        if erase and self.bus.recording is not None:
-            await self.bus.recording.erase()
-        self.hub.wake()
+    def now_ns(self) -> int:
+        """Unix time of the clock that live cameras' packets carry."""
+        return time.time_ns()
 
     def listen(self) -> asyncio.Queue[dict[str, Any]]:
         """A queue of this stream's events; give it back to `unlisten`."""
@@ -189,72 +136,13 @@ class Stream:
         """No more events into `queue`."""
         self._events.remove(queue)
 
-    async def on_message(self, tag: Tag, body: bytes) -> None:
-        """See `supervisor.Owner`."""
-        if tag in {Tag.PACKET, Tag.PREVIEW}:
-            await self._on_packet(body, record=tag is Tag.PACKET)
-        elif tag is Tag.REPORT:
-            self.report = json.loads(body)
-            self._frames_done = self.report.get("done", self._frames_done + 1) if self.report else 0
-        elif tag is Tag.PROGRESS:
-            self.progress = json.loads(body)
-            self._tell(event("progress", **(self.progress or {})))
-        elif tag is Tag.INGEST:
-            self._on_ingest(json.loads(body))
-        elif tag is Tag.EPOCH:
-            self._new_epoch, self._frames_done = True, 0
-
-    async def resume_point(self) -> Resume:
-        """See `supervisor.Owner`."""
-        self._new_epoch, self.ingest = True, None
-        if self._frames_done == 0:
-            return Resume()
-        return Resume(tuple(await self.hub.snapshot()), self._frames_done)
-
-    def on_restart(self, ending: Ending, delay_seconds: float) -> None:
-        """See `supervisor.Owner`."""
-        _LOG.warning("stream %s: %s; restart in %g s", self.spec.id, ending.text, delay_seconds)
-        state = "degraded" if self.newest else "starting"
-        self._enter(state, f"{ending.text}; it is being restarted")
-
-    def on_finish(self, ending: Ending) -> None:
-        """See `supervisor.Owner`."""
-        _LOG.info("stream %s: %s", self.spec.id, ending.text)
-        if self.bus.recording is not None:
-            asyncio.get_running_loop().create_task(self.bus.recording.close())
-        if ending.done:
-            self._note(running=False)
-        self._enter("ended" if ending.done else "failed", ending.text)
-
-    async def _on_packet(self, data: bytes, *, record: bool) -> None:
-        packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
-        await self.hub.accept(packet, self._window_message(), self._begin_epoch)
+    def _publish(self, packet: StreamPacket, *, record: bool = True) -> None:
+        """Retain the packet that the hub has just accepted."""
         self.bus.publish(packet, record=record)
         self._sequence += 1
         self.counters.packets += 1
-        self.counters.packet_bytes += len(data)
+        self.counters.packet_bytes += len(packet.data)
         self.live_at = time.monotonic()
-        if record:
-            self._enter_live()
-
-    def _begin_epoch(self) -> None:
-        """Announce a new epoch at the moment its first packet becomes the newest.
-
-        If it were announced earlier, a viewer that joins in between would be told the old epoch and never the new one.
-        """
-        if self._new_epoch:
-            self._epoch, self._new_epoch = self._epoch + 1, False
-            self._note(epoch=self._epoch)  # before anybody sees its packets: no epoch is used twice
-            self._tell(event("epoch", epoch=self._epoch))
-
-    def _note(self, **changes: Any) -> None:
-        """Remember something in the state folder, as far as the disk takes it."""
-        if self.bus.recording is None:
-            return
-        try:
-            self.bus.recording.note(**changes)
-        except StorageError as error:
-            _LOG.warning("stream %s: %s", self.spec.id, error)
 
     def _window_message(self) -> bytes:
         """A framed window event, at most once a second, otherwise nothing."""
@@ -263,18 +151,6 @@ class Stream:
             return b""
         self._windowed_at = now
         return text_frame(json.dumps(event("window", **window)))
-
-    def _on_ingest(self, figures: dict[str, Any]) -> None:
-        self.ingest = figures
-        if self.state == "starting":
-            self._enter("starting", complaint(figures))
-        elif not self._new_epoch:  # until a restarted worker has sent a packet, the stream stays degraded
-            self._enter_live()
-
-    def _enter_live(self) -> None:
-        """Live, or degraded while a camera is missing."""
-        fault = complaint(self.ingest) if self.ingest else ""
-        self._enter("degraded" if fault else "live", fault)
 
     def _enter(self, state: str, detail: str = "") -> None:
         if (state, detail) != (self.state, self.detail):
@@ -292,7 +168,3 @@ class Stream:
         if self.bus.recording is None:
             return "off"
         return self.bus.recording.fault or "on"
-
-    def _make_supervisor(self) -> Supervisor:
-        settings = self._settings
-        return Supervisor(self.spec, settings.worker, settings.limits.packet_bytes, self, self.push_socket)

@@ -105,15 +105,17 @@ class ViewerSession:
         stream.hub.listeners.add(self._notify)
         stream.viewers += 1
         stream.counters.joins += 1
-        _LOG.info("stream %s: viewer %s (%s) joins", stream.spec.id, self.id, self.client)
+        _LOG.info("stream %s: viewer %s (%s) joins", stream.id, self.id, self.client)
         try:
-            await self._delivery.send_event(welcome(stream.describe(), stream.window, self.id))
+            await self._delivery.send_event(welcome(stream.describe(), stream.window, self.id, stream.now_ns()))
             while True:
                 self.wake.clear()
                 while not events.empty():
                     await self._delivery.send_event(events.get_nowait())
                 if stream.deleted:
                     raise SessionError(CloseCode.DONE, "the stream was deleted")
+                if stream.replaced:
+                    raise SessionError(CloseCode.STOPPING, "the stream began anew; connect again")
                 if self.draining:
                     raise SessionError(CloseCode.STOPPING, "the server is stopping; connect again")
                 if not await self._step():
@@ -124,7 +126,7 @@ class ViewerSession:
             stream.hub.listeners.discard(self._notify)
             stream.unlisten(events)
             seconds = time.monotonic() - self._began_at
-            _LOG.info("stream %s: viewer %s left after %.1f s, %d bytes", stream.spec.id, self.id, seconds,
+            _LOG.info("stream %s: viewer %s left after %.1f s, %d bytes", stream.id, self.id, seconds,
                       self._delivery.receiver.sent)  # fmt: skip
 
     async def _idle(self) -> None:

@@ -35,7 +35,7 @@ from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 from server.pipeline.stages import open_job, train_stream
 from server.settings import Settings, load_settings
-from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 from server.worker.process import Sender, Tag, train
 from tests.server.brief import brief_training
 from tests.server.conftest import Clip, running
@@ -153,7 +153,7 @@ def figures(state: CameraState = CameraState.OK, fault: str = "", *, waiting: bo
 
 def test_a_stream_is_degraded_while_a_camera_is_lost(clip: Clip) -> None:
     async def run() -> None:
-        stream = Stream(StreamSpec(job=TrainJob(live=definition())), Settings())
+        stream = WorkerStream(StreamSpec(job=TrainJob(live=definition())), Settings())
         await stream.resume_point()
 
         async def tell(told: dict[str, Any]) -> tuple[str, str]:

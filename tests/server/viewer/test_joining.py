@@ -8,7 +8,7 @@ from pathlib import Path
 
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
-from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 from server.worker.process import Tag
 from tests.server.conftest import Clip
 
@@ -17,7 +17,7 @@ def test_joining_while_the_first_packet_of_an_epoch_is_decoded(clip: Clip) -> No
     """Welcomed before it is the newest, one is told of its epoch afterwards; welcomed after, one is not told again."""
 
     async def run() -> None:
-        stream = Stream(StreamSpec(play=Path("fed by hand")), Settings())
+        stream = WorkerStream(StreamSpec(play=Path("fed by hand")), Settings())
         for epoch in (1, 2):
             await stream.on_message(Tag.EPOCH, b"")
             free = threading.Event()

@@ -15,7 +15,7 @@ from server.settings import Limits, Settings
 from server.stream.bus import Bus
 from server.stream.counters import Counters
 from server.stream.hub import Hub
-from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 from server.viewer.delivery import Delivery
 from server.viewer.follower import Follower
 from server.viewer.pacing import LevelControl
@@ -96,7 +96,7 @@ def test_a_new_viewer_whose_past_is_gone_joins_at_the_live_edge(small: Clip) -> 
     asyncio.run(replay.step(0.0))
     assert replay.is_over
     assert screen.frames == []
-    stream = Stream(StreamSpec(play=Path("nothing.slod")), Settings())
+    stream = WorkerStream(StreamSpec(play=Path("nothing.slod")), Settings())
     follower = Follower(stream, delivery, LevelControl(64, 64, quiet_since=0.0), Limits())
     follower.resume()
     asyncio.run(stream.hub.accept(stream_packet(0, 1, small.packets[0])))

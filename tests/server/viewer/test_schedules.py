@@ -25,7 +25,7 @@ from server.protocol.messages import Ack, Hello, Pause, Play, Seek, Set
 from server.protocol.packets import Position
 from server.settings import Limits, Retention, Settings
 from server.stream.store import Store
-from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 from server.viewer.session import ViewerSession
 from server.worker.process import Tag
 from tests.codec.scenes import grow, make_scene, move
@@ -121,7 +121,7 @@ class Link:
 class Schedule:
     """One viewer doing random things."""
 
-    def __init__(self, stream: Stream, clip: Clip, seed: int) -> None:
+    def __init__(self, stream: WorkerStream, clip: Clip, seed: int) -> None:
         self._stream, self._clip, self._chooser = stream, clip, random.Random(seed)
         self._connect()
 
@@ -203,7 +203,7 @@ async def play(folder: Path | None, seed: int, viewers: int) -> None:
     retention = Retention.model_construct(**{**Retention().model_dump(), "memory_bytes": 6000})
     settings = Settings(limits=LIMITS).model_copy(update={"retention": retention})
     store = Store(folder, retention) if folder else None
-    stream = Stream(StreamSpec(play=Path("fed by hand")), settings, store.recording("main") if store else None)
+    stream = WorkerStream(StreamSpec(play=Path("fed by hand")), settings, store.recording("main") if store else None)
     schedules: list[Schedule] = []
     tasks: list[asyncio.Task[None]] = []
     for epoch, packets in enumerate(clip.packets):

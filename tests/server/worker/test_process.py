@@ -18,7 +18,7 @@ from core.errors import InputError
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
-from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 from server.worker.process import Resume, Sender, Tag, play, receive_resume, send_resume
 from tests.server.conftest import Clip, running
 
@@ -95,7 +95,7 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
 
 def test_a_deleted_stream_is_not_started_again(clip: Clip) -> None:
     async def run() -> bool:
-        stream = Stream(StreamSpec(play=clip.path), Settings())
+        stream = WorkerStream(StreamSpec(play=clip.path), Settings())
         await stream.delete(erase=True)
         stream.start()  # by a request that had found the stream before
         try:

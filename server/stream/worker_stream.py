@@ -1,0 +1,204 @@
+"""A stream whose packets a worker process makes: its worker, its recording, its epochs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import secrets
+import time
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from core.errors import StorageError, StreamlodError
+from server.ingest.statistics import complaint
+from server.pipeline.spec import StreamSpec
+from server.protocol.messages import event
+from server.protocol.packets import stream_packet
+from server.settings import Settings
+from server.stream.store import Recording
+from server.stream.stream import Stream
+from server.worker.process import Resume, Tag
+from server.worker.supervisor import Ending, Supervisor
+
+_LOG = logging.getLogger(__name__)
+
+
+class WorkerStream(Stream):
+    """A running or idle stream; owner of its supervisor.
+
+    Args:
+        spec: what it is made from.
+        settings: of the server.
+        recording: its place on disk, or None.
+        push_socket: where its worker takes pictures that capture nodes push, or None.
+    """
+
+    def __init__(
+        self,
+        spec: StreamSpec,
+        settings: Settings,
+        recording: Recording | None = None,
+        push_socket: Path | None = None,
+    ) -> None:
+        incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
+        super().__init__(spec.id, incarnation, settings, recording)
+        self.spec, self._settings, self.push_socket = spec, settings, push_socket
+        self.source, self.played_file = spec.source, spec.play
+        self.loop = spec.play is not None and spec.loop
+        created_ns = recording.stored.created_ns if recording else time.time_ns()
+        self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
+        self._epoch = recording.last_epoch if recording else 0
+        self._new_epoch = True
+        self._frames_done = 0
+        self._supervisor = self._make_supervisor()
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def restarts(self) -> int:
+        """Worker restarts since the start."""
+        return self._supervisor.restarts
+
+    @property
+    def worker_pid(self) -> int | None:
+        """Process id of the worker."""
+        return self._supervisor.pid
+
+    @property
+    def is_running(self) -> bool:
+        """Whether there is a worker, or one is about to be started."""
+        return self._task is not None and not self._task.done()
+
+    def start(self) -> None:
+        """Start the worker, unless it runs or the stream was deleted; an ended source begins again."""
+        if self.is_running or self.deleted:
+            return
+        if self.state in {"ended", "failed"}:
+            self._frames_done, self._new_epoch = 0, True
+        self._supervisor = self._make_supervisor()
+        self._note(running=True)
+        self._enter("starting")
+        self._task = asyncio.create_task(self._supervisor.run())
+
+    async def restore(self) -> None:
+        """Show the recording's last state, so that its past can be seen before the worker sends anything."""
+        recording = self.bus.recording
+        if recording is None or not recording.segments or self.hub.newest is not None:
+            return
+        last = recording.segments[-1]
+        try:
+            for packet in await self.bus.read(last.first, last.last):
+                await self.hub.accept(replace(packet, sequence=self._sequence))
+                self._sequence += 1
+        except (StreamlodError, OSError, ValueError) as error:
+            _LOG.warning("stream %s: its last state cannot be shown: %s", self.id, error)
+
+    async def stop(self, *, remember: bool = True) -> None:
+        """Stop the worker and finish the open segment; viewers stay.
+
+        Args:
+            remember: that it is not to be started with the server.
+        """
+        if remember:
+            self._note(running=False)
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+            self._task = None
+        if self.bus.recording is not None:
+            await self.bus.recording.close()
+        if self.state in {"starting", "live", "degraded"}:
+            self._enter("idle")
+
+    async def delete(self, *, erase: bool) -> None:
+        """Stop for good, and erase the recording if wanted."""
+        self.deleted = True  # so that nobody starts it again meanwhile
+        await self.stop()
+        if erase and self.bus.recording is not None:
+            await self.bus.recording.erase()
+        self.hub.wake()
+
+    async def close(self) -> None:
+        """Stop, and start again with the server."""
+        await self.stop(remember=False)
+
+    async def on_message(self, tag: Tag, body: bytes) -> None:
+        """See `supervisor.Owner`."""
+        if tag in {Tag.PACKET, Tag.PREVIEW}:
+            await self._on_packet(body, record=tag is Tag.PACKET)
+        elif tag is Tag.REPORT:
+            self.report = json.loads(body)
+            self._frames_done = self.report.get("done", self._frames_done + 1) if self.report else 0
+        elif tag is Tag.PROGRESS:
+            self.progress = json.loads(body)
+            self._tell(event("progress", **(self.progress or {})))
+        elif tag is Tag.INGEST:
+            self._on_ingest(json.loads(body))
+        elif tag is Tag.EPOCH:
+            self._new_epoch, self._frames_done = True, 0
+
+    async def resume_point(self) -> Resume:
+        """See `supervisor.Owner`."""
+        self._new_epoch, self.ingest = True, None
+        if self._frames_done == 0:
+            return Resume()
+        return Resume(tuple(await self.hub.snapshot()), self._frames_done)
+
+    def on_restart(self, ending: Ending, delay_seconds: float) -> None:
+        """See `supervisor.Owner`."""
+        _LOG.warning("stream %s: %s; restart in %g s", self.id, ending.text, delay_seconds)
+        state = "degraded" if self.newest else "starting"
+        self._enter(state, f"{ending.text}; it is being restarted")
+
+    def on_finish(self, ending: Ending) -> None:
+        """See `supervisor.Owner`."""
+        _LOG.info("stream %s: %s", self.id, ending.text)
+        if self.bus.recording is not None:
+            asyncio.get_running_loop().create_task(self.bus.recording.close())
+        if ending.done:
+            self._note(running=False)
+        self._enter("ended" if ending.done else "failed", ending.text)
+
+    async def _on_packet(self, data: bytes, *, record: bool) -> None:
+        packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
+        await self.hub.accept(packet, self._window_message(), self._begin_epoch)
+        self._publish(packet, record=record)
+        if record:
+            self._enter_live()
+
+    def _begin_epoch(self) -> None:
+        """Announce a new epoch at the moment its first packet becomes the newest.
+
+        If it were announced earlier, a viewer that joins in between would be told the old epoch and never the new one.
+        """
+        if self._new_epoch:
+            self._epoch, self._new_epoch = self._epoch + 1, False
+            self._note(epoch=self._epoch)  # before anybody sees its packets: no epoch is used twice
+            self._tell(event("epoch", epoch=self._epoch))
+
+    def _note(self, **changes: Any) -> None:
+        """Remember something in the state folder, as far as the disk takes it."""
+        if self.bus.recording is None:
+            return
+        try:
+            self.bus.recording.note(**changes)
+        except StorageError as error:
+            _LOG.warning("stream %s: %s", self.id, error)
+
+    def _on_ingest(self, figures: dict[str, Any]) -> None:
+        self.ingest = figures
+        if self.state == "starting":
+            self._enter("starting", complaint(figures))
+        elif not self._new_epoch:  # until a restarted worker has sent a packet, the stream stays degraded
+            self._enter_live()
+
+    def _enter_live(self) -> None:
+        """Live, or degraded while a camera is missing."""
+        fault = complaint(self.ingest) if self.ingest else ""
+        self._enter("degraded" if fault else "live", fault)
+
+    def _make_supervisor(self) -> Supervisor:
+        settings = self._settings
+        return Supervisor(self.spec, settings.worker, settings.limits.packet_bytes, self, self.push_socket)
