@@ -20,6 +20,7 @@ from server.stream.stream import Stream
 from server.stream.worker_stream import WorkerStream
 from server.viewer.renderer import PictureRenderer
 from server.viewer.session import ViewerSession
+from server.viewer.thin_session import ThinSession
 
 _LOG = logging.getLogger(__name__)
 _RETAIN_SECONDS = 30.0  # between two looks for what is too old
@@ -41,7 +42,7 @@ class Registry:
         self.gate = Gate(settings)
         self.store = Store(settings.state, settings.retention) if settings.state else None
         self.streams: dict[str, Stream] = {}
-        self.sessions: dict[ViewerSession, str] = {}  # with the viewer's address
+        self.sessions: dict[ViewerSession | ThinSession, str] = {}  # with the viewer's address
         self.renderer = PictureRenderer(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
         self.draining = False
@@ -108,8 +109,7 @@ class Registry:
             return
         self._drained = True
         for session in self.sessions:
-            session.draining = True
-            session.wake.set()
+            session.drain()
         for stream in self.streams.values():
             stream.hub.wake()  # requests that wait for something new
         limit = asyncio.get_running_loop().time() + self.settings.drain_seconds / 2

@@ -124,7 +124,7 @@ async def _watch(
     limits, address = registry.settings.limits, address_of(websocket)
     _find_room(registry, address)  # again: many may have been admitted before the first of them said hello
     if hello.pictures:
-        session: ViewerSession = ThinSession(stream, hello, transport, limits, registry.renderer)
+        session: ViewerSession | ThinSession = ThinSession(stream, hello, transport, limits, registry.renderer)
     else:
         session = ViewerSession(stream, hello, transport, limits)
 
@@ -154,7 +154,7 @@ async def _watch(
         task.result()
 
 
-async def _listen(websocket: WebSocket, session: ViewerSession) -> None:
+async def _listen(websocket: WebSocket, session: ViewerSession | ThinSession) -> None:
     while True:
         session.on_control(parse_control(await _text(websocket)))
 

@@ -11,12 +11,14 @@ import asyncio
 import logging
 import secrets
 import time
+from collections.abc import Callable
 
 from core.close_codes import CloseCode
 from core.errors import SessionError
 from server.protocol.messages import Ack, Control, Hello, Pause, Play, Seek, Set, event, welcome
 from server.protocol.packets import Position
 from server.settings import Limits
+from server.stream.counters import Counters
 from server.stream.stream import Stream
 from server.viewer.delivery import Delivery, Transport
 from server.viewer.follower import Follower
@@ -37,19 +39,30 @@ class ViewerSession:
         hello: what it asked for.
         transport: its connection.
         limits: of the server.
+        counters: where what is sent is counted; those of the stream by default.
+        on_arrival: called when everything up to a position of the past, which the viewer asked for, has been sent.
     """
 
-    def __init__(self, stream: Stream, hello: Hello, transport: Transport, limits: Limits) -> None:
+    def __init__(
+        self,
+        stream: Stream,
+        hello: Hello,
+        transport: Transport,
+        limits: Limits,
+        *,
+        counters: Counters | None = None,
+        on_arrival: Callable[[], None] = lambda: None,
+    ) -> None:
         self._stream, self._limits = stream, limits
         self.id = secrets.token_hex(6)
         self.client = hello.client
-        self.draining = False
+        self._draining, self._on_arrival = False, on_arrival
         self.wake = asyncio.Event()
         now = time.monotonic()
         wanted = hello.levels or _MAX_LEVELS
         self._levels = LevelControl(wanted, wanted, quiet_since=now)
         rate = hello.kilobytes_per_second
-        self._delivery = Delivery(transport, stream.hub, stream.counters, limits, rate, self._notify)
+        self._delivery = Delivery(transport, stream.hub, counters or stream.counters, limits, rate, self._notify)
         self._follower = Follower(stream, self._delivery, self._levels, limits)
         transport.on_blocked(self._follower.leave_broadcast)
         self._replay = Replay(stream.bus, self._delivery, self._levels)
@@ -58,6 +71,20 @@ class ViewerSession:
         self._window_sent_at = now
         self._allowance = Allowance(limits.messages_per_second, now)
         self._began_at = now
+
+    @property
+    def position(self) -> Position | None:
+        """Position of the last packet sent."""
+        return self._delivery.position
+
+    def pause(self) -> None:
+        """Stay at the present position."""
+        self._playhead.pause()
+
+    def drain(self) -> None:
+        """Close the connection soon: the server is stopping."""
+        self._draining = True
+        self.wake.set()
 
     def on_control(self, message: Control) -> None:
         """Take a control message; it takes effect with the next step.
@@ -116,7 +143,7 @@ class ViewerSession:
                     raise SessionError(CloseCode.DONE, "the stream was deleted")
                 if stream.replaced:
                     raise SessionError(CloseCode.STOPPING, "the stream began anew; connect again")
-                if self.draining:
+                if self._draining:
                     raise SessionError(CloseCode.STOPPING, "the server is stopping; connect again")
                 if not await self._step():
                     await self._idle()
@@ -185,7 +212,5 @@ class ViewerSession:
             self._replay.clear()
         await self._delivery.send_event(event("position", mode=mode, **place.to_json(), clamped=clamped))
         if mode == "replay":
-            await self._go_back(place)
-
-    async def _go_back(self, place: Position) -> None:
-        await self._replay.load(place)
+            await self._replay.load(place)
+            self._on_arrival()

@@ -1,4 +1,4 @@
-"""A thin viewer, which gets pictures: an ordinary session whose decoder runs in the server, and a loop that draws.
+"""A thin viewer, which gets pictures: an ordinary session, whose packets are decoded here, and a loop that draws.
 
 Joining, levels, seeking, pausing and falling behind work as for every viewer; only the last step, from the decoded
 state to a picture, happens here. One picture is in flight at a time, drawn for the newest view.
@@ -24,7 +24,7 @@ from core.errors import SessionError
 from core.render.splatter import Splatter
 from core.scene.anchors import Scene
 from server.protocol.messages import Control, Hello, Pause, Play, Seek, event
-from server.protocol.packets import Position, binary_frame
+from server.protocol.packets import binary_frame
 from server.protocol.thin_messages import Pick, Shown, ViewMessage
 from server.settings import Limits
 from server.stream.counters import Counters
@@ -69,7 +69,7 @@ class _DecodingTransport:
         """Nothing is ever posted."""
 
 
-class ThinSession(ViewerSession):
+class ThinSession:
     """A viewer that said hello with `pictures`.
 
     Args:
@@ -82,9 +82,11 @@ class ThinSession(ViewerSession):
     ) -> None:
         self._changed = asyncio.Event()
         self._decoding = _DecodingTransport(transport, self._changed, limits.decoder)
-        super().__init__(stream, hello, self._decoding, limits)
-        self._delivery.counters = Counters()  # packets stay in this process and are not counted as sent
-        self._viewer, self._renderer = transport, renderer
+        counters = Counters()  # packets stay in this process and are not counted as sent
+        self._session = ViewerSession(
+            stream, hello, self._decoding, limits, counters=counters, on_arrival=self._arrived
+        )
+        self._stream, self._limits, self._viewer, self._renderer = stream, limits, transport, renderer
         self._splatter, self._grades = Splatter(), GradeControl()
         self._camera: Camera | None = None
         self._number = self._shown = 0
@@ -94,8 +96,17 @@ class ThinSession(ViewerSession):
         self._frozen: tuple[Scene, int] | None = None  # paused: the state on screen, whatever has arrived since
         self._drawn: tuple[Scene, int, Camera] | None = None
 
+    def drain(self) -> None:
+        """As of `ViewerSession`."""
+        self._session.drain()
+
     def on_control(self, message: Control) -> None:
-        super().on_control(message)
+        """Take a control message.
+
+        Raises:
+            SessionError: as of `ViewerSession`.
+        """
+        self._session.on_control(message)
         match message:
             case Pause():
                 self._frozen = self._drawn[:2] if self._drawn else None
@@ -112,6 +123,11 @@ class ThinSession(ViewerSession):
         self._changed.set()
 
     async def run(self) -> None:
+        """Send pictures to the viewer until it leaves.
+
+        Raises:
+            SessionError: the connection is to be closed with its code.
+        """
         if self._renderer.is_full:
             self._stream.counters.thin_refused += 1
             if self._renderer.seats == 0:
@@ -122,7 +138,7 @@ class ThinSession(ViewerSession):
         with self._renderer.seat():
             self._stream.thin_viewers += 1
             try:
-                tasks = [asyncio.create_task(super().run()), asyncio.create_task(self._draw())]
+                tasks = [asyncio.create_task(self._session.run()), asyncio.create_task(self._draw())]
                 done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             finally:
                 self._stream.thin_viewers -= 1
@@ -132,11 +148,11 @@ class ThinSession(ViewerSession):
         for task in done:
             task.result()
 
-    async def _go_back(self, place: Position) -> None:
-        await super()._go_back(place)
+    def _arrived(self) -> None:
+        """The position of a seek has been reached."""
         if self._stop:
             self._stop = False
-            self._playhead.pause()
+            self._session.pause()
 
     async def _draw(self) -> None:
         """Draw picture after picture: at once when something changes, then a better one when nothing does."""
@@ -173,7 +189,7 @@ class ThinSession(ViewerSession):
     async def _picture(self, scene: Scene, camera: Camera, levels: int, index: int) -> None:
         """Draw, send, and wait until it is on the viewer's screen."""
         begin, grade = time.monotonic(), GRADES[index]
-        place = self._delivery.position
+        place = self._session.position
         rendered = await self._renderer.run(
             lambda: self._renderer.render_picture(self._splatter, scene, camera, levels, grade)
         )
