@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import hashlib
 import json
+import math
 import multiprocessing
 import threading
 import time
@@ -62,10 +63,14 @@ def definition() -> dict[str, Any]:
 
 
 class Node:
-    """A capture node in a thread: films the synthetic room at thirty instants a second until told to stop."""
+    """A capture node in a thread: films the synthetic room at thirty instants a second until told to stop.
 
-    def __init__(self, socket: Path) -> None:
-        self._socket, self._stopping = socket, threading.Event()
+    Args:
+        instants: it films so many and stays connected; all by default.
+    """
+
+    def __init__(self, socket: Path, instants: float = math.inf) -> None:
+        self._socket, self._instants, self._stopping = socket, instants, threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -84,6 +89,8 @@ class Node:
             for name, picture in zip(names, pictures[number % len(pictures)], strict=True):
                 intake.accept(PushMessage(name, number, capture, Codec.PNG, picture))
             number += 1
+            if number >= self._instants:
+                self._stopping.wait()
         intake.close()
 
     def stop(self) -> None:
