@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,12 +31,13 @@ class RefreshRule:
     churn_share: float = 0.1
     checked_every: int = 10
 
-    def reason(self, key: Scene, key_bytes: int, now: Scene) -> Reason | None:
+    def reason(self, key: Scene, now: Scene, size_bytes: Callable[[Scene], int]) -> Reason | None:
         """Why a keyframe is due at `now`, or None.
 
         Args:
-            key: the keyframe's state; key_bytes: size of its packet.
+            key: the keyframe's state.
             now: a later state under it.
+            size_bytes: of a keyframe's packet; called only when the catch-up packet is checked.
 
         Raises:
             ValueError: the states belong to different keyframes.
@@ -47,26 +49,35 @@ class RefreshRule:
             return None
         if churn(key, now) > self.churn_share * max(key.anchor_count, 1):
             return "churn"
-        if age % self.checked_every == 0 and catch_up_bytes(key, now) > self.catch_up_share * key_bytes:
+        if age % self.checked_every == 0 and catch_up_bytes(key, now) > self.catch_up_share * size_bytes(key):
             return "catch-up"
         return None
 
 
-class RefreshSchedule:
-    """Follows a stream's states and says when a refresh keyframe is due."""
+def keyframe_bytes(key: Scene) -> int:
+    """Size of a keyframe's packet."""
+    return len(encode_keyframe(key, time_ns=0))
 
-    def __init__(self, rule: RefreshRule) -> None:
-        self._rule = rule
+
+class RefreshSchedule:
+    """Follows a stream's states and says when a refresh keyframe is due.
+
+    Args:
+        rule: when.
+        size_bytes: of a keyframe's packet, for those who have encoded it anyway.
+    """
+
+    def __init__(self, rule: RefreshRule, size_bytes: Callable[[Scene], int] = keyframe_bytes) -> None:
+        self._rule, self._size_bytes = rule, size_bytes
         self._key: Scene | None = None
-        self._key_bytes = 0
 
     def due(self, before: Scene, now: Scene) -> Reason | None:
         """Why a keyframe should follow the state `now`, or None. Call it for every state, with the one `before`."""
         if before.version == before.keyframe:
-            self._key, self._key_bytes = before, len(encode_keyframe(before, time_ns=0))
+            self._key = before
         if self._key is None or self._key.keyframe != now.keyframe:
             raise ValueError(f"keyframe {now.keyframe} is unknown here; call due for every state")
-        return self._rule.reason(self._key, self._key_bytes, now)
+        return self._rule.reason(self._key, now, self._size_bytes)
 
 
 def churn(key: Scene, now: Scene) -> int:

@@ -18,12 +18,14 @@ class FrameSet:
         time_ns: capture time in nanoseconds (Unix time when known, otherwise from the clip's start).
         images: [C,H,W,3] uint8 RGB, in the order of the cameras; zeros where a camera is missing.
         present: [C] bool, False where a camera delivered nothing for this instant.
+        latency_ns: from filming to delivery, nanoseconds, where a live source knows it.
     """
 
     index: int
     time_ns: int
     images: UInt8
     present: Bool
+    latency_ns: int | None = None
 
     def __post_init__(self) -> None:
         check_array("images", self.images, (None, None, None, 3), np.uint8)

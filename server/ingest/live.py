@@ -155,10 +155,10 @@ class LiveDataset:
                 if newest is None:
                     return
                 instant, images, present = newest
-                rig.note_delivery(instant)
+                latency_ns = rig.note_delivery(instant)
                 first = instant if first is None else first
                 time_ns = first.capture_ns + round((instant.number - first.number) * period_of(self.fps))
-                yield FrameSet(index, time_ns, images, present)
+                yield FrameSet(index, time_ns, images, present, latency_ns)
                 index += 1
 
     def _developed(self, rig: Rig, instant: Instant, pool: ThreadPoolExecutor) -> _Developed:

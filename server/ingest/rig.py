@@ -161,11 +161,12 @@ class Rig:
                     self._change.notify_all()
             yield instant
 
-    def note_delivery(self, instant: Instant) -> None:
-        """Count an instant that is given to training now."""
+    def note_delivery(self, instant: Instant) -> int:
+        """Count an instant that is given to training now; returns its latency in nanoseconds."""
         with self._change:
             self._delivered += 1
             self._latency_ns = max(0, self._timeline.now_ns() - instant.capture_ns)  # a sender's clock may be ahead
+            return self._latency_ns
 
     def note_stale(self) -> None:
         """Count an instant that was given out but not used, because there is a newer one."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
-from codec.refresh import RefreshRule, RefreshSchedule
+from codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
 from core.camera import Camera
 from core.data import Dataset, linspace_split, open_dataset, prefetch
 from core.errors import InputError
@@ -169,14 +169,15 @@ def train_stream(
         previews: also yield early keyframes while the first frame trains, for viewers that are waiting.
         on_progress: called on the training thread.
     """
+    size = _KeyframeSize()
 
     def train(outlet: Outlet[_Trained]) -> None:
-        _Training(opened, previews, on_progress, outlet).run(resume, start)
+        _Training(opened, previews, on_progress, size, outlet).run(resume, start)
 
     # close the cameras first: training that waits for them could not be ended
     with closing(made_by(train, "training")) as trained, closing(opened):
         for state in trained:
-            yield _encoded(state)
+            yield _encoded(state, size)
 
 
 def train_clip(
@@ -208,6 +209,23 @@ def train_clip(
     write_text(out.with_name(out.name + ".json"), json.dumps(figures, indent=1))
 
 
+class _KeyframeSize:
+    """Bytes of the newest keyframe's packet, which the encoding stage tells the training stage."""
+
+    def __init__(self) -> None:
+        self._newest = -1, 0  # version and bytes: one value, as two threads use it
+
+    def note(self, keyframe: Scene, packet: bytes) -> bytes:
+        """`packet`, which is the keyframe's."""
+        self._newest = keyframe.version, len(packet)
+        return packet
+
+    def size_bytes(self, keyframe: Scene) -> int:
+        """Bytes of the keyframe's packet, which is encoded once more where this process has not sent it."""
+        version, size = self._newest
+        return size if version == keyframe.version else keyframe_bytes(keyframe)
+
+
 class _Training:
     """The training stage, which puts its states into `outlet`."""
 
@@ -216,6 +234,7 @@ class _Training:
         opened: OpenJob,
         previews: bool,
         on_progress: Callable[[Progress], None] | None,
+        size: _KeyframeSize,
         outlet: Outlet[_Trained],
     ) -> None:
         self._job, self._dataset, self._opened = opened.job, opened.dataset, opened
@@ -231,7 +250,7 @@ class _Training:
             target_kbps=job.target_kbps,
             label_motion=False,
         )
-        self._refresh = RefreshSchedule(RefreshRule(longest=job.keyframe_interval))
+        self._refresh = RefreshSchedule(RefreshRule(longest=job.keyframe_interval), size.size_bytes)
 
     def run(self, resume: Scene | None, start: int) -> None:
         """Train all frames from `start`, after the state to resume if there is one."""
@@ -243,18 +262,14 @@ class _Training:
             shift = resume.version + 1 - start
         with closing(self._opened.frames(start, self._trainer.prepare)) as frames:
             for filmed, read in frames:
-                captured, frame = self._captured(read), replace(filmed, index=filmed.index + shift)
+                captured = None if filmed.latency_ns is None else read.end - filmed.latency_ns / 1e9
+                frame = replace(filmed, index=filmed.index + shift)
                 if self._trainer.has_state:
                     trained = self._later(frame)
                 else:
                     trained = self._first(frame)
                     shift = trained.scene.version - filmed.index
                 self._outlet.put(replace(trained, spans=(read, *trained.spans), captured=captured))
-
-    def _captured(self, read: Span) -> float | None:
-        """When a live frame that has just been read was filmed, in seconds of `time.perf_counter`."""
-        statistics = self._opened.statistics()
-        return None if statistics is None else read.end - statistics.latency_ns / 1e9
 
     def _first(self, frame: FrameSet) -> _Trained:
         """The first keyframe, with previews before it if they are wanted."""
@@ -321,16 +336,16 @@ def _announced(frames: Iterator[FrameSet], announce: Callable[[FrameSet], None])
         yield frame
 
 
-def _encoded(state: _Trained) -> EncodedFrame:
+def _encoded(state: _Trained, size: _KeyframeSize) -> EncodedFrame:
     """All packets of a state, with the time that encoding took in its report."""
 
     def encode() -> Iterator[bytes]:
         if state.change is None:
-            yield encode_keyframe(state.scene, time_ns=state.time_ns)
+            yield size.note(state.scene, encode_keyframe(state.scene, time_ns=state.time_ns))
         else:
             yield state.packet or state.changing()
         if state.refresh is not None:
-            yield encode_keyframe(state.refresh, time_ns=state.time_ns)
+            yield size.note(state.refresh, encode_keyframe(state.refresh, time_ns=state.time_ns))
 
     packets, span = timing("encode", lambda: tuple(encode()))
     report, seconds = state.report, span.end - span.begin

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from codec.encoder import encode_keyframe
-from codec.refresh import RefreshRule, RefreshSchedule, catch_up_bytes, churn
+from codec.refresh import RefreshRule, RefreshSchedule, catch_up_bytes, churn, keyframe_bytes
 from core.scene.anchors import Scene
 from core.scene.keyframe import as_keyframe
 from tests.codec.scenes import grow, make_scene, move
@@ -22,17 +22,22 @@ def _still(version: int) -> Scene:
 
 
 def test_a_still_scene_is_renewed_by_time_alone() -> None:
-    assert [RULE.reason(KEY, KEY_BYTES, _still(version)) for version in (0, 3, 49, 50)] == [None, None, None, "time"]
+    assert [RULE.reason(KEY, _still(version), keyframe_bytes) for version in (0, 3, 49, 50)] == [
+        None,
+        None,
+        None,
+        "time",
+    ]
 
 
 def test_churn_counts_added_and_removed_anchors() -> None:
     grown = grow(KEY, added=6, removed=5)
     assert churn(KEY, KEY) == 0
     assert churn(KEY, grown) == sum(len(level) for level in grown.levels) - KEY.anchor_count + 10
-    assert RULE.reason(KEY, KEY_BYTES, replace(grown, version=5)) is None
+    assert RULE.reason(KEY, replace(grown, version=5), keyframe_bytes) is None
     much = grow(KEY, added=90, removed=60)
-    assert RULE.reason(KEY, KEY_BYTES, replace(much, version=5)) == "churn"
-    assert RULE.reason(KEY, KEY_BYTES, replace(much, version=2)) is None  # too soon
+    assert RULE.reason(KEY, replace(much, version=5), keyframe_bytes) == "churn"
+    assert RULE.reason(KEY, replace(much, version=2), keyframe_bytes) is None  # too soon
 
 
 def test_a_catch_up_packet_that_outgrows_its_share_calls_for_a_keyframe() -> None:
@@ -41,7 +46,7 @@ def test_a_catch_up_packet_that_outgrows_its_share_calls_for_a_keyframe() -> Non
     for seed in range(12):
         now = move(now, seed, share=0.7)
         sizes.append(catch_up_bytes(KEY, now))
-        reasons.append(RULE.reason(KEY, KEY_BYTES, now))
+        reasons.append(RULE.reason(KEY, now, keyframe_bytes))
     first = reasons.index("catch-up")
     assert first >= RULE.shortest - 1
     for size, reason, age in zip(sizes, reasons, range(1, 13), strict=True):
@@ -52,13 +57,13 @@ def test_a_catch_up_packet_that_outgrows_its_share_calls_for_a_keyframe() -> Non
 def test_the_packet_is_only_sized_now_and_then() -> None:
     now = replace(move(KEY, share=1.0), version=15)
     rule = replace(RULE, catch_up_share=0.001, checked_every=10)
-    assert rule.reason(KEY, KEY_BYTES, now) is None
-    assert rule.reason(KEY, KEY_BYTES, replace(now, version=20)) == "catch-up"
+    assert rule.reason(KEY, now, keyframe_bytes) is None
+    assert rule.reason(KEY, replace(now, version=20), keyframe_bytes) == "catch-up"
 
 
 def test_states_of_another_keyframe_are_refused() -> None:
     with pytest.raises(ValueError, match="keyframes"):
-        RULE.reason(KEY, KEY_BYTES, replace(KEY, keyframe=3, version=8))
+        RULE.reason(KEY, replace(KEY, keyframe=3, version=8), keyframe_bytes)
 
 
 def test_a_watch_follows_a_stream_over_its_keyframes() -> None:
@@ -70,6 +75,20 @@ def test_a_watch_follows_a_stream_over_its_keyframes() -> None:
             keyframes.append((state.version, reason))
             state = as_keyframe(state, state.version)
     assert keyframes == [(6, "time"), (9, "catch-up"), (12, "catch-up")]
+
+
+def test_a_keyframe_is_sized_only_for_a_check_of_the_catch_up_packet() -> None:
+    asked = list[int]()
+
+    def size_bytes(key: Scene) -> int:
+        asked.append(key.version)
+        return 10**9
+
+    watch, state = RefreshSchedule(replace(RULE, shortest=5, checked_every=4), size_bytes), KEY
+    for seed in range(9):
+        before, state = state, move(state, seed, share=0.02)
+        assert watch.due(before, state) is None
+    assert asked == [KEY.version]  # at age 8, not before
 
 
 def test_the_schedule_must_see_the_keyframe() -> None:

@@ -11,7 +11,7 @@ A message is the header's length (2 bytes, big-endian), the header (a msgpack ma
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -37,13 +37,20 @@ class Codec(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PushMessage:
-    """One pushed picture: see the module; `body` is the encoded picture."""
+    """One pushed picture.
+
+    Attributes:
+        camera, sequence, capture_ns, codec: the header's fields, see the module.
+        body: the encoded picture.
+        received: the whole message as it came, to be passed on; None for one that was made here.
+    """
 
     camera: str
     sequence: int
     capture_ns: int | None
     codec: Codec
     body: bytes
+    received: bytes | None = field(default=None, compare=False, repr=False)
 
 
 def parse_push(message: bytes) -> PushMessage:
@@ -67,10 +74,11 @@ def parse_push(message: bytes) -> PushMessage:
         )
     except (ValueError, TypeError, msgpack.UnpackException, RecursionError) as error:
         raise SessionError(CloseCode.BAD_MESSAGE, "the header is not a msgpack map") from error
-    return _checked(fields, message[2 + length :])
+    return _checked(fields, message, 2 + length)
 
 
-def _checked(fields: Any, body: bytes) -> PushMessage:
+def _checked(fields: Any, message: bytes, header: int) -> PushMessage:
+    """The message with the header `fields`, which end at byte `header`."""
     if not isinstance(fields, dict) or set(fields) != _FIELDS:
         raise SessionError(CloseCode.BAD_MESSAGE, "a header holds camera, sequence, capture_ns and codec")
     camera, sequence, capture, codec = (fields[name] for name in ("camera", "sequence", "capture_ns", "codec"))
@@ -82,7 +90,7 @@ def _checked(fields: Any, body: bytes) -> PushMessage:
         raise SessionError(CloseCode.BAD_MESSAGE, "capture_ns must be null or nanoseconds since 1970")
     if codec not in set(Codec):
         raise SessionError(CloseCode.BAD_MESSAGE, "codec must be jpeg, png or h264")
-    return PushMessage(camera, sequence, capture, Codec(codec), body)
+    return PushMessage(camera, sequence, capture, Codec(codec), message[header:], message)
 
 
 def _is_number(value: object, most: int) -> bool:
@@ -91,6 +99,8 @@ def _is_number(value: object, most: int) -> bool:
 
 def pack_push(message: PushMessage) -> bytes:
     """The bytes of a message, as a capture node sends them; `parse_push` goes back."""
+    if message.received is not None:
+        return message.received
     fields = {
         "camera": message.camera,
         "sequence": message.sequence,

@@ -57,6 +57,7 @@ def test_a_message_there_and_back() -> None:
     )
     assert parse_push(golden) == PushMessage("c", 7, None, Codec.JPEG, b"\xff")
     assert pack_push(PushMessage("c", 7, None, Codec.JPEG, b"\xff")) == golden
+    assert pack_push(parse_push(golden)) is golden  # passed on as it came
 
 
 GOOD: dict[str, Any] = {"camera": "c", "sequence": 1, "capture_ns": 5, "codec": "png"}
