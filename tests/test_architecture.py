@@ -54,7 +54,6 @@ LIGHT_CLIENT = {
     "inspection",
 }
 GUARDED_UNPICKLER = "core/metrics/lpips_weights.py"  # reads arrays from published weights, refuses all else
-SAME_THING = {"Views"}  # the pictures of one instant, as core.initialise and as core.train need them
 LONGEST_FILE = 600  # aim for 120, argue for 400
 PATHS = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
@@ -209,4 +208,4 @@ def test_no_two_public_classes_share_a_name() -> None:
         for node in ast.walk(parse(path)):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes.setdefault(node.name, []).append(name_of(path))
-    assert {name: paths for name, paths in homes.items() if len(paths) > 1 and name not in SAME_THING} == {}
+    assert {name: paths for name, paths in homes.items() if len(paths) > 1} == {}

@@ -11,7 +11,7 @@ from core.errors import InputError
 from core.initialise.consistency import Trust, trusted
 from core.initialise.equalise import with_equal_means
 from core.initialise.sweep import DepthMap, sweep_views
-from core.initialise.views import Views, inside, project, unproject
+from core.initialise.views import WorkingViews, inside, project, unproject
 
 COARSE_HEIGHT, COARSE_PLANES = 120, 96
 _COARSE = Trust(tolerance=0.05, cost_by_one=0.6)
@@ -22,7 +22,7 @@ _ENOUGH = 200  # trusted pixels that make the coarse depths worth believing
 _QUANTILES, _MARGINS = (0.005, 0.995), (0.8, 1.3)
 
 
-def estimate_bounds(views: Views) -> tuple[float, float]:
+def estimate_bounds(views: WorkingViews) -> tuple[float, float]:
     """(near, far) depth of the scene in world units: from the rig's geometry, then narrowed by a coarse plane sweep.
 
     Raises:

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from core.arrays import Bool, Float32, Float64
 from core.frames import PointCloud
 from core.initialise.sweep import DepthMap
-from core.initialise.views import Views, inside, project
+from core.initialise.views import WorkingViews, inside, project
 
 MAX_POINTS = 200_000  # that a cloud keeps: far more than a first frame has anchors
 _MANY_VIEWS = 9  # from so many views on, two must agree
@@ -42,7 +42,7 @@ class Trust:
     smallest_piece: float = 0.0005
 
 
-def consistent_points(views: Views, maps: Sequence[DepthMap], trust: Trust = Trust()) -> PointCloud:
+def consistent_points(views: WorkingViews, maps: Sequence[DepthMap], trust: Trust = Trust()) -> PointCloud:
     """The points of all pixels that can be trusted, coloured by the view whose depth they are."""
     good = trusted_pixels(maps, trust)
     points = np.concatenate([depth_map.points()[mask.ravel()] for depth_map, mask in zip(maps, good, strict=True)])

@@ -14,20 +14,20 @@ import numpy as np
 from core.arrays import Float64
 from core.initialise.consistency import Trust, trusted
 from core.initialise.sweep import DepthMap
-from core.initialise.views import Views, inside, project
+from core.initialise.views import WorkingViews, inside, project
 
 _DARKEST, _BRIGHTEST = 0.05, 0.95  # colours between these say something about a gain
 _COARSE = Trust(cost_by_one=0.6)  # exposures differ as yet, which costs
 _ENOUGH = 100  # matched pixels by which two cameras are compared
 
 
-def with_equal_means(views: Views) -> Views:
+def with_equal_means(views: WorkingViews) -> WorkingViews:
     """`views` with the mean of each channel brought to that of all views: a first guess, before anything is matched."""
     means = views.images.mean(axis=(1, 2), keepdims=True)
     return replace(views, images=views.images * (means.mean(axis=0) / np.maximum(means, 1e-3)))
 
 
-def equalised(views: Views, seen: Views, maps: Sequence[DepthMap]) -> Views:
+def equalised(views: WorkingViews, seen: WorkingViews, maps: Sequence[DepthMap]) -> WorkingViews:
     """`views` with the gain a channel of each camera that makes matched pixels agree.
 
     Args:
@@ -38,7 +38,7 @@ def equalised(views: Views, seen: Views, maps: Sequence[DepthMap]) -> Views:
     return replace(views, images=np.asarray(views.images * gains[:, None, None], np.float32))
 
 
-def _log_gains(views: Views, maps: Sequence[DepthMap]) -> Float64:
+def _log_gains(views: WorkingViews, maps: Sequence[DepthMap]) -> Float64:
     """[V,3] logarithms of the gains, zero on average: least squares over the medians of all pairs of cameras."""
     count = len(views)
     normal, right = 1e-3 * np.eye(count), np.zeros((count, 3))

@@ -10,7 +10,7 @@ from core.camera import Camera
 from core.errors import InputError
 from core.frames import FrameSet, PointCloud
 from core.initialise.bounds import estimate_bounds
-from core.initialise.views import Views, working_views
+from core.initialise.views import WorkingViews, working_views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +33,11 @@ class PointSources:
     seed: int
     progress: Callable[[float], None]
 
-    def views(self, height: int) -> Views:
+    def views(self, height: int) -> WorkingViews:
         """The cameras that delivered, with pictures of at most `height` rows."""
         return working_views(self.frame, self.cameras, height)
 
-    def bounds(self, views: Views) -> tuple[float, float]:
+    def bounds(self, views: WorkingViews) -> tuple[float, float]:
         """(near, far) as known, or as estimated from `views`.
 
         Raises:

@@ -9,14 +9,14 @@ import numpy as np
 from core.arrays import Bool, Float32, Float64
 from core.errors import ModelError
 from core.frames import PointCloud
-from core.initialise.views import Views, inside, project, unproject
+from core.initialise.views import WorkingViews, inside, project, unproject
 
 _COUNT = 8000
 _ATTEMPTS = 20
 _log = logging.getLogger(__name__)
 
 
-def random_points(views: Views, bounds: tuple[float, float], seed: int) -> PointCloud:
+def random_points(views: WorkingViews, bounds: tuple[float, float], seed: int) -> PointCloud:
     """Points spread over the volume that at least two cameras see (all of it, with one), evenly in inverse depth.
 
     Colours are the mean of what the cameras see there.
@@ -45,7 +45,7 @@ def random_points(views: Views, bounds: tuple[float, float], seed: int) -> Point
     return PointCloud(np.concatenate(positions).astype(np.float32), np.concatenate(colours))
 
 
-def sample_colours(views: Views, points: Float64) -> tuple[Float32, Float64]:
+def sample_colours(views: WorkingViews, points: Float64) -> tuple[Float32, Float64]:
     """([N,3] mean colour of [N,3] `points` over the views that have them in the picture, [N] number of those)."""
     total, count = np.zeros((len(points), 3), np.float64), np.zeros(len(points))
     for camera, image in zip(views.cameras, views.images, strict=True):
@@ -57,7 +57,7 @@ def sample_colours(views: Views, points: Float64) -> tuple[Float32, Float64]:
     return np.asarray(total / np.maximum(count, 1)[:, None], np.float32), count
 
 
-def _in_frusta(views: Views, bounds: tuple[float, float], count: int, generator: np.random.Generator) -> Float64:
+def _in_frusta(views: WorkingViews, bounds: tuple[float, float], count: int, generator: np.random.Generator) -> Float64:
     """[count,3] points at random pixels of random cameras."""
     of = generator.integers(len(views), size=count)
     pixels = generator.random((count, 2)) * views.size

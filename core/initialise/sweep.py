@@ -17,7 +17,7 @@ import numpy as np
 from core.arrays import Float32, Float64
 from core.camera import Camera
 from core.initialise.sweep_kernel import best_planes, cost_volume
-from core.initialise.views import Views, pixel_centres, unproject
+from core.initialise.views import WorkingViews, pixel_centres, unproject
 
 _NEIGHBOURS, _BEST = 4, 2
 _PARALLAX = 1.0  # pixels between neighbouring planes, as the second nearest view sees them
@@ -46,7 +46,7 @@ class DepthMap:
 
 
 def sweep_views(
-    views: Views, bounds: tuple[float, float], planes: int, progress: Callable[[float], None] | None = None
+    views: WorkingViews, bounds: tuple[float, float], planes: int, progress: Callable[[float], None] | None = None
 ) -> list[DepthMap]:
     """Depth of every view.
 
@@ -73,7 +73,7 @@ def sweep_views(
     return maps
 
 
-def plane_count(views: Views, bounds: tuple[float, float], most: int) -> int:
+def plane_count(views: WorkingViews, bounds: tuple[float, float], most: int) -> int:
     """How many planes between `bounds` lie a pixel of parallax apart, 64 to `most`."""
     baselines, focals = [], []
     for index, camera in enumerate(views.cameras):
@@ -84,7 +84,7 @@ def plane_count(views: Views, bounds: tuple[float, float], most: int) -> int:
     return int(np.clip(np.ceil(parallax / _PARALLAX), _MIN_PLANES, max(most, _MIN_PLANES)))
 
 
-def neighbours(views: Views, index: int) -> list[int]:
+def neighbours(views: WorkingViews, index: int) -> list[int]:
     """The views nearest to view `index`, nearest first."""
     centres = np.stack([camera.centre for camera in views.cameras])
     distance = np.linalg.norm(centres - centres[index], axis=1)

@@ -21,7 +21,7 @@ from core.errors import BackendUnavailable, InputError
 from core.frames import PointCloud
 from core.initialise.consistency import consistent_points
 from core.initialise.sweep import DepthMap
-from core.initialise.views import Views, inside, pixel_centres
+from core.initialise.views import WorkingViews, inside, pixel_centres
 
 WEIGHTS_VARIABLE = "STREAMLOD_VGGT"
 _SIDE, _PATCH = 518, 14  # the longer side of a picture, and what sides are multiples of
@@ -33,7 +33,7 @@ _PRIOR, _GAUGE = 1e-3, 1e3  # weights of no change of a view, and of the mean of
 _REFUSED = 2.0  # the cost of a pixel that is not used
 
 
-def vggt_points(views: Views) -> PointCloud:
+def vggt_points(views: WorkingViews) -> PointCloud:
     """Points from the VGGT package and the weights that the variable STREAMLOD_VGGT names.
 
     Raises:
@@ -47,16 +47,16 @@ def vggt_points(views: Views) -> PointCloud:
     return place_depth(small, depth, confidence, predicted)
 
 
-def model_views(views: Views) -> Views:
+def model_views(views: WorkingViews) -> WorkingViews:
     """The views at the size that VGGT takes: the longer side 518 pixels, both multiples of 14."""
     width, height = views.size
     factor = _SIDE / max(width, height)
     columns, rows = (max(_PATCH, _PATCH * round(side * factor / _PATCH)) for side in (width, height))
     images = [cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA) for image in views.images]
-    return Views(tuple(camera.scaled(columns, rows) for camera in views.cameras), np.stack(images))
+    return WorkingViews(tuple(camera.scaled(columns, rows) for camera in views.cameras), np.stack(images))
 
 
-def place_depth(views: Views, depth: Float32, confidence: Float32, predicted: Float64) -> PointCloud:
+def place_depth(views: WorkingViews, depth: Float32, confidence: Float32, predicted: Float64) -> PointCloud:
     """Points of predicted depth maps in the space of the known cameras.
 
     Args:
@@ -166,7 +166,7 @@ def project_seen(camera: Camera, seen: Float64) -> tuple[Float64, Float64]:
     return seen[:, :2] / safe[:, None] @ camera.intrinsics[:2, :2].T + camera.intrinsics[:2, 2], z
 
 
-def _predict(views: Views) -> tuple[Float32, Float32, Float64]:
+def _predict(views: WorkingViews) -> tuple[Float32, Float32, Float64]:
     """([V,H,W] depth, [V,H,W] confidence, [V,3,4] world_to_camera) of the model."""
     try:
         import torch

@@ -15,7 +15,7 @@ from core.frames import FrameSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Views:
+class WorkingViews:
     """V pinhole cameras of one size and their pictures.
 
     Attributes:
@@ -34,17 +34,17 @@ class Views:
         """(width, height) in pixels."""
         return int(self.images.shape[2]), int(self.images.shape[1])
 
-    def resized(self, height: int) -> Views:
+    def resized(self, height: int) -> WorkingViews:
         """The same views with pictures of at most `height` rows, averaged over areas."""
         width, rows = self.size
         if rows <= height:
             return self
         columns = max(1, round(width * height / rows))
         images = np.stack([cv2.resize(image, (columns, height), interpolation=cv2.INTER_AREA) for image in self.images])
-        return Views(tuple(camera.scaled(columns, height) for camera in self.cameras), images)
+        return WorkingViews(tuple(camera.scaled(columns, height) for camera in self.cameras), images)
 
 
-def working_views(frame: FrameSet, cameras: Sequence[Camera], height: int) -> Views:
+def working_views(frame: FrameSet, cameras: Sequence[Camera], height: int) -> WorkingViews:
     """The cameras that are present, with pictures of at most `height` rows.
 
     Raises:
@@ -64,10 +64,10 @@ def working_views(frame: FrameSet, cameras: Sequence[Camera], height: int) -> Vi
             raise InputError(f"camera {camera.name}", "its pictures are distorted: undistort them before use")
         kept.append(camera)
         small = picture[None].astype(np.float32) / 255
-        pictures.append(Views((camera,), small).resized(height))
+        pictures.append(WorkingViews((camera,), small).resized(height))
     if not kept:
         raise InputError(f"frame {frame.index}", "no camera delivered a picture")
-    return Views(tuple(v.cameras[0] for v in pictures), np.concatenate([v.images for v in pictures]))
+    return WorkingViews(tuple(v.cameras[0] for v in pictures), np.concatenate([v.images for v in pictures]))
 
 
 def project(camera: Camera, points: Float64) -> tuple[Float64, Float64]:

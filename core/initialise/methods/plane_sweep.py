@@ -12,7 +12,7 @@ from core.initialise.consistency import Trust, consistent_points
 from core.initialise.equalise import equalised, with_equal_means
 from core.initialise.method import PointSources
 from core.initialise.sweep import plane_count, sweep_views
-from core.initialise.views import Views
+from core.initialise.views import WorkingViews
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class PlaneSweep:
         return self.sweep(sources.views(self.rows), sources.depth_bounds, sources.progress)
 
     def sweep(
-        self, views: Views, depth_bounds: tuple[float, float] | None, progress: Callable[[float], None]
+        self, views: WorkingViews, depth_bounds: tuple[float, float] | None, progress: Callable[[float], None]
     ) -> PointCloud:
         """`find`, of pictures of the working size."""
         if len(views) < 2:

@@ -15,7 +15,7 @@ from core.initialise.equalise import equalised
 from core.initialise.method import PointSources
 from core.initialise.sweep import DepthMap, plane_count, sweep_views
 from core.initialise.sweep_kernel import best_planes
-from core.initialise.views import Views, working_views
+from core.initialise.views import WorkingViews, working_views
 from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from tests.bench.first_points_bench import score_points
 
@@ -84,7 +84,7 @@ def test_a_poor_match_needs_more_than_one_view_that_confirms_it() -> None:
 
 
 def test_planes_lie_a_pixel_of_parallax_apart() -> None:
-    views = Views((flat_map(0, 1).camera, flat_map(1, 1).camera), np.zeros((2, 20, 20, 3), np.float32))
+    views = WorkingViews((flat_map(0, 1).camera, flat_map(1, 1).camera), np.zeros((2, 20, 20, 3), np.float32))
     assert plane_count(views, (0.1, 10.0), 384) == 198  # 20 pixels, 1 unit apart, inverse depths 0.1 to 10
     assert plane_count(views, (0.1, 10.0), 100) == 100
     assert plane_count(views, (5.0, 10.0), 384) == 64
@@ -130,7 +130,7 @@ def test_what_only_one_neighbour_sees_is_found_too(seen: int) -> None:
     dataset = open_synthetic(spec)
     views = working_views(next(iter(dataset.frames())), dataset.cameras, 90)
     assert dataset.depth_bounds is not None
-    chosen = Views(views.cameras[: seen + 1], views.images[: seen + 1])
+    chosen = WorkingViews(views.cameras[: seen + 1], views.images[: seen + 1])
     depth = sweep_views(chosen, dataset.depth_bounds, 128)[0]
     right = np.abs(depth.depth / render_frame(spec, 0, 0).depth - 1) < 0.03
     assert right[:, 40:120].mean() > 0.55

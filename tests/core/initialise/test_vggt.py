@@ -10,7 +10,7 @@ import pytest
 from core.errors import BackendUnavailable
 from core.initialise import first_points
 from core.initialise.vggt import fit_scale_and_shift, global_scale, model_views, place_depth
-from core.initialise.views import Views, inside, project
+from core.initialise.views import WorkingViews, inside, project
 from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=70)
@@ -45,7 +45,7 @@ def test_scale_and_shift_of_each_view_are_found() -> None:
 
 def test_placed_points_lie_on_the_surfaces_and_doubtful_ones_are_dropped() -> None:
     depth, _, poses = prediction()
-    views = Views(DATASET.cameras, next(iter(DATASET.frames())).images.astype(np.float32) / 255)
+    views = WorkingViews(DATASET.cameras, next(iter(DATASET.frames())).images.astype(np.float32) / 255)
     confidence = np.ones(depth.shape, np.float32)
     confidence += np.random.default_rng(1).random(depth.shape).astype(np.float32)
     depth[:, 20:30, 20:40] *= 0.5
@@ -62,7 +62,7 @@ def test_placed_points_lie_on_the_surfaces_and_doubtful_ones_are_dropped() -> No
 
 
 def test_pictures_take_the_size_that_the_model_wants() -> None:
-    views = Views(DATASET.cameras, np.zeros((4, 70, 112, 3), np.float32))
+    views = WorkingViews(DATASET.cameras, np.zeros((4, 70, 112, 3), np.float32))
     small = model_views(views)
     assert small.size == (518, 322)
     pixels, depth = project(DATASET.cameras[1], np.array([[0.3, 2.0, 1.0]]))
