@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from codec.container import size_of, splice
+from codec.container import joined, size_of
 from core.errors import StreamlodError
 from server.api.access import StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
@@ -97,7 +97,7 @@ async def recording(stream: StreamOf, request: Request) -> Response:
     if stream.played_file is None:
         raise Problem(404, "the stream plays no recording; what is retained of it is at bitstream")
     try:
-        pieces = await asyncio.to_thread(splice, [stream.played_file])
+        pieces = await asyncio.to_thread(joined, [stream.played_file])
     except (OSError, StreamlodError) as error:
         raise Problem(404, "the recording cannot be read") from error
     changed_ns = (await asyncio.to_thread(stream.played_file.stat)).st_mtime_ns
@@ -143,7 +143,7 @@ async def _file(stream: Stream, groups: dict[Position, Group], caching: str, nam
         [(packet.info, packet.data) for packet in group] if isinstance(group, list) else group
         for _, group in sorted(groups.items())
     ]
-    pieces = await asyncio.to_thread(splice, parts)
+    pieces = await asyncio.to_thread(joined, parts)
     state = f"{stream.incarnation} {sorted(groups)} {list(map(size_of, pieces))}"
     return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{stream.id}-{name}.slod")
 

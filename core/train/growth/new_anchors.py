@@ -9,7 +9,7 @@ from torch import Tensor
 from core.arrays import Float32, Int16, Int32
 from core.scene.anchors import AnchorLevel, SceneHeader
 from core.train.field.field import Field
-from core.train.growth.rule import NewAnchors
+from core.train.growth.gradient import NewAnchors
 
 _SPREAD = 0.3  # of first offsets, in multiples of the cell: equal Gaussians would stay equal
 

@@ -8,8 +8,8 @@ from torch import Tensor
 from core.render.raster import Raster
 from core.train.field.decode import Splats
 from core.train.field.learned import LearnedField
+from core.train.growth.gradient import GrowthStatistics
 from core.train.growth.new_anchors import first_values
-from core.train.growth.rule import GrowthStatistics
 from core.train.growth.rules import GrowthRule
 
 

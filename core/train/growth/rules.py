@@ -13,8 +13,8 @@ from torch import Tensor
 from core.errors import InputError
 from core.train.config import KeyframeConfig, PredictConfig
 from core.train.field.field import Field
+from core.train.growth.gradient import GrowthStatistics, NewAnchors, earned_extra_level, grow
 from core.train.growth.new_anchors import strongest
-from core.train.growth.rule import GrowthStatistics, NewAnchors, earned_extra_level, grow
 
 
 class GrowthRule(Protocol):

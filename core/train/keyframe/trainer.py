@@ -16,13 +16,13 @@ from core.train.field.exposure import Exposure, neutral
 from core.train.field.field import Field, visible_levels
 from core.train.field.learned import ROW_PARAMETERS, LearnedField
 from core.train.field.rounding import Precision, usual_precision
+from core.train.growth.gradient import GrowthStatistics
 from core.train.growth.refine import count, refine
-from core.train.growth.rule import GrowthStatistics
 from core.train.growth.rules import growth_rule
 from core.train.keyframe.drawing import ViewLoss
 from core.train.keyframe.levels import needed_levels
 from core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
-from core.train.optimise.convergence import Run, RunProgress
+from core.train.optimise.convergence import PlateauProgress, RunProgress
 from core.train.optimise.optimisers import optimiser
 from core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from core.train.pictures.views import Views
@@ -76,7 +76,7 @@ class KeyframeTrainer:
         self._steps = 0
         keyframe = self._config
         marks = (keyframe.half_size_until, keyframe.growth_until, keyframe.rounding_from)
-        self._run = Run(keyframe.steps, keyframe.least_gain, marks) if course is None else course
+        self._run = PlateauProgress(keyframe.steps, keyframe.least_gain, marks) if course is None else course
 
     @property
     def field(self) -> Field:

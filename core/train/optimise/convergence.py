@@ -22,7 +22,7 @@ class RunProgress(Protocol):
         """One step is done; `loss` of `view`'s picture, None where it says nothing about the others."""
 
 
-class Run:
+class PlateauProgress:
     """How far a run of at most `steps` steps is.
 
     Losses are compared over windows a fortieth of the run long or longer, view by view, as views differ more than
@@ -77,7 +77,7 @@ class Run:
         self._window, self._before = [], now
 
 
-class Epochs:
+class EpochProgress:
     """How far a later frame's run is, which trains every view once before any comes again.
 
     Where an epoch lowers the mean loss by less than `least_gain` of what epochs did on average before it, the rest

@@ -22,11 +22,11 @@ from core.train.field.decode import Splats
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.field.rounding import dead_zone
+from core.train.growth.gradient import GrowthStatistics
 from core.train.growth.new_anchors import added_levels, with_new_anchors
-from core.train.growth.rule import GrowthStatistics
 from core.train.growth.rules import growth_rule
 from core.train.motion.partition import Partition
-from core.train.optimise.convergence import Epochs
+from core.train.optimise.convergence import EpochProgress
 from core.train.optimise.loop import run_steps
 from core.train.optimise.losses import photometric_loss
 from core.train.optimise.optimisers import Adam, Optimiser
@@ -102,7 +102,7 @@ class ResidualTrainer:
         views = self._prepare(pace, backend)
         if not views:
             return no_update(self._known)
-        order, epochs = ViewOrder(views, generator), Epochs(len(views), config.least_gain)
+        order, epochs = ViewOrder(views, generator), EpochProgress(len(views), config.least_gain)
         progress, has_grown = 0.0, False
 
         def reached(_: int) -> float:

@@ -14,7 +14,7 @@ from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import KeyframeConfig, PredictConfig, Trainer, preset
 from core.train.field.field import Field
 from core.train.growth import rules
-from core.train.growth.rule import GrowthStatistics, NewAnchors
+from core.train.growth.gradient import GrowthStatistics, NewAnchors
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from core.train.optimise.convergence import Epochs, Run
+from core.train.optimise.convergence import EpochProgress, PlateauProgress
 
 
-def steps_of(run: Run, loss: Callable[[int, float], float | None], views: int = 3) -> int:
+def steps_of(run: PlateauProgress, loss: Callable[[int, float], float | None], views: int = 3) -> int:
     """Steps until the run is over, with `loss` of the number of the step and the progress."""
     count = 0
     while run.progress < 1:
@@ -31,13 +31,13 @@ def steps_of(run: Run, loss: Callable[[int, float], float | None], views: int = 
 def test_a_run_takes_all_its_steps_while_that_pays(
     least_gain: float, loss: Callable[[int, float], float | None]
 ) -> None:
-    assert steps_of(Run(700, least_gain, ()), loss) == 700
+    assert steps_of(PlateauProgress(700, least_gain, ()), loss) == 700
 
 
 def test_a_loss_that_stands_still_ends_the_run_in_a_third_of_its_steps() -> None:
-    assert 250 <= steps_of(Run(1000, 0.02, ()), lambda *_: 0.1) < 333
+    assert 250 <= steps_of(PlateauProgress(1000, 0.02, ()), lambda *_: 0.1) < 333
     marks = (0.4, 0.65, 0.75)  # after each of them the loss is given a chance again
-    assert 250 < steps_of(Run(1000, 0.02, marks), lambda *_: 0.1) < 500
+    assert 250 < steps_of(PlateauProgress(1000, 0.02, marks), lambda *_: 0.1) < 500
 
 
 def test_a_run_in_haste_slows_down_when_the_loss_falls_again() -> None:
@@ -46,18 +46,20 @@ def test_a_run_in_haste_slows_down_when_the_loss_falls_again() -> None:
     def loss(_: int, progress: float) -> float:
         return 0.1 if progress < 0.5 else 0.2 * 0.9 ** (100 * min(progress - 0.5, 0.25))
 
-    assert steps_of(Run(1000, 0.02, (0.5,)), lambda *_: 0.1) < 400
-    assert 450 < steps_of(Run(1000, 0.02, (0.5,)), loss) < 600
+    assert steps_of(PlateauProgress(1000, 0.02, (0.5,)), lambda *_: 0.1) < 400
+    assert 450 < steps_of(PlateauProgress(1000, 0.02, (0.5,)), loss) < 600
 
 
 def test_many_views_are_each_seen_twice_before_they_are_compared() -> None:
     """Views of very different losses, more of them than a window has steps: only their own change counts."""
-    assert steps_of(Run(400, 0.02, ()), lambda step, _: 0.99**step * (1 + 50 * (step % 40)), views=40) == 400
+    assert (
+        steps_of(PlateauProgress(400, 0.02, ()), lambda step, _: 0.99**step * (1 + 50 * (step % 40)), views=40) == 400
+    )
 
 
 def steps_until(least_gain: float, total: int, mean: Callable[[int], float], views: int = 5) -> int:
     """Steps of a later frame's run of `total`, whose losses spread over the views around `mean` of the epoch."""
-    epochs, count = Epochs(views, least_gain), 0
+    epochs, count = EpochProgress(views, least_gain), 0
     while epochs.done < total:
         epochs.advance(torch.tensor(mean(count // views) * (1 + 10 * ((3 * count) % views))))
         count += 1

@@ -1,4 +1,7 @@
-"""Growing and pruning anchors by the rules of Octree-GS (docs/method.md, readings 3, 11 and 13)."""
+"""What `GradientGrowth` computes: statistics of gradients and opacities, and where anchors are to be added.
+
+The rules are those of Octree-GS (docs/method.md, readings 3, 11 and 13).
+"""
 
 from __future__ import annotations
 

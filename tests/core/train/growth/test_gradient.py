@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from core.train.config import KeyframeConfig
-from core.train.growth.rule import GrowthStatistics, grow
+from core.train.growth.gradient import GrowthStatistics, grow
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.schedule import ViewOrder, dropout_keep, unlocked_level
 from tests.core.train.fields import random_field

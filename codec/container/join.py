@@ -28,7 +28,7 @@ def size_of(piece: Piece) -> int:
     return len(piece) if isinstance(piece, bytes) else piece.size
 
 
-def splice(groups: Sequence[Path | Sequence[tuple[PacketInfo, bytes]]]) -> tuple[Piece, ...]:
+def joined(groups: Sequence[Path | Sequence[tuple[PacketInfo, bytes]]]) -> tuple[Piece, ...]:
     """The pieces of one complete `.slod` file with the packets of `groups`: recorded files and packets in memory."""
     pieces: list[Piece] = [FILE_HEAD]
     entries: list[Entry] = []
