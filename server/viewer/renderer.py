@@ -49,10 +49,10 @@ class GradeControl:
     """Chooses the grade from how long pictures take, from the begin of drawing to the viewer's acknowledgement.
 
     It gets coarser at once when a picture takes long, and finer after several quick pictures, if the next grade should
-    still be quick. A picture of a view that does not move may take longer.
+    still be quick. Pictures of a view that does not move may take longer.
     """
 
-    _SLOW, _QUICK, _REST = 0.25, 0.15, 1.5  # seconds a picture
+    _SLOW, _QUICK, _REST, _MAX_REST = 0.25, 0.15, 1.5, 10.0  # seconds a picture
     _CALM = 5  # pictures
 
     def __init__(self) -> None:
@@ -64,11 +64,13 @@ class GradeControl:
         """Index of the grade while the view or the scene changes."""
         return self._index
 
-    @property
-    def resting(self) -> int:
-        """Index of the grade when nothing changes."""
-        fine = (index for index in range(self._index) if self._expected(index) <= self._REST)
-        return next(fine, self._index)
+    def resting(self, shown: int) -> int:
+        """Index of the grade to draw next when nothing changes, after a picture of grade `shown`: the finest one that is
+        expected in time; where none is, the next finer one, whose time then tells more. So what rests gets the finest
+        in the end, unless that takes so long that the connection would be at risk."""
+        quick = (index for index in range(shown) if self._expected(index) <= self._REST)
+        finer = next(quick, max(0, shown - 1))
+        return finer if self._expected(finer) <= self._MAX_REST else shown
 
     def delivered(self, index: int, seconds: float) -> None:
         """A picture of grade `index` took `seconds`."""

@@ -156,7 +156,7 @@ class ThinSession:
 
     async def _draw(self) -> None:
         """Draw picture after picture: at once when something changes, then a better one when nothing does."""
-        fine = True
+        shown = 0  # index of the newest picture's grade
         while True:
             self._changed.clear()
             scene, levels = self._frozen or (self._decoding.scene, self._decoding.levels)
@@ -169,15 +169,15 @@ class ThinSession:
                 continue
             index = self._grades.moving
             if self._drawn == (scene, levels, camera):
-                if fine:
+                index = self._grades.resting(shown)
+                if index == shown:
                     await self._changed.wait()
                     continue
                 if not await self._rests():
                     continue
-                index = self._grades.resting
             self._drawn = scene, levels, camera
             await self._picture(scene, camera, levels, index)
-            fine = index <= self._grades.resting
+            shown = index
 
     async def _rests(self) -> bool:
         """Wait for a change; returns whether none came in time."""

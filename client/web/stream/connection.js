@@ -16,6 +16,7 @@ export class Connection {
   /** @param {string} url @param {string | null} token @param {Handlers} handlers */
   constructor(url, token, handlers) {
     this.url = url;
+    this.token = token;
     this.protocols = token ? [PROTOCOL, `bearer.${token}`] : [PROTOCOL];
     this.handlers = handlers;
     this.session = new Session(performance.now());
@@ -59,7 +60,7 @@ export class Connection {
   async #drain() {
     if (this.busy) return;
     this.busy = true;
-    for (let item; (item = this.queue.shift()) !== undefined; ) {
+    for (let item; !this.ended && (item = this.queue.shift()) !== undefined; ) {
       const socket = this.socket;
       if (typeof item === "string") this.#control(item);
       else if (this.#wanted(item)) {

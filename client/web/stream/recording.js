@@ -53,11 +53,12 @@ class RangeReader {
 }
 
 export class Recording {
-  /** @param {string} url @param {string | null} token @param {Handlers} handlers */
-  constructor(url, token, handlers) {
+  /** @param {string} url @param {string | null} token @param {Handlers} handlers @param {boolean} loop - begin again at the end */
+  constructor(url, token, handlers, loop) {
     this.handlers = handlers;
+    this.token = token;
     this.session = new Session(performance.now());
-    Object.assign(this.session.status, { source: "recording", mode: "replay" });
+    Object.assign(this.session.status, { source: "recording", mode: "replay", loops: loop });
     this.reader = new RangeReader(url, token);
     /** @type {Entry[]} */
     this.entries = [];
@@ -69,7 +70,7 @@ export class Recording {
     /** @type {{ keyframe: number, version: number } | null} */
     this.held = null;
     this.playing = true;
-    this.loop = false;
+    this.loop = loop;
     this.speed = 1;
     this.at = 0; // index of the moment to show
     this.shown = -1;
@@ -91,11 +92,11 @@ export class Recording {
     must(this.moments.length, "bad_file", "the recording is empty or not a .slod file");
     const oldest = { epoch: 1, version: this.moments[0].version };
     const newest = { epoch: 1, version: this.moments[this.moments.length - 1].version };
-    const { session } = this, { start } = session;
+    const { session } = this;
     session.link = "open";
     session.status.window = { oldest, newest };
     session.settle();
-    this.#moveTo(start === "live" ? 0 : this.#indexOf(start.version));
+    this.#moveTo(0);
   }
 
   /** @param {unknown} error */

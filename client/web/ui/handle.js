@@ -1,6 +1,6 @@
 /** `window.streamlod`, and the same over postMessage for pages that embed the viewer (docs/viewer.md, "For programs"). */
 
-import { fromCamera, fromText, toText } from "../view/camera.js";
+import { fromText, toText } from "../view/camera.js";
 
 /** @typedef {import("../view/viewer.js").Viewer} Viewer */
 /** @typedef {import("./timeline.js").Timeline} Timeline */
@@ -59,11 +59,11 @@ export function createHandle(viewer, timeline, latency, destroy) {
     },
     /** Stand at a rig camera (number), or where a text of `state.camera` says. @type {(camera: number | string) => void} */
     setCamera(camera) {
-      const rig = typeof camera === "number" ? viewer.scene?.cameras[camera] : null;
-      const pose = rig ? fromCamera(rig, viewer.pose.distance) : fromText(String(camera));
-      need(pose, "no such camera");
+      const rig = typeof camera === "number" && viewer.scene?.cameras[camera], pose = rig ? null : fromText(String(camera));
+      need(rig || pose, "no such camera");
       viewer.posed = true;
-      viewer.moveTo(pose, false);
+      if (pose) viewer.moveTo(pose, false);
+      else viewer.standAt(/** @type {any} */ (rig), false);
     },
     /** A PNG of what is seen. @returns {Promise<Blob>} */
     captureFrame: () => viewer.capture(),

@@ -1,6 +1,6 @@
 /** The page: puts viewer, controls and panels together. */
 
-import { fromCamera, fromText, toText } from "../view/camera.js";
+import { fromText, toText } from "../view/camera.js";
 import { Controls } from "../view/controls.js";
 import { createHandle, listenToParent } from "./handle.js";
 import { attachMenu, button, element, menuItem, toast } from "./page.js";
@@ -53,6 +53,7 @@ async function start(viewer) {
   const controls = new Controls(viewer);
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
+  const isShared = viewer.thin || (!recording && options.get("together") === "1"); // a played file is seen where the server plays it
   let retryAt = 0;
 
   const destroy = () => {
@@ -74,7 +75,7 @@ async function start(viewer) {
     const { status, now } = /** @type {CustomEvent} */ (event).detail;
     retryAt = performance.now() + Math.max(0, status.retryAt - now);
     if (viewer.scene) status.fps ??= viewer.scene.fps;
-    if (status.source === "recording" && !timeline.recording && !viewer.thin && options.get("together") !== "1") playWhole(status.loops);
+    if (status.source === "recording" && !timeline.recording && !isShared) timeline.playFile(status.loops);
     quality.limit(status.levels ?? viewer.scene?.levels ?? null);
     refresh();
     openMoment();
@@ -104,9 +105,6 @@ async function start(viewer) {
     latency.show(viewer.status?.phase);
     if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, latency.ms);
   }, 500);
-  viewer.addEventListener("scene", () => {
-  });
-
   let lastOutside = -1;
   viewer.addEventListener("frame", () => {
     const far = viewer.presenting ? 0 : viewer.outside;
@@ -118,12 +116,10 @@ async function start(viewer) {
   button("b-back").onclick = () => goHome();
   const goHome = () => viewer.home && viewer.moveTo(viewer.home);
   /** @param {number} index */
-  const goTo = async (index) => {
+  const goTo = (index) => {
     const camera = viewer.scene?.cameras[index];
     if (!camera) return;
-    viewer.posed = true;
-    const pose = fromCamera(camera, viewer.pose.distance);
-    viewer.moveTo({ ...pose, distance: await viewer.depthOf(pose) });
+    viewer.standAt(camera);
     toast(camera.name);
   };
   const fullScreen = () => {
@@ -217,21 +213,14 @@ async function start(viewer) {
   const wishes = quality.wishes();
   if (recording) {
     const url = new URL(recording, location.href).href;
-    timeline.playFile(false);
     attachSharing(viewer, () => url);
-    viewer.tell({ type: "connect", url, recording: true, token: null, wishes, start: null });
+    viewer.tell({ type: "connect", live: null, file: url, token: null, wishes });
     return;
   }
   const stream = await chooseStream(options);
   const place = `/v1/streams/${encodeURIComponent(stream)}`;
   attachSharing(viewer, () => (token || !viewer.status?.window ? null : `${place}/${viewer.status.source === "recording" ? "recording" : "bitstream"}`));
-  viewer.tell({ type: "connect", url: liveAddress(stream), recording: false, token, wishes, start: null });
-  /** The stream plays a recording: play its file, in which everything can be sought. @param {boolean} loop */
-  function playWhole(loop) {
-    timeline.playFile(loop);
-    const url = new URL(`${place}/recording`, location.href).href;
-    viewer.tell({ type: "connect", url, recording: true, token, wishes, start: null, loop });
-  }
+  viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : new URL(`${place}/recording`, location.href).href, token, wishes });
 }
 
 const viewer = await createViewer();

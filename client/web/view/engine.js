@@ -58,12 +58,6 @@ export class Engine {
     return this.decoder.scene;
   }
 
-  /** Forget the scene. */
-  reset() {
-    this.decoder = new SceneDecoder();
-    this.expander = null;
-  }
-
   /** Decode one packet. @param {Uint8Array} bytes @returns {import("../decode/decoder.js").Effect} */
   push(bytes) {
     const effect = this.decoder.push(bytes);

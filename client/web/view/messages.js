@@ -7,7 +7,7 @@
  * @typedef {import("./camera.js").Vec3} Vec3
  * @typedef {{ levels?: number | null, kilobytes_per_second?: number | null }} Wishes
  *
- * @typedef {{ type: "connect", url: string, recording: boolean, token: string | null, wishes: Wishes, start: Position | null, loop?: boolean }
+ * @typedef {{ type: "connect", live: string | null, file: string | null, token: string | null, wishes: Wishes }
  *   | { type: "view", view: import("./engine.js").EngineView }
  *   | { type: "send", messages: object[] }
  *   | { type: "wishes", wishes: Wishes }

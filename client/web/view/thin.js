@@ -114,10 +114,9 @@ export class ThinLink {
   postMessage(message) {
     switch (message.type) {
       case "connect":
-        this.url = message.url;
+        this.url = message.live ?? "";
         this.protocols = message.token ? [PROTOCOL, `bearer.${message.token}`] : [PROTOCOL];
         this.#wish(message.wishes);
-        if (message.start) this.session.start = message.start;
         this.ticker = window.setInterval(() => this.#tick(), TICK_MS);
         this.#open();
         this.#status();

@@ -60,6 +60,7 @@ export class Viewer extends EventTarget {
     this.frames = 0;
     /** @type {{ from: Pose, to: Pose, start: number } | null} */
     this.glide = null;
+    this.aim = this.pose; // where a camera, a link or R led last
     /** @type {Map<number, (value: any) => void>} */
     this.answers = new Map();
     this.asked = 0;
@@ -141,24 +142,32 @@ export class Viewer extends EventTarget {
     this.aspect = scene.cameras[index].width / scene.cameras[index].height;
     if (first && !this.posed) this.moveTo(begin, false);
     else this.viewChanged();
-    this.depthOf(begin).then((distance) => {
-      const home = { ...begin, distance };
-      this.home = home;
-      this.space = seenSpace(scene.cameras, target(home));
-      if (first && !this.posed) this.pose = { ...this.pose, distance };
-      this.dispatchEvent(new CustomEvent("home"));
+    this.#orbitAround(begin).then((distance) => {
+      this.home = { ...begin, distance };
+      this.space = seenSpace(scene.cameras, target(this.home));
     });
   }
 
-  /** How far away lies what a pose looks at. @param {Pose} pose */
-  async depthOf(pose) {
-    const forward = /** @type {Vec3} */ (pose.rotation.slice(6, 9));
-    const answer = await this.ask("depth", pose.position, forward);
-    return answer?.[2] || pose.distance;
+  /** Stand where a camera of the rig does. @param {import("./camera.js").RigCamera} camera @param {boolean} [glide] - move there smoothly */
+  standAt(camera, glide) {
+    const pose = fromCamera(camera, this.pose.distance);
+    this.posed = true;
+    this.moveTo(pose, glide);
+    this.#orbitAround(pose);
+  }
+
+  /** Go around what `pose` looks at, once that is known and if nobody has gone elsewhere. @param {Pose} pose @returns {Promise<number>} how far away it lies */
+  async #orbitAround(pose) {
+    const answer = await this.ask("depth", pose.position, /** @type {Vec3} */ (pose.rotation.slice(6, 9)));
+    const distance = answer?.[2] || pose.distance;
+    if (this.glide?.to === pose) this.glide.to = { ...pose, distance };
+    else if (this.aim === pose) this.pose = { ...this.pose, distance };
+    return distance;
   }
 
   /** @param {Pose} pose @param {boolean} [glide] - move there smoothly */
   moveTo(pose, glide = true) {
+    this.aim = pose;
     if (glide && !still.matches) {
       this.glide = { from: this.pose, to: pose, start: performance.now() };
       this.dirty = true;

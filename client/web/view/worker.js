@@ -20,6 +20,8 @@ const LONGEST_HOLD_MS = 1500;
 let engine = null;
 /** @type {Connection | import("../stream/recording.js").Recording | null} */
 let source = null;
+/** @type {string | null} what to play instead, should the stream turn out to play a file */
+let file = null;
 /** @type {import("./engine.js").EngineView | null} */
 let view = null;
 let drawn = { keyframe: -1, generation: -1 };
@@ -99,6 +101,7 @@ function picture() {
 function status() {
   if (!source) return;
   const { status } = source.session; // on the way to a version, what is shown counts
+  if (file && status.source === "recording") return void playFile(file, source.token, status.loops);
   tell({ type: "status", status: { ...status, position: held === null ? status.position : shownAt }, refusals, now: performance.now() });
 }
 
@@ -113,23 +116,23 @@ function hold(version) {
 
 const handlers = { packet: decode, hold, status };
 
-/** A file; who watches live does not load what plays files. @param {string} url @param {string | null} token */
-async function openRecording(url, token) {
+/** From now on a file is watched; who watches live does not load what plays files. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
+async function playFile(url, token, loop) {
+  source?.close();
+  source = file = null;
   const { Recording } = await import("../stream/recording.js");
-  return new Recording(url, token, handlers);
+  source = new Recording(url, token, handlers, loop);
+  status();
 }
 
 /** @param {MessageEvent<ToWorker>} event */
-self.onmessage = async ({ data: message }) => {
+self.onmessage = ({ data: message }) => {
   switch (message.type) {
     case "connect":
-      source?.close();
-      drawn = { keyframe: -1, generation: -1 };
-      engine?.reset();
-      source = message.recording ? await openRecording(message.url, message.token) : new Connection(message.url, message.token, handlers);
+      if (!message.live) return playFile(/** @type {string} */ (message.file), message.token, false);
+      ({ file } = message);
+      source = new Connection(message.live, message.token, handlers);
       source.session.wishes = message.wishes;
-      if (message.loop) source.send([{ type: "loop", value: true }]);
-      if (message.start) source.session.start = message.start;
       status();
       break;
     case "view":

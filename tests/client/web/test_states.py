@@ -31,6 +31,19 @@ document.addEventListener("DOMContentLoaded", () => {
 });
 """
 
+KEEP_HISTORY = """
+window.phases = [];
+window.versions = [];
+const { defineProperty } = Object;
+Object.defineProperty = (target, name, what) => {
+  if (name === "streamlod") {
+    what.value.on("status", () => phases.at(-1) === what.value.state.phase || phases.push(what.value.state.phase));
+    what.value.on("picture", ({ version }) => versions.push(version));
+  }
+  return defineProperty(target, name, what);
+};
+"""
+
 
 @pytest.fixture(scope="module")
 def clip() -> Clip:
@@ -118,9 +131,13 @@ def test_a_played_file_is_a_replay_that_can_be_sought(page: Any, clip: Clip, tmp
         writer.append(clip.key())
         for version in range(1, 40):
             writer.append(clip.residual(version - 1, version))
+    page.add_init_script(KEEP_HISTORY)
     with running(Settings(), StreamSpec(play=recording, loop=True)) as server:
+        server.wait(lambda stream: (stream["version"] or 0) > 20)
         page.goto(f"{server.url}/?quality=high")
         chip(page, "Replay")
+        assert page.evaluate("phases") == ["connecting", "waiting", "replay"]
+        assert page.evaluate("versions[0]") <= 3, "it begins at its begin, not where the server's own playing is"
         shows(page, "s.phase === 'replay' && s.window.newest.version === 39 && s.version !== null")
         assert not page.locator("#t-live").is_visible()
         assert page.locator("#t-loop").get_attribute("aria-pressed") == "true"

@@ -39,6 +39,32 @@ def test_begins_at_what_the_rig_looks_at(page: Any, clip: Clip) -> None:
             assert distance(page) == pytest.approx(np.median(depths), rel=0.02)
 
 
+EARLY = """
+const { defineProperty } = Object;
+Object.defineProperty = (target, name, what) => {
+  if (name === "streamlod") what.value.on("scene", () => what.value.setCamera(0)); // before there are splats
+  return defineProperty(target, name, what);
+};
+"""
+
+
+def test_the_pivot_is_what_a_camera_looks_at_however_early_it_is_chosen(page: Any, clip: Clip) -> None:
+    """A camera that is chosen before it is known how far away things are gets its own distance as soon as that is known."""
+    with serving(create_app(clip, Behaviour(newest=3))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 3")
+        page.evaluate(INSPECT)
+        page.evaluate("streamlod.setCamera(0)")
+        page.evaluate(INSPECT)
+        known = page.evaluate("streamlod.state.camera")
+        page.add_init_script(EARLY)
+        page.reload()
+        shows(page, "s.version === 3")
+        page.evaluate(INSPECT)
+        assert page.evaluate("streamlod.state.camera") == known
+        assert distance(page) != 3
+
+
 def test_a_narrow_screen_frames_the_subject(page: Any, clip: Clip) -> None:
     """Upright phones see all that the rig's camera sees from left to right, not its middle alone."""
     page.set_viewport_size({"width": 240, "height": 520})

@@ -280,17 +280,30 @@ def test_who_shows_nothing_loses_the_place(states: tuple[Path, list[Scene]]) -> 
 
 
 def test_pace_follows_the_viewer() -> None:
-    """Slow deliveries make pictures coarser, quick ones finer, and a view at rest gets the best that is affordable."""
+    """Slow deliveries make pictures coarser, quick ones finer; a view at rest gets the finest at once where it is quick."""
     grades = GradeControl()
     for _ in range(4):
         grades.delivered(grades.moving, 1.0)
     assert grades.moving == len(GRADES) - 1
-    assert grades.resting > 0  # the finest would take some 50 s
     for _ in range(60):
         grades.delivered(grades.moving, 0.01)
-    assert grades.moving == grades.resting == 0
+    assert grades.moving == 0
     grades.delivered(0, 0.3)
-    assert (grades.moving, grades.resting) == (1, 0)
+    assert (grades.moving, grades.resting(1)) == (1, 0)
+
+
+@pytest.mark.parametrize("finest_seconds", [0.2, 4.0])
+def test_one_slow_picture_does_not_keep_a_view_coarse(finest_seconds: float) -> None:
+    """At rest the grade gets finer picture by picture until the finest, whatever one picture made expect."""
+    grades, shown = GradeControl(), len(GRADES) - 1
+    grades.delivered(shown, 0.5)  # by which the finest would take 27 s
+    drawn = []
+    while (index := grades.resting(shown)) != shown:
+        shown = index
+        drawn.append(shown)
+        grades.delivered(shown, finest_seconds * GRADES[shown].scale ** 2)
+    assert drawn[-1] == 0
+    assert drawn[0] > 0, "one step first: the finest was expected to take long"
 
 
 def test_a_view_that_would_cost_too_much_is_drawn_coarser(states: tuple[Path, list[Scene]]) -> None:
