@@ -65,9 +65,9 @@ class GradeControl:
         return self._index
 
     def resting(self, shown: int) -> int:
-        """Index of the grade to draw next when nothing changes, after a picture of grade `shown`: the finest one that is
-        expected in time; where none is, the next finer one, whose time then tells more. So what rests gets the finest
-        in the end, unless that takes so long that the connection would be at risk."""
+        """Index of the grade to draw next when nothing changes, after a picture of grade `shown`: the finest one that
+        is expected in time; where none is, the next finer one, whose time then tells more. So what rests gets the
+        finest in the end, unless that takes so long that the connection would be at risk."""
         quick = (index for index in range(shown) if self._expected(index) <= self._REST)
         finer = next(quick, max(0, shown - 1))
         return finer if self._expected(finer) <= self._MAX_REST else shown

@@ -90,6 +90,40 @@ export function plan(entries, version, from) {
   return path;
 }
 
+const HEADER = 44; // bytes of a packet before its directory
+
+/**
+ * One level of a packet as a packet of its own (codec/FORMAT.md, section 2), out of the bytes that have come so far.
+ * @type {(bytes: Uint8Array, level: number) => Uint8Array | null} empty where the packet does not speak for the level, null while bytes are missing
+ */
+export function levelOf(bytes, level) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  const start = bytes.length < HEADER ? Infinity : HEADER + 8 * view.getUint16(30, true);
+  if (bytes.length < start) return null;
+  if (!((view.getUint16(28, true) >> level) & 1)) return new Uint8Array(0);
+  /** @type {Uint8Array[]} */
+  const entries = [], chunks = [];
+  for (let i = HEADER, at = start; i < start; i += 8) {
+    const entry = view.getUint32(i, true), end = at + (entry & 0xffffff);
+    if (entry >>> 28 === level) {
+      if (bytes.length < end) return null;
+      entries.push(bytes.subarray(i, i + 8));
+      chunks.push(bytes.subarray(at, end));
+    }
+    at = end;
+  }
+  const part = new Uint8Array(8 * entries.length + chunks.reduce((sum, { length }) => sum + length, HEADER)), head = new DataView(part.buffer);
+  let end = 0;
+  for (const piece of [bytes.subarray(0, HEADER), ...entries, ...chunks]) {
+    part.set(piece, end);
+    end += piece.length;
+  }
+  head.setUint16(28, 1 << level, true);
+  head.setUint16(30, entries.length, true);
+  head.setUint32(40, crc32(part.subarray(HEADER, HEADER + 8 * entries.length), crc32(part.subarray(0, 40))), true);
+  return part;
+}
+
 /** The versions of a file with the time each is shown at, ascending. @type {(entries: Entry[]) => { version: number, timeMs: number }[]} */
 export function moments(entries) {
   const times = new Map(entries.map(({ toVersion, timeMs }) => [toVersion, timeMs]));

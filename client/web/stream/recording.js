@@ -1,13 +1,15 @@
 /** Plays a `.slod` file over HTTP Range requests; takes the same commands as a connection. */
 
-import { FOOTER, moments, plan, readFooter, readIndex, walkRecords } from "../decode/container.js";
-import { must } from "../decode/packet.js";
+import { FOOTER, levelOf, moments, plan, readFooter, readIndex, walkRecords } from "../decode/container.js";
+import { KEY, LIMITS, must } from "../decode/packet.js";
 import { Session } from "./session.js";
 
 /** @typedef {import("./connection.js").Handlers} Handlers */
 /** @typedef {import("../decode/container.js").Entry} Entry */
 
-const READ_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
+const MAX_AHEAD = 1 << 19, MAX_READ = 1 << 30, CACHE_BYTES = 96 << 20, TICK_MS = 8;
+const AHEAD_MS = 500; // how long a request may take
+const LATE_MS = 300; // a keyframe that takes longer is shown level by level
 const STALL_MS = 1000; // that a frame is waited for
 
 /** Bytes of one address, by range where the server can, whole where it cannot. */
@@ -22,14 +24,25 @@ class RangeReader {
     this.size = 0;
   }
 
+  /** @param {string} range @returns {Promise<Response>} */
+  async #fetch(range) {
+    const { origin } = new URL(this.url);
+    const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${range}` } }).catch(() => {
+      throw new Error(`${origin} does not answer${origin === location.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`);
+    });
+    if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
+    return answer;
+  }
+
   /** The last `n` bytes; learns the size. @param {number} n */
   async tail(n) {
-    const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=-${n}` } });
-    if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
+    const answer = await this.#fetch(`-${n}`);
     const bytes = new Uint8Array(await answer.arrayBuffer());
-    const total = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
-    if (answer.status === 206 && total) this.size = Number(total[1]);
-    else this.#keep(bytes);
+    if (answer.status === 206) {
+      const total = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
+      if (!total) throw new Error("the file's server hides the header Content-Range from pages of other sites (CORS): it must expose it");
+      this.size = Number(total[1]);
+    } else this.#keep(bytes);
     return bytes.subarray(Math.max(0, bytes.length - n));
   }
 
@@ -39,16 +52,31 @@ class RangeReader {
     this.size = bytes.length;
   }
 
+  /** A range, each time as much of it as has come. @param {number} start @param {number} end @returns {AsyncGenerator<Uint8Array, void>} */
+  async *arriving(start, end) {
+    if (!this.whole) {
+      const answer = await this.#fetch(`${start}-${end - 1}`);
+      if (answer.status !== 206 || !answer.body) this.#keep(new Uint8Array(await answer.arrayBuffer()));
+      else {
+        must(end - start <= MAX_READ, "limit_exceeded", "the recording has no index and is too long to be read without");
+        const bytes = new Uint8Array(end - start), reader = answer.body.getReader();
+        for (let at = 0, more; !(more = await reader.read()).done; ) {
+          bytes.set(more.value, at);
+          yield bytes.subarray(0, (at += more.value.length));
+        }
+        return;
+      }
+    }
+    yield /** @type {Uint8Array} */ (this.whole).subarray(start, end);
+  }
+
   /** @param {number} start @param {number} end @returns {Promise<Uint8Array>} */
   async read(start, end) {
-    if (!this.whole) {
-      const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${start}-${end - 1}` } });
-      if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
-      const bytes = new Uint8Array(await answer.arrayBuffer());
-      if (answer.status === 206) return bytes;
-      this.#keep(bytes);
-    }
-    return /** @type {Uint8Array} */ (this.whole).subarray(start, end);
+    /** @type {Uint8Array} */
+    let bytes = new Uint8Array(0);
+    for await (bytes of this.arriving(start, end));
+    must(bytes.length === end - start, "truncated", "the recording ends too early");
+    return bytes;
   }
 }
 
@@ -67,6 +95,7 @@ export class Recording {
     /** @type {Map<number, Uint8Array>} */
     this.cache = new Map();
     this.cached = 0;
+    this.ahead = 0; // bytes that are read along, as many as come in AHEAD_MS
     /** @type {{ keyframe: number, version: number } | null} */
     this.held = null;
     this.playing = true;
@@ -146,11 +175,10 @@ export class Recording {
   async #show(index) {
     const { version } = this.moments[index];
     for (const number of plan(this.entries, version, this.held)) {
-      const bytes = await this.#packet(number);
-      const applied = await this.handlers.packet(bytes);
-      if (!applied) throw new Error("the recording is damaged");
-      this.held = { keyframe: this.entries[number].keyframe, version: applied.version };
-      this.session.status.bytes += bytes.length;
+      await this.#take(number);
+      const entry = this.entries[number];
+      this.held = { keyframe: entry.keyframe, version: entry.toVersion };
+      this.session.status.bytes += entry.size;
     }
     if (this.shown < 0) this.#moveTo(index);
     this.shown = index;
@@ -158,17 +186,38 @@ export class Recording {
     this.handlers.status();
   }
 
-  /** One packet, reading on a little where it is not there yet. @param {number} number @returns {Promise<Uint8Array>} */
-  async #packet(number) {
+  /** Decode a packet; a keyframe that is long in coming level by level, coarse ones first. @param {number} number */
+  async #take(number) {
+    const { kind, size } = this.entries[number];
+    let level = 0;
+    for await (const bytes of this.#packet(number)) {
+      if (level === 0 && bytes.length === size) return this.#apply(bytes);
+      const isLate = kind === KEY && (this.shown < 0 || performance.now() - this.wantedAt > LATE_MS);
+      if (!isLate && level === 0) continue;
+      for (let part; level < LIMITS.levels && (part = levelOf(bytes, level)); level++) if (part.length) await this.#apply(part);
+    }
+  }
+
+  /** @param {Uint8Array} packet */
+  async #apply(packet) {
+    must(await this.handlers.packet(packet), "bad_file", "the recording is damaged");
+  }
+
+  /** What has come of one packet, until it is whole, reading on a little where it is not there yet. @param {number} number @returns {AsyncGenerator<Uint8Array, void>} */
+  async *#packet(number) {
     const known = this.cache.get(number);
-    if (known) return known;
-    const first = this.entries[number];
+    if (known) return yield known;
+    const first = this.entries[number], begin = performance.now();
     let last = number, end = first.offset + first.size;
-    while (last + 1 < this.entries.length && this.entries[last + 1].offset === end + 4 && end - first.offset < READ_AHEAD) {
+    while (last + 1 < this.entries.length && this.entries[last + 1].offset === end + 4 && end - first.offset < this.ahead) {
       last++;
       end = this.entries[last].offset + this.entries[last].size;
     }
-    const bytes = await this.reader.read(first.offset, end);
+    /** @type {Uint8Array} */
+    let bytes = new Uint8Array(0);
+    for await (bytes of this.reader.arriving(first.offset, end)) if (bytes.length < first.size) yield bytes;
+    must(bytes.length === end - first.offset, "truncated", "the recording ends too early");
+    this.ahead = Math.min(MAX_AHEAD, (bytes.length * AHEAD_MS) / (performance.now() - begin + 1));
     for (let i = number; i <= last; i++) {
       const { offset, size } = this.entries[i];
       if (!this.cache.has(i)) this.cached += size;
@@ -179,7 +228,7 @@ export class Recording {
       this.cache.delete(i);
       this.cached -= old.length;
     }
-    return /** @type {Uint8Array} */ (this.cache.get(number));
+    yield /** @type {Uint8Array} */ (this.cache.get(number));
   }
 
   #settle() {

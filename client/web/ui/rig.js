@@ -1,12 +1,21 @@
-/** The rig in the picture: each camera's name where it stands; a click goes there. */
+/** The rig over the picture: its cameras as pyramids, each with its name; a click on a name goes there. */
 
-import { fromCamera } from "../view/camera.js";
-import { frusta } from "../view/frusta.js";
+import { add, fromCamera, row } from "../view/camera.js";
 import { element } from "./page.js";
 
 /** @typedef {import("../view/viewer.js").Viewer} Viewer */
+/** @typedef {import("../view/camera.js").Vec3} Vec3 */
 
 const DEPTH = 0.12; // of the distance to the target, how far the drawn pyramids reach
+const NEAR = 0.05; // nothing nearer to the eye is drawn
+
+/** Tip and corners of a camera's pyramid. @type {(camera: import("../view/camera.js").RigCamera, depth: number) => Vec3[]} */
+function pyramid(camera, depth) {
+  const { rotation, position } = fromCamera(camera, 1), { width, height, intrinsics: k } = camera;
+  const base = add(position, row(rotation, 2), depth);
+  return [position, ...[[0, 0], [width, 0], [width, height], [0, height]].map(([u, v]) =>
+    add(add(base, row(rotation, 0), (depth * (u - k[2])) / k[0]), row(rotation, 1), (depth * (v - k[5])) / k[4]))];
+}
 
 export class Rig {
   /** @param {Viewer} viewer @param {(index: number) => void} goTo */
@@ -14,10 +23,10 @@ export class Rig {
     this.viewer = viewer;
     this.goTo = goTo;
     this.shown = false;
-    /** @type {{ name: HTMLButtonElement, position: number[] }[]} */
-    this.names = [];
+    /** @type {{ name: HTMLButtonElement, points: Vec3[] }[]} */
+    this.cameras = [];
     viewer.addEventListener("frame", () => this.shown && this.#place());
-    viewer.addEventListener("scene", () => this.shown && this.draw());
+    viewer.addEventListener("scene", () => this.draw());
   }
 
   toggle() {
@@ -27,24 +36,31 @@ export class Rig {
 
   draw() {
     const { viewer } = this, cameras = this.shown ? (viewer.scene?.cameras ?? []) : [];
-    viewer.renderer.setLines(frusta(cameras, DEPTH * viewer.pose.distance));
-    this.names = cameras.map((camera, i) => {
+    this.cameras = cameras.map((camera, i) => {
       const name = Object.assign(document.createElement("button"), { textContent: camera.name, onclick: () => this.goTo(i) });
-      return { name, position: fromCamera(camera, 1).position };
+      return { name, points: pyramid(camera, DEPTH * viewer.pose.distance) };
     });
-    element("rig").replaceChildren(...this.names.map(({ name }) => name));
-    viewer.dirty = true;
+    element("rig").replaceChildren(element("rig-lines").parentElement ?? "", ...this.cameras.map(({ name }) => name));
+    this.#place();
   }
 
-  /** Put the names where the cameras are seen. */
+  /** Put lines and names where the cameras are seen. */
   #place() {
     const { canvas } = this.viewer, { rotation: r, translation: t, focal, principal } = this.viewer.view();
     const scale = canvas.clientWidth / canvas.width;
-    for (const { name, position: p } of this.names) {
-      const [x, y, z] = [0, 1, 2].map((i) => r[3 * i] * p[0] + r[3 * i + 1] * p[1] + r[3 * i + 2] * p[2] + t[i]);
-      const u = scale * ((focal[0] * x) / z + principal[0]), v = scale * ((focal[1] * y) / z + principal[1]);
-      name.hidden = z < 0.05 || u < 0 || v < 0 || u > canvas.clientWidth || v > canvas.clientHeight;
-      name.style.transform = `translate(calc(${u.toFixed(1)}px - 50%), ${v.toFixed(1)}px)`;
+    let lines = "";
+    for (const { name, points } of this.cameras) {
+      const [tip, ...corners] = points.map((p) => {
+        const [x, y, z] = [0, 1, 2].map((i) => r[3 * i] * p[0] + r[3 * i + 1] * p[1] + r[3 * i + 2] * p[2] + t[i]);
+        return [scale * ((focal[0] * x) / z + principal[0]), scale * ((focal[1] * y) / z + principal[1]), z].map((x) => Number(x.toFixed(1)));
+      });
+      const [u, v, z] = tip;
+      name.hidden = z < NEAR || u < 0 || v < 0 || u > canvas.clientWidth || v > canvas.clientHeight;
+      name.style.transform = `translate(calc(${u}px - 50%), ${v}px)`;
+      if ([tip, ...corners].some(([, , far]) => far < NEAR)) continue;
+      const [a, b, c, d] = corners;
+      for (const path of [[a, b, c, d, a, tip, b], [c, tip, d]]) lines += `M${path.map(([x, y]) => `${x} ${y}`)}`;
     }
+    element("rig-lines").setAttribute("d", lines);
   }
 }

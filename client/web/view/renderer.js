@@ -68,21 +68,6 @@ void main() {
   result = vec4(colour.rgb * alpha, alpha);
 }`;
 
-const LINE_VERTEX = `#version 300 es
-precision highp float;
-uniform mat3 rotation; uniform vec3 translation; uniform vec2 viewport, focal, principal;
-in vec3 point;
-void main() {
-  vec3 c = rotation * point + translation;
-  vec2 plane = 2. * (focal * c.xy + principal * c.z) / viewport - c.z;
-  gl_Position = vec4(plane.x, -plane.y, c.z - .02, c.z);
-}`;
-
-const LINE_FRAGMENT = `#version 300 es
-precision mediump float;
-out vec4 result;
-void main() { result = vec4(.36, .66, .98, 1) * .8; }`;
-
 /**
  * @typedef {object} View
  * @property {ArrayLike<number>} rotation - 9 numbers, row by row, world to camera
@@ -107,30 +92,24 @@ export class Renderer {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("no WebGL2");
     this.gl = gl;
-    this.splatProgram = this.#program(VERTEX, FRAGMENT);
-    this.lineProgram = this.#program(LINE_VERTEX, LINE_FRAGMENT);
+    const program = (this.program = this.#link());
+    /** @type {Record<string, WebGLUniformLocation | null>} */
+    this.at = {};
+    for (const name of ["rotation", "translation", "viewport", "focal", "principal", "share", "range", "spread"]) this.at[name] = gl.getUniformLocation(program, name);
     this.quads = gl.createBuffer();
-    this.lines = gl.createBuffer();
-    this.plain = gl.createVertexArray();
-    this.lineArray = gl.createVertexArray();
+    this.array = gl.createVertexArray();
     this.texture = gl.createTexture();
     this.rows = 0;
     /** @type {Uint32Array} */
     this.order = new Uint32Array(0);
     this.uploaded = 1; // share of it that the graphics card has
     this.count = 0;
-    this.lineCount = 0;
     this.missing = 0; // finest levels of the scene that are not there
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
     for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
-    gl.bindVertexArray(this.lineArray);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.lines);
-    const point = gl.getAttribLocation(this.lineProgram.program, "point");
-    gl.enableVertexAttribArray(point);
-    gl.vertexAttribPointer(point, 3, gl.FLOAT, false, 0, 0);
-    gl.bindVertexArray(this.plain);
+    gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
     gl.enable(gl.SCISSOR_TEST); // clearing one eye's part must not clear the other's
     gl.enable(gl.BLEND);
@@ -143,16 +122,9 @@ export class Renderer {
     return String(this.gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : this.gl.RENDERER) ?? "");
   }
 
-  /** How many splats the texture can hold. */
-  get capacity() {
-    return this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE) * ROW_SPLATS;
-  }
-
-  /** @param {string} vertex @param {string} fragment */
-  #program(vertex, fragment) {
-    const { gl } = this;
-    const program = gl.createProgram();
-    for (const [kind, source] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
+  #link() {
+    const { gl } = this, program = gl.createProgram();
+    for (const [kind, source] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]])) {
       const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
@@ -163,10 +135,7 @@ export class Renderer {
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
       throw new Error(`the shaders do not link: ${gl.getProgramInfoLog(program)}`);
     }
-    /** @type {Record<string, WebGLUniformLocation | null>} */
-    const at = {};
-    for (const name of ["rotation", "translation", "viewport", "focal", "principal", "share", "range", "spread"]) at[name] = gl.getUniformLocation(program, name);
-    return { program, at };
+    return program;
   }
 
   /**
@@ -217,13 +186,6 @@ export class Renderer {
     this.uploaded = share;
   }
 
-  /** Line segments to show over the picture, 6 numbers each, world units. @param {Float32Array} segments */
-  setLines(segments) {
-    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.lines);
-    this.gl.bufferData(this.gl.ARRAY_BUFFER, segments, this.gl.STATIC_DRAW);
-    this.lineCount = segments.length / 3;
-  }
-
   /** @param {View} view @param {Target} [target] - the canvas where none is given */
   draw(view, target) {
     const { gl } = this;
@@ -234,22 +196,9 @@ export class Renderer {
     gl.clearColor(...this.background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (this.uploaded !== (view.share ?? 1)) this.#upload(view.share ?? 1);
-    if (this.count) {
-      this.#aim(this.splatProgram, view, width, height);
-      gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
-    }
-    if (this.lineCount) {
-      this.#aim(this.lineProgram, view, width, height);
-      gl.bindVertexArray(this.lineArray);
-      gl.drawArrays(gl.LINES, 0, this.lineCount);
-      gl.bindVertexArray(this.plain);
-    }
-  }
-
-  /** @type {(p: { program: WebGLProgram, at: Record<string, WebGLUniformLocation | null> }, view: View, width: number, height: number) => void} */
-  #aim({ program, at }, view, width, height) {
-    const { gl } = this;
-    gl.useProgram(program);
+    if (!this.count) return;
+    const { at } = this;
+    gl.useProgram(this.program);
     gl.uniformMatrix3fv(at.rotation, true, Float32Array.from(view.rotation));
     gl.uniform3fv(at.translation, Float32Array.from(view.translation));
     gl.uniform2f(at.viewport, width, height);
@@ -258,6 +207,7 @@ export class Renderer {
     gl.uniform1f(at.share, view.share ?? 1);
     gl.uniform1f(at.range, view.range ?? 1);
     gl.uniform1f(at.spread, SPREAD ** this.missing);
+    gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
   }
 
   /** Free everything on the graphics card. */
@@ -265,10 +215,7 @@ export class Renderer {
     const { gl } = this;
     gl.deleteTexture(this.texture);
     gl.deleteBuffer(this.quads);
-    gl.deleteBuffer(this.lines);
-    gl.deleteVertexArray(this.plain);
-    gl.deleteVertexArray(this.lineArray);
-    gl.deleteProgram(this.splatProgram.program);
-    gl.deleteProgram(this.lineProgram.program);
+    gl.deleteVertexArray(this.array);
+    gl.deleteProgram(this.program);
   }
 }

@@ -32,18 +32,11 @@ export class Screen {
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
     this.missing = 0;
-    /** @type {Float32Array} */
-    this.lines = new Float32Array(0);
   }
 
   update() {}
   setOrder() {}
   clear() {}
-
-  /** @param {Float32Array} segments */
-  setLines(segments) {
-    this.lines = segments;
-  }
 
   /** @param {View} view */
   draw(view) {
@@ -51,23 +44,7 @@ export class Screen {
     context.fillStyle = `rgb(${this.background.map((x) => Math.round(255 * x)).join(" ")})`;
     context.fillRect(0, 0, width, height);
     if (link.bitmap) context.drawImage(link.bitmap, 0, 0, width, height);
-    if (this.lines.length) this.#drawLines(view);
     link.look(view, width, height);
-  }
-
-  /** @param {View} view */
-  #drawLines({ rotation: r, translation: t, focal, principal }) {
-    const { context, lines } = this;
-    context.strokeStyle = "rgb(92 168 250 / 80%)";
-    context.beginPath();
-    for (let i = 0; i < lines.length; i += 6) {
-      const ends = [i, i + 3].map((j) => [0, 3, 6].map((k, axis) => r[k] * lines[j] + r[k + 1] * lines[j + 1] + r[k + 2] * lines[j + 2] + t[axis]));
-      if (ends.some(([, , z]) => z < 0.02)) continue;
-      const [a, b] = ends.map(([x, y, z]) => [(focal[0] * x) / z + principal[0], (focal[1] * y) / z + principal[1]]);
-      context.moveTo(a[0], a[1]);
-      context.lineTo(b[0], b[1]);
-    }
-    context.stroke();
   }
 
   destroy() {

@@ -16,6 +16,7 @@ from typing import Any
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from fastapi.staticfiles import StaticFiles
+from starlette.types import ASGIApp
 
 from codec.encoder import encode_keyframe, encode_residual
 from core.scene.anchors import Scene
@@ -210,7 +211,7 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def serving(app: FastAPI, port: int | None = None) -> Iterator[str]:
+def serving(app: ASGIApp, port: int | None = None) -> Iterator[str]:
     """Serve in a thread; yields the address."""
     port = port or free_port()
     config = uvicorn.Config(

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import importlib
+import struct
+import time
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from codec.container import SlodWriter
 from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import clip, page, shows
+from tests.client.web.test_browser import INSPECT, clip, page, shows
 
 __all__ = ["clip", "page"]
 
@@ -63,6 +70,61 @@ def test_works_compressed_and_is_small(page: Any, clip: Clip, packed: Path) -> N
     assert {"main.js", "worker.js", "kernel.wasm"} <= set(sizes)
     assert not {"recording.js", "thin.js", "webxr.js"} & set(sizes)
     assert sum(sizes.values()) < MOST_BYTES, sizes
+
+
+class SlowLink:
+    """Everything that an application answers, over one link of so many bytes a second."""
+
+    def __init__(self, app: ASGIApp, rate: float) -> None:
+        self.app, self.rate, self.sent, self.free = app, rate, 0, 0.0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on, a little at a time."""
+
+        async def slowly(message: Message) -> None:
+            body = message.get("body", b"")
+            for at in range(0, len(body), 2048):
+                piece = body[at : at + 2048]
+                self.sent += len(piece)
+                self.free = max(self.free, time.monotonic()) + len(piece) / self.rate
+                await asyncio.sleep(self.free - time.monotonic())
+                await send({**message, "body": piece, "more_body": True})
+            await send({**message, "body": b""} if body else message)
+
+        await self.app(scope, receive, slowly)
+
+
+def padded(packet: bytes, sizes: dict[int, int]) -> bytes:
+    """`packet` with an extension chunk of so many bytes in each of these levels (codec/FORMAT.md, section 2)."""
+    count = int.from_bytes(packet[30:32], "little")
+    directory = np.frombuffer(packet, "<u4", 2 * count, 44).reshape(count, 2)
+    chunks, at = [], 44 + 8 * count
+    for entry, checksum in directory.tolist():
+        chunks.append((entry, checksum, packet[at : (at := at + (entry & 0xFFFFFF))]))
+    for level, size in sizes.items():
+        body = bytes(size)
+        chunks.append((level << 28 | 15 << 24 | size, zlib.crc32(body), body))
+    chunks.sort()
+    head = packet[:30] + len(chunks).to_bytes(2, "little") + packet[32:40]
+    listed = b"".join(struct.pack("<II", entry, checksum) for entry, checksum, _ in chunks)
+    return head + struct.pack("<I", zlib.crc32(head + listed)) + listed + b"".join(body for _, _, body in chunks)
+
+
+def test_a_file_over_a_slow_link_shows_coarse_levels_first(page: Any, clip: Clip, packed: Path, tmp_path: Path) -> None:
+    """500 kbit/s and a keyframe of 900 kB: page and coarse level have come after 4 s; in the end it is all there."""
+    with SlodWriter(tmp_path / "clip.slod") as writer:
+        writer.append(padded(clip.key(), {0: 80_000, 1: 320_000, 2: 500_000}))
+        writer.append(clip.residual(0, 1))
+    link = SlowLink(create_app(clip, Behaviour(), tmp_path, page=packed), 500_000 / 8)
+    with serving(link) as url:
+        page.goto(f"{url}/?src=files/clip.slod&quality=high")
+        shows(page, "s.version === 0 && s.splats > 0")
+        assert link.sent < 4 * link.rate
+        coarse = page.evaluate("streamlod.state.splats")
+        link.rate = 1e9
+        shows(page, "s.version === 1")
+        assert page.evaluate("streamlod.state.splats") > 2 * coarse
+        assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[1].levels]
 
 
 def test_codings_as_asked_for(packed: Path, clip: Clip) -> None:

@@ -49,7 +49,7 @@ Object.defineProperty = (target, name, what) => {
 
 
 def test_the_pivot_is_what_a_camera_looks_at_however_early_it_is_chosen(page: Any, clip: Clip) -> None:
-    """A camera that is chosen before it is known how far away things are gets its own distance as soon as that is known."""
+    """A camera that is chosen before the first splats exist is orbited about what it looks at once they do."""
     with serving(create_app(clip, Behaviour(newest=3))) as url:
         page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 3")

@@ -3,6 +3,7 @@ import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
+import { levelOf } from "../../../client/web/decode/container.js";
 import { SceneDecoder } from "../../../client/web/decode/decoder.js";
 import { BitstreamError } from "../../../client/web/decode/scene.js";
 
@@ -40,6 +41,19 @@ for (const { name, file, states } of manifest.valid) {
       decoder.push(packet);
       assert.deepEqual(state(decoder), { versions: states[i].versions, levels: states[i].levels });
     }
+  });
+}
+
+for (const { name, file, states } of manifest.valid) {
+  test(`level by level, as the bytes come: ${name}`, () => {
+    const whole = packets(file)[0], decoder = new SceneDecoder();
+    let level = 0;
+    for (let end = 0; end <= whole.length; end = end === whole.length ? end + 1 : Math.min(whole.length, end + 97)) {
+      for (let part; level < 16 && (part = levelOf(whole.subarray(0, end), level)); level++) if (part.length) decoder.push(part);
+      if (end < whole.length - 97) assert.ok(level < 16);
+    }
+    assert.equal(level, 16);
+    assert.deepEqual(state(decoder), { versions: states[0].versions, levels: states[0].levels });
   });
 }
 

@@ -280,7 +280,7 @@ def test_who_shows_nothing_loses_the_place(states: tuple[Path, list[Scene]]) -> 
 
 
 def test_pace_follows_the_viewer() -> None:
-    """Slow deliveries make pictures coarser, quick ones finer; a view at rest gets the finest at once where it is quick."""
+    """Slow deliveries make pictures coarser, quick ones finer; a view at rest gets the finest where that is quick."""
     grades = GradeControl()
     for _ in range(4):
         grades.delivered(grades.moving, 1.0)
