@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import html
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
-from starlette.responses import JSONResponse
+from starlette.responses import HTMLResponse, JSONResponse
 
 PROBLEM_TYPE = "application/problem+json"
 
@@ -61,6 +62,18 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         507: "the disk is full",
     }.items()
 }  # fmt: skip
+
+
+_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<meta name="color-scheme" content="dark light"><title>{title}</title>
+<style>body{{font:16px/1.5 system-ui;margin:20vh auto;padding:0 1em;max-width:26em;text-align:center}}</style>
+<h1>{title}</h1><p>{detail}</p><p><a href="/">To the viewer</a></p></html>"""
+
+
+def problem_page(status: int, detail: str) -> HTMLResponse:
+    """The same for people, who came here by a link that is wrong."""
+    title = TITLES.get(status, "Error")
+    return HTMLResponse(_PAGE.format(title=html.escape(title), detail=html.escape(detail)), status)
 
 
 def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> JSONResponse:

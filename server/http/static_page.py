@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import gzip
+import html
 import re
+from pathlib import Path
+from urllib.parse import parse_qs, quote, urlencode
 
 import anyio.to_thread
 from fastapi.staticfiles import StaticFiles
-from starlette.datastructures import Headers
-from starlette.responses import Response
+from starlette.datastructures import URL, Headers
+from starlette.requests import HTTPConnection
+from starlette.responses import HTMLResponse, Response
 from starlette.types import Scope
 
+_PAGE = (".", "index.html")
 CODINGS = {"br": ".br", "gzip": ".gz"}  # content coding, suffix of its files; the smaller ones first
 
 
@@ -18,11 +24,31 @@ class PageFiles(StaticFiles):
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         """`path` or its compressed twin (`hatch_build.py` makes these)."""
-        accepted = _codings(Headers(scope=scope).get("accept-encoding", ""))
-        response = await self._packed(path, scope, accepted) or await super().get_response(path, scope)
+        headers = Headers(scope=scope)
+        accepted = _codings(headers.get("accept-encoding", ""))
+        if path in _PAGE and "sec-fetch-dest" not in headers:
+            response: Response = await anyio.to_thread.run_sync(self._previewed, scope, accepted)
+        else:
+            response = await self._packed(path, scope, accepted) or await super().get_response(path, scope)
+        if path in _PAGE:
+            address = f"{_base(scope)}oembed?{urlencode({'url': str(URL(scope=scope))})}"
+            response.headers["Link"] = f'<{address}>; rel="alternate"; type="application/json+oembed"'
         response.headers["Cache-Control"] = "no-cache"
-        response.headers["Vary"] = "Accept-Encoding"
+        response.headers["Vary"] = "Accept-Encoding, Sec-Fetch-Dest" if path in _PAGE else "Accept-Encoding"
         return response
+
+    def _previewed(self, scope: Scope, accepted: set[str]) -> Response:
+        """The page with what makers of link previews look for, which is no browser of today: those send Sec-Fetch-Dest.
+        It takes whole addresses, so it cannot be part of a file."""
+        stream = quote(parse_qs(scope["query_string"].decode("latin-1")).get("stream", ["main"])[0], safe="")
+        facts = {"og:type": "video.other", "og:title": "Free-viewpoint video",
+                 "og:image": f"{_base(scope)}v1/streams/{stream}/poster.jpg"}  # fmt: skip
+        tags = "".join(f'<meta property="{name}" content="{html.escape(value)}">' for name, value in facts.items())
+        place, _ = self.lookup_path("index.html")
+        page = Path(place).read_text(encoding="utf-8").replace("</title>", f"</title>{tags}", 1).encode()
+        if "gzip" not in accepted:
+            return HTMLResponse(page)
+        return HTMLResponse(gzip.compress(page), headers={"Content-Encoding": "gzip"})
 
     async def _packed(self, path: str, scope: Scope, accepted: set[str]) -> Response | None:
         name = "index.html" if path == "." else path
@@ -35,6 +61,11 @@ class PageFiles(StaticFiles):
                 response.headers["Content-Encoding"] = coding
                 return response
         return None
+
+
+def _base(scope: Scope) -> str:
+    """The server's address as the request named it, with a slash at its end."""
+    return str(HTTPConnection(scope).base_url)
 
 
 def _codings(header: str) -> set[str]:

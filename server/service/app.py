@@ -14,12 +14,12 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
-from server.api import downloads, live, push, streams
+from server.api import downloads, live, poster, push, streams
 from server.api.access import grant_of, need, registry_of
 from server.api.openapi import describe, operation_id
 from server.api.schemas import Health
 from server.auth.gate import Right
-from server.http.problems import PROBLEMS, Problem, problem_response
+from server.http.problems import PROBLEMS, Problem, problem_page, problem_response
 from server.http.site_policy import SitePolicy
 from server.http.static_page import PageFiles
 from server.pipeline.spec import StreamSpec
@@ -65,7 +65,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
         title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, redoc_url=None,
         generate_unique_id_function=operation_id,
     )  # fmt: skip
-    app.state.registry = registry
+    app.state.registry, app.state.posters = registry, poster.Posters()
     app.openapi = lambda: describe(app, needs_tokens=settings.has_tokens)  # type: ignore[method-assign]
     _add_errors(app)
     app.include_router(live.router)
@@ -73,6 +73,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     app.include_router(streams.router)
     app.include_router(streams.control)
     app.include_router(downloads.router)
+    app.include_router(poster.router)
     _add_health(app)
     _add_page(app)
 
@@ -90,6 +91,10 @@ def _add_errors(app: FastAPI) -> None:
         allowed = _allowed(app, request.url.path) if error.status_code in {404, 405} else []
         if allowed and request.method not in allowed:  # the page's files lie behind and know of no other methods
             return problem_response(405, "this address takes other methods", {"Allow": ", ".join(allowed)})
+        if error.status_code == 404 and not request.url.path.startswith("/v1/"):
+            detail = f"there is nothing at {request.url.path[:200]}"
+            wants_page = "text/html" in request.headers.get("accept", "")
+            return problem_page(404, detail) if wants_page else problem_response(404, detail)
         return problem_response(error.status_code, str(error.detail), dict(error.headers or {}))
 
     @app.exception_handler(RequestValidationError)

@@ -134,12 +134,13 @@ def test_codings_as_asked_for(packed: Path, clip: Clip) -> None:
         assert "content-encoding" not in plain.headers
         assert plain.content == (packed / "ui" / "main.js").read_bytes()
         for accept, coding in (("gzip, br", "br"), ("gzip", "gzip"), ("br;q=0, gzip", "gzip"), ("zstd", None)):
-            answer = client.get("/", headers={"Accept-Encoding": accept})
+            answer = client.get("/", headers={"Accept-Encoding": accept, "Sec-Fetch-Dest": "document"})
             assert answer.headers.get("content-encoding") == coding
             assert answer.headers["content-type"].startswith("text/html")
-            assert answer.headers["vary"] == "Accept-Encoding"
+            assert answer.headers["vary"] == "Accept-Encoding, Sec-Fetch-Dest"
         etag = answer.headers["etag"]
-        again = client.get("/", headers={"Accept-Encoding": "zstd", "If-None-Match": etag})
+        validated = {"Accept-Encoding": "zstd", "Sec-Fetch-Dest": "document", "If-None-Match": etag}
+        again = client.get("/", headers=validated)
         assert again.status_code == 304
         wasm = client.get("/decode/kernel.wasm", headers={"Accept-Encoding": "gzip"})
         assert wasm.headers["content-type"] == "application/wasm"

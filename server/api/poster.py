@@ -1,0 +1,120 @@
+"""A picture of each stream, and what other sites need to show its page inside theirs (oEmbed 1.0)."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import html
+from functools import partial
+from typing import Annotated, Any
+from urllib.parse import parse_qs, urlencode, urlsplit
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+
+from core.camera import Camera
+from core.render.splatter import Splatter
+from core.scene.anchors import Scene
+from server.api.access import StreamOf, need, refusal, registry_of
+from server.api.ranges import FRESH, Download, respond
+from server.auth.gate import Right
+from server.http.problems import PROBLEMS, Problem
+from server.stream.stream import Stream
+from server.viewer.renderer import Grade, PictureRenderer, RenderedPicture, fitted
+
+POSTER_PIXELS = 640 * 480  # at most
+_GRADE = Grade(1, 80)
+_WIDTH, _HEIGHT = 640, 360  # of the frame, where the asking site gives no bounds
+_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
+
+router = APIRouter(tags=["posters"], responses=_ANSWERS)
+
+
+class Posters:
+    """The newest picture of each stream, drawn once a keyframe when somebody asks for it."""
+
+    def __init__(self) -> None:
+        self._made: WeakKeyDictionary[Stream, tuple[object, asyncio.Task[RenderedPicture]]] = WeakKeyDictionary()
+
+    async def of(self, stream: Stream, renderer: PictureRenderer) -> bytes:
+        """A JPEG file of `stream` as the camera in the middle of its rig sees it.
+
+        Raises:
+            Problem: 404, there is nothing to draw yet.
+        """
+        scene = stream.hub.scene
+        if scene is None or not scene.header.cameras:
+            raise Problem(404, "the stream has no picture yet")
+        made = self._made.get(stream)
+        if made is None or made[0] is not scene.weights:
+            camera = fitted(middle_camera(scene), 1, POSTER_PIXELS)
+            drawing = partial(renderer.render_picture, Splatter(), scene, camera, len(scene.levels), _GRADE)
+            made = scene.weights, asyncio.create_task(renderer.run(drawing))
+            self._made[stream] = made
+        return (await asyncio.shield(made[1])).jpeg
+
+
+def middle_camera(scene: Scene) -> Camera:
+    """The camera of the rig nearest to the middle of all, from which a visit begins."""
+    cameras = scene.header.cameras
+    centres = np.stack([camera.centre for camera in cameras])
+    return cameras[int(np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin())]
+
+
+@router.head("/v1/streams/{stream_id}/poster.jpg", include_in_schema=False, dependencies=[need(Right.READ)])
+@router.get(
+    "/v1/streams/{stream_id}/poster.jpg", summary="A picture of a stream", response_class=Response,
+    dependencies=[need(Right.READ)],
+)  # fmt: skip
+async def poster(stream: StreamOf, request: Request) -> Response:
+    """A JPEG file, made anew with each keyframe."""
+    jpeg = await request.app.state.posters.of(stream, registry_of(request).renderer)
+    etag = hashlib.sha256(jpeg).hexdigest()[:32]
+    return respond(request, Download((jpeg,), etag, "image/jpeg", FRESH, f"{stream.id}.jpg"))
+
+
+@router.get("/oembed", summary="How to show a page of this server in another")
+async def oembed(
+    request: Request,
+    url: Annotated[
+        str, Query(max_length=2000, description="of the viewer's page", examples=["http://HOST/?stream=main"])
+    ],
+    maxwidth: Annotated[int, Query(ge=1, le=8192, description="pixels")] = _WIDTH,
+    maxheight: Annotated[int, Query(ge=1, le=8192, description="pixels")] = 8192,
+) -> dict[str, str | int]:
+    """An oEmbed 1.0 answer of type `rich`: a frame with the page, and the stream's picture."""
+    stream, query = await _stream_of(url, request)
+    width = min(maxwidth, maxheight * _WIDTH // _HEIGHT) or 1
+    height = max(1, width * _HEIGHT // _WIDTH)
+    page = html.escape(f"{request.base_url}?{urlencode({**query, 'embed': '1'})}")
+    camera = None if stream.hub.scene is None else fitted(middle_camera(stream.hub.scene), 1, POSTER_PIXELS)
+    picture: dict[str, str | int] = {} if camera is None else {
+        "thumbnail_url": f"{request.base_url}v1/streams/{stream.id}/poster.jpg",
+        "thumbnail_width": camera.width, "thumbnail_height": camera.height,
+    }  # fmt: skip
+    return {
+        "version": "1.0", "type": "rich", "provider_name": "streamlod", "provider_url": str(request.base_url),
+        "title": stream.id, "width": width, "height": height,
+        "html": f'<iframe src="{page}" width="{width}" height="{height}" style="border: 0" title="Free-viewpoint video"'
+        ' allow="fullscreen; xr-spatial-tracking" allowfullscreen></iframe>',
+    } | picture  # fmt: skip
+
+
+async def _stream_of(url: str, request: Request) -> tuple[Stream, dict[str, str]]:
+    """The stream that a page's address means, and the address's parameters."""
+    registry = registry_of(request)
+    try:
+        parts = urlsplit(url)
+    except ValueError as error:
+        raise Problem(422, "url: not an address") from error
+    if parts.netloc != request.url.netloc or parts.path not in ("", "/", "/index.html"):
+        raise Problem(404, "that is no page of this server")
+    query = {name: values[0] for name, values in parse_qs(parts.query).items() if name != "token"}
+    stream_id = query.get("stream") or next(iter(sorted(registry.streams)), "")
+    problem = await refusal(registry.gate, request, Right.READ, stream_id)
+    if problem is not None:
+        raise problem
+    if stream_id not in registry.streams:
+        raise Problem(404, f"there is no stream {stream_id!r:.80}")
+    return registry.streams[stream_id], query

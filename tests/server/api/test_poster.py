@@ -1,0 +1,92 @@
+"""What other sites get of a stream: its picture and a frame for their pages; a page where there is nothing."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from urllib.parse import parse_qs, urlsplit
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+
+from codec.container import SlodWriter
+from core.render.splatter import Splatter
+from core.scene.anchors import Scene
+from server.pipeline.spec import StreamSpec
+from server.settings import Settings
+from tests.client.web.miniserver import make_clip
+from tests.client.web.scenes import make_scene
+from tests.server.conftest import running
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return make_scene(300)
+
+
+@pytest.fixture(scope="module")
+def client(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
+    recording = tmp_path_factory.mktemp("poster") / "clip.slod"
+    with SlodWriter(recording) as writer:
+        writer.append(make_clip(scene, 1).key())
+    played, idle = StreamSpec(play=recording, loop=False), StreamSpec(id="idle", play=recording, loop=False)
+    with running(Settings(), played, idle) as server:
+        server.wait(lambda stream: stream["state"] == "ended")
+        with server.client() as client:
+            yield client
+
+
+def test_the_poster_is_what_the_middle_camera_sees(client: httpx.Client, scene: Scene) -> None:
+    answer = client.get("/v1/streams/main/poster.jpg")
+    assert answer.headers["content-type"] == "image/jpeg"
+    seen = np.asarray(Image.open(io.BytesIO(answer.content)), np.float64)
+    expected = Splatter().picture(scene, scene.header.cameras[2])
+    assert -10 * np.log10(np.mean((seen - expected) ** 2) / 255**2) > 30
+    again = client.get("/v1/streams/main/poster.jpg", headers={"If-None-Match": answer.headers["etag"]})
+    assert again.status_code == 304
+    assert client.get("/v1/streams/none/poster.jpg").status_code == 404
+
+
+def test_other_sites_learn_how_to_show_the_page(client: httpx.Client) -> None:
+    """From the page's Link header to a frame of the size asked for, and to a picture that is there."""
+    address = f"{client.base_url}/?stream=main&camera=1,2&token=secret"
+    page = client.get(address, headers={"Sec-Fetch-Dest": "document"})
+    found = re.search('<(.+?)>; rel="alternate"', page.headers["link"])
+    assert found
+    answer = client.get(found[1], params={**parse_qs(urlsplit(found[1]).query), "maxwidth": 320}).json()
+    assert (answer["version"], answer["type"], answer["width"], answer["height"]) == ("1.0", "rich", 320, 180)
+    frame = re.search('src="(.+?)"', answer["html"])
+    assert frame
+    assert "stream=main&amp;camera=1%2C2&amp;embed=1" in frame[1]
+    assert "secret" not in answer["html"]
+    picture = Image.open(io.BytesIO(client.get(answer["thumbnail_url"]).content))
+    assert picture.size == (answer["thumbnail_width"], answer["thumbnail_height"])
+    for wrong in ("http://elsewhere.example/?stream=main", f"{client.base_url}/?stream=none", "http://[", "x"):
+        refused = client.get("/oembed", params={"url": wrong})
+        assert (refused.status_code in (404, 422), refused.headers["content-type"]) == (
+            True,
+            "application/problem+json",
+        )
+
+
+def test_makers_of_previews_find_the_picture_in_the_page(client: httpx.Client) -> None:
+    """What no browser asks for has og:image; a browser gets the page without it."""
+    preview = client.get('/?stream=main"<script>').text
+    assert client.get(re.search('og:image" content="(.+?)"', client.get("/").text)[1]).status_code == 200  # type: ignore[index]
+    assert "main%22%3Cscript%3E/poster.jpg" in preview
+    assert "og:image" not in client.get("/", headers={"Sec-Fetch-Dest": "iframe"}).text
+
+
+def test_nothing_there_is_said_to_people_and_to_programs(client: httpx.Client) -> None:
+    """An unknown path answers a page to who asks for one, and a problem to all others."""
+    asked = client.get("/no/<b>such</b>", headers={"Accept": "text/html,*/*;q=0.8"})
+    assert (asked.status_code, asked.headers["content-type"]) == (404, "text/html; charset=utf-8")
+    assert "/no/&lt;b&gt;such&lt;/b&gt;" in asked.text
+    assert 'href="/"' in asked.text
+    for path, accept in (("/no/such", "*/*"), ("/v1/streams/none", "text/html")):
+        answer = client.get(path, headers={"Accept": accept})
+        assert (answer.status_code, answer.headers["content-type"]) == (404, "application/problem+json")
+        assert answer.json()["detail"].startswith("there is no")
