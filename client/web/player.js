@@ -34,11 +34,12 @@
       const root = this.shadowRoot ?? this.attachShadow({ mode: "open" });
       const style = Object.assign(document.createElement("style"), { textContent: STYLE });
       const poster = this.getAttribute("poster");
-      if (poster === null) return root.replaceChildren(style, this.#open());
+      const slot = document.createElement("slot"); // what a page puts into the element lies over the picture
+      if (poster === null) return root.replaceChildren(style, this.#open(), slot);
       const cover = document.createElement("button");
       cover.setAttribute("aria-label", "Play");
       cover.append(Object.assign(new Image(), { src: poster, alt: "" }), Object.assign(document.createElement("span"), { textContent: "▶" }));
-      cover.onclick = () => root.replaceChildren(style, this.#open());
+      cover.onclick = () => root.replaceChildren(style, this.#open(), slot);
       root.replaceChildren(style, cover);
     }
 

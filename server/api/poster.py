@@ -93,12 +93,13 @@ async def oembed(
         "thumbnail_url": f"{request.base_url}v1/streams/{stream.id}/poster.jpg",
         "thumbnail_width": camera.width, "thumbnail_height": camera.height,
     }  # fmt: skip
-    return {
+    answer: dict[str, str | int] = {
         "version": "1.0", "type": "rich", "provider_name": "streamlod", "provider_url": str(request.base_url),
         "title": stream.id, "width": width, "height": height,
         "html": f'<iframe src="{page}" width="{width}" height="{height}" style="border: 0" title="Free-viewpoint video"'
         ' allow="fullscreen; xr-spatial-tracking" allowfullscreen></iframe>',
-    } | picture  # fmt: skip
+    }  # fmt: skip
+    return answer | picture
 
 
 async def _stream_of(url: str, request: Request) -> tuple[Stream, dict[str, str]]:

@@ -35,7 +35,7 @@ export function decodeChange(chunk, level, elapsed, room) {
   const pairs = new Int32Array(level.latent.buffer, level.latent.byteOffset, level.latent.length / 2); // two latents at once
   const used = rowsWithAny(pairs, LATENTS / 2);
   const rows = decodeRowSet(coder, level, used);
-  must(rows.length, "corrupt_chunk", "a change without rows must be left out");
+  must(rows.length, "corrupt_chunk"); // a change without rows must be left out
   const position = decodePositions(coder, rows, level.position, elapsed, start);
   const latent = decodeLatents(coder, rows, used, scales);
   coder.end();
@@ -48,14 +48,14 @@ export function decodeRemoved(chunk, level, room) {
   reader.u8();
   const count = existing(reader, 1, level, room);
   const rows = ascending(inflateColumns(reader, count, 1), count, level.count);
-  must(rows.every((row) => level.alive[row]), "corrupt_chunk", "a row that was removed before cannot be removed again");
+  must(rows.every((row) => level.alive[row]), "corrupt_chunk"); // a row that was removed before cannot be removed again
   return rows;
 }
 
 /** The row count of a table of a level's own rows. @type {(reader: Reader, columns: number, level: Level, room: Room) => number} */
 function existing(reader, columns, level, room) {
   const rows = rowCount(reader);
-  must(rows <= level.count, "corrupt_chunk", `a chunk announces ${rows} rows of a level that has ${level.count}`);
+  must(rows <= level.count, "corrupt_chunk"); // more rows than the level has
   checkTable(rows, columns, room);
   return rows;
 }
@@ -65,7 +65,7 @@ function ascending(gaps, count, limit) {
   const rows = new Uint32Array(count);
   for (let i = 0, row = 0; i < count; i++) {
     row += gaps[i];
-    must((gaps[i] > 0 || (i === 0 && row === 0)) && row < limit, "corrupt_chunk", "rows must ascend and lie inside the level");
+    must((gaps[i] > 0 || (i === 0 && row === 0)) && row < limit, "corrupt_chunk"); // rows must ascend and lie inside the level
     rows[i] = row;
   }
   return rows;
@@ -157,7 +157,7 @@ function decodePositions(coder, rows, position, { age, span }, start) {
       const context = 4 * (average[a] + steady) + before + 3 * mean + 6 * within;
       const error = coder.value(bin(Math.floor(context / (18 + 6 * a))));
       const value = Math.floor((motion[a] + trend[a] + 128) / 256) + error;
-      must(value === (value | 0) && value !== -2147483648, "corrupt_chunk", "a position difference is too large");
+      must(value === (value | 0) && value !== -2147483648, "corrupt_chunk"); // a position difference is too large
       delta[3 * i + a] = value;
       trend[a] += 16 * value - Math.floor(trend[a] / 4);
       const size = 256 * Math.abs(error);

@@ -28,8 +28,8 @@ const NUMBERS_A_BYTE = 64;
  * @property {Map<number, Uint8Array>} chunks - by level << 4 | chunk kind
  */
 
-/** @type {(condition: unknown, code: string, detail: string) => asserts condition} */
-export function must(condition, code, detail) {
+/** Refuse by one of the codes of codec/FORMAT.md, section 13. @type {(condition: unknown, code: string, detail?: string) => asserts condition} */
+export function must(condition, code, detail = code) {
   if (!condition) throw new BitstreamError(code, detail);
 }
 
@@ -37,12 +37,12 @@ export function must(condition, code, detail) {
 
 /** Refuse a table with too few bytes behind it (codec/FORMAT.md section 6). @type {(rows: number, columns: number, room: Room) => void} */
 export function checkTable(rows, columns, { bytes }) {
-  must(rows * columns <= NUMBERS_A_BYTE * bytes, "limit_exceeded", `${bytes} bytes cannot carry ${rows} rows of ${columns} numbers`);
+  must(rows * columns <= NUMBERS_A_BYTE * bytes, "limit_exceeded");
 }
 
 /** The same for rows that the state does not have yet. @type {(rows: number, columns: number, room: Room) => void} */
 export function checkAdded(rows, columns, room) {
-  must(rows <= room.rows, "limit_exceeded", `a chunk announces ${rows} rows, more than this page takes`);
+  must(rows <= room.rows, "limit_exceeded");
   checkTable(rows, columns, room);
 }
 
@@ -61,22 +61,22 @@ export function levelBytes({ chunks }, level) {
  * @throws {BitstreamError} header or directory are not sound; chunks are not looked at
  */
 export function parseEnvelope(bytes) {
-  must(bytes.length <= LIMITS.packetBytes, "too_large", `the packet has ${bytes.length} bytes`);
-  must(bytes.length >= HEADER, "truncated", "the packet ends inside its header");
+  must(bytes.length <= LIMITS.packetBytes, "too_large");
+  must(bytes.length >= HEADER, "truncated"); // the packet ends inside its header
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  must(view.getUint32(0, true) === 0x4b504c53, "bad_magic", "this is not a packet");
+  must(view.getUint32(0, true) === 0x4b504c53, "bad_magic"); // this is not a packet
   must(bytes[4] === 1, "unsupported_version", `format version ${bytes[4]}, this page knows 1`);
-  must(bytes[5] <= 1, "unsupported_profile", `profile ${bytes[5]}`);
+  must(bytes[5] <= 1, "unsupported_profile");
   const start = HEADER + 8 * view.getUint16(30, true);
-  must(bytes.length >= start, "truncated", "the packet ends inside its directory");
+  must(bytes.length >= start, "truncated"); // the packet ends inside its directory
   const checksum = crc32(bytes.subarray(HEADER, start), crc32(bytes.subarray(0, HEADER - 4)));
-  must(view.getUint32(HEADER - 4, true) === checksum, "bad_checksum", "the packet's header is damaged");
+  must(view.getUint32(HEADER - 4, true) === checksum, "bad_checksum"); // the packet's header is damaged
 
   const kind = bytes[6], keyframe = view.getUint32(8, true), mask = view.getUint16(28, true);
   const fromVersion = view.getUint32(12, true), toVersion = view.getUint32(16, true);
   const ordered = kind === KEY ? keyframe === fromVersion && fromVersion === toVersion : keyframe <= fromVersion && fromVersion < toVersion;
   const timed = view.getUint32(24, true) < 0x80000000;
-  must(kind <= CHANGE && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header", "the packet's header contradicts itself");
+  must(kind <= CHANGE && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header"); // the packet's header contradicts itself
 
   /** @type {Envelope["directory"]} */
   const directory = [], places = new Set();
@@ -85,20 +85,20 @@ export function parseEnvelope(bytes) {
     const entry = view.getUint32(at, true);
     const level = entry >>> 28, chunk = (entry >>> 24) & 15, key = entry >>> 24, length = entry & 0xffffff;
     const allowed = chunk >= FIRST_EXTENSION || chunk === Chunk.HASH || (chunk < Chunk.HASH && chunk < Chunk.CHANGE === (kind === KEY));
-    must(key > before && allowed, "bad_directory", "the packet's directory is out of order or holds an unknown chunk");
-    must((mask >>> level) & 1 && (chunk > Chunk.WEIGHTS || level === 0), "bad_directory", "a chunk belongs to a level that cannot have it");
+    must(key > before && allowed, "bad_directory"); // the packet's directory is out of order or holds an unknown chunk
+    must((mask >>> level) & 1 && (chunk > Chunk.WEIGHTS || level === 0), "bad_directory"); // a chunk belongs to a level that cannot have it
     before = key;
     places.add(key);
     directory.push({ key, at: end, length, crc: view.getUint32(at + 4, true) });
     end += length;
   }
-  must(places.has(Chunk.HEADER) === places.has(Chunk.WEIGHTS), "missing_chunk", "a key packet needs header and weights together");
+  must(places.has(Chunk.HEADER) === places.has(Chunk.WEIGHTS), "missing_chunk"); // a key packet needs header and weights together
   for (let level = 0; level < 16; level++) {
     const [geometry, base] = [Chunk.GEOMETRY, Chunk.BASE].map((k) => places.has((level << 4) | k));
-    must(geometry === base, "missing_chunk", "a level needs geometry and base together");
+    must(geometry === base, "missing_chunk"); // a level needs geometry and base together
   }
-  must(end <= bytes.length, "truncated", "the packet ends inside its chunks");
-  must(end === bytes.length, "trailing_bytes", "bytes follow the last chunk");
+  must(end <= bytes.length, "truncated"); // the packet ends inside its chunks
+  must(end === bytes.length, "trailing_bytes"); // bytes follow the last chunk
   const timeMs = Number(view.getBigUint64(20, true) / 1000n) / 1000, identifier = view.getBigUint64(32, true);
   return { fields: { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeMs, mask, identifier }, directory };
 }
@@ -113,7 +113,7 @@ export function parsePacket(bytes) {
   const chunks = new Map();
   for (const { key, at, length, crc } of directory) {
     const chunk = bytes.subarray(at, at + length);
-    must(crc32(chunk) === crc, "bad_checksum", "a chunk is damaged");
+    must(crc32(chunk) === crc, "bad_checksum"); // a chunk is damaged
     chunks.set(key, chunk);
   }
   return { ...fields, chunks };
@@ -131,7 +131,7 @@ export class Reader {
 
   /** @param {number} size */
   #skip(size) {
-    must(size <= this.bytes.length - this.at, this.code, "a chunk ends too early");
+    must(size <= this.bytes.length - this.at, this.code); // a chunk ends too early
     this.at += size;
     return this.at - size;
   }
@@ -176,11 +176,11 @@ export class Reader {
 
   /** @template {ArrayLike<number> & { every: (test: (x: number) => boolean) => boolean }} A @param {A} numbers @returns {A} */
   #finite(numbers) {
-    must(numbers.every((x) => Number.isFinite(x)), this.code, "a number is not finite");
+    must(numbers.every((x) => Number.isFinite(x)), this.code); // a number is not finite
     return numbers;
   }
 
   end() {
-    must(this.at === this.bytes.length, this.code, "bytes follow the end of a chunk");
+    must(this.at === this.bytes.length, this.code); // bytes follow the end of a chunk
   }
 }

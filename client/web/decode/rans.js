@@ -19,13 +19,13 @@ export class BitModels {
 export class RansDecoder {
   /** @param {Uint8Array} bytes - the words @param {number} lanes - 1 or 4 */
   constructor(bytes, lanes) {
-    must(bytes.length % 2 === 0 && bytes.length >= 4 * lanes, "corrupt_chunk", "a coded chunk is too short");
+    must(bytes.length % 2 === 0 && bytes.length >= 4 * lanes, "corrupt_chunk"); // a coded chunk is too short
     this.words = new Uint16Array(bytes.slice().buffer);
     this.mask = lanes - 1;
     this.state = new Uint32Array(lanes);
     for (let k = 0; k < lanes; k++) {
       this.state[k] = this.words[2 * k] | (this.words[2 * k + 1] << 16);
-      must(this.state[k] >= FINAL, "corrupt_chunk", "a coder state is too small");
+      must(this.state[k] >= FINAL, "corrupt_chunk"); // a coder state is too small
     }
     this.at = 2 * lanes;
     this.lane = 0;
@@ -35,7 +35,7 @@ export class RansDecoder {
   #advance(lane, frequency, rest) {
     let x = (Math.imul(frequency, this.state[lane] >>> 12) + rest) >>> 0;
     if (x < FINAL) {
-      must(this.at < this.words.length, "corrupt_chunk", "a coded chunk ends too early");
+      must(this.at < this.words.length, "corrupt_chunk"); // a coded chunk ends too early
       x = ((x << 16) | this.words[this.at++]) >>> 0;
     }
     this.state[lane] = x;
@@ -92,12 +92,12 @@ export class RansDecoder {
     this.#advance(lane, (step >>> 12) & 8191, step & 4095);
     if (z === ESCAPE) {
       let width = 0;
-      while (this.bits(1)) must(++width <= 30, "corrupt_chunk", "a coded number is too large");
+      while (this.bits(1)) must(++width <= 30, "corrupt_chunk"); // a coded number is too large
       z = 15 + 2 ** width + this.raw(width);
     }
     let result = z & 1 ? -(z + 1) / 2 : z / 2;
     if (s) result = result * (1 << s) - (1 << (s - 1)) + (s <= 12 ? this.bits(s) : this.raw(s));
-    must(result < 1073741824 && result > -1073741824, "corrupt_chunk", "a coded number is too large");
+    must(result < 1073741824 && result > -1073741824, "corrupt_chunk"); // a coded number is too large
     return result;
   }
 
@@ -108,7 +108,7 @@ export class RansDecoder {
 
   /** All must be used up. */
   end() {
-    must(this.at === this.words.length && this.state.every((x) => x === FINAL), "corrupt_chunk", "a coded chunk does not end cleanly");
+    must(this.at === this.words.length && this.state.every((x) => x === FINAL), "corrupt_chunk"); // a coded chunk does not end cleanly
   }
 }
 
@@ -124,13 +124,13 @@ export function readScales(reader, channels) {
     const d = (nibbles[c >> 1] >> (4 * (c & 1))) & 15;
     if (d) magnitude[c] = scale(base + 4 * (d - 1));
   }
-  must(channels % 2 === 0 || nibbles[channels >> 1] >> 4 === 0, "corrupt_chunk", "an unused field is not 0");
+  must(channels % 2 === 0 || nibbles[channels >> 1] >> 4 === 0, "corrupt_chunk"); // an unused field is not 0
   return { magnitude, channels };
 }
 
 /** @type {(q: number) => number} */
 export function scale(q) {
-  must(q < SCALE.length, "corrupt_chunk", "a scale is out of range");
+  must(q < SCALE.length, "corrupt_chunk"); // a scale is out of range
   return SCALE[q];
 }
 

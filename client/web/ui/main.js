@@ -126,10 +126,11 @@ async function start(viewer) {
     if (document.fullscreenElement) document.exitFullscreen();
     else document.documentElement.requestFullscreen?.().catch(() => toast("Full screen is not allowed here"));
   };
-  const enterVr = async () => {
-    if (button("b-vr").hidden || viewer.presenting) return;
-    const { enterVr: enter } = await import("../view/webxr.js");
-    await enter(viewer).catch((error) => toast(`The headset cannot be used: ${error.message}`));
+  /** @param {"vr" | "ar"} kind */
+  const putOn = async (kind) => {
+    if (button(`b-${kind}`).hidden || viewer.presenting) return;
+    const { enter } = await import("../view/webxr.js");
+    await enter(viewer, `immersive-${kind}`).catch((error) => toast(`The headset cannot be used: ${error.message}`));
   };
   const statistics = () => {
     const panel = element("stats");
@@ -142,8 +143,10 @@ async function start(viewer) {
   button("b-home").onclick = goHome;
   button("b-shot").onclick = () => savePicture(viewer);
   button("b-full").onclick = fullScreen;
-  button("b-vr").onclick = enterVr;
-  if (!viewer.thin) navigator.xr?.isSessionSupported("immersive-vr").then((can) => (button("b-vr").hidden = !can), () => {});
+  for (const kind of /** @type {("vr" | "ar")[]} */ (["vr", "ar"])) {
+    button(`b-${kind}`).onclick = () => putOn(kind);
+    if (!viewer.thin) navigator.xr?.isSessionSupported(`immersive-${kind}`).then((can) => (button(`b-${kind}`).hidden = !can), () => {});
+  }
   button("b-stats").onclick = statistics;
   button("b-help").onclick = help;
   button("stream-name").onclick = () => showStreams(options);
@@ -184,7 +187,7 @@ async function start(viewer) {
   /** @type {Record<string, () => unknown>} */
   const keys = {
     " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.seek(timeline.oldest),
-    end: () => timeline.live(), r: goHome, f: fullScreen, v: enterVr, p: () => savePicture(viewer), l: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
+    end: () => timeline.live(), r: goHome, f: fullScreen, v: () => putOn("vr"), p: () => savePicture(viewer), l: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);

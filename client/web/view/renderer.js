@@ -81,7 +81,7 @@ void main() {
 /** 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below it. @type {(splat: number) => number} */
 const rankOf = (splat) => (Math.imul(splat, 0x9e3779b9) >>> 8) / 0x1000000;
 
-/** A part of a framebuffer, pixels. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number }} Target */
+/** A part of a framebuffer, pixels. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number, isSeeThrough?: boolean }} Target */
 
 export class Renderer {
   /**
@@ -193,7 +193,8 @@ export class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
-    gl.clearColor(...this.background, 1);
+    if (target?.isSeeThrough) gl.clearColor(0, 0, 0, 0);
+    else gl.clearColor(...this.background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (this.uploaded !== (view.share ?? 1)) this.#upload(view.share ?? 1);
     if (!this.count) return;

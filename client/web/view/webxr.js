@@ -1,5 +1,5 @@
 /**
- * The scene around you: an immersive WebXR session. Both eyes draw one order of splats, sorted for the middle of the head.
+ * The scene around you, or standing in your room: an immersive WebXR session. Both eyes draw one order of splats, sorted for the middle of the head.
  *
  * XR space has x right, y up, z backward; here as everywhere x right, y down, z forward, so y and z change sign.
  */
@@ -42,12 +42,12 @@ function seen(stand, { transform, projectionMatrix: p }, width, height) {
   return { rotation, translation, focal: [(p[0] * width) / 2, (p[5] * height) / 2], principal: [(width / 2) * (1 - p[8]), (height / 2) * (1 + p[9])] };
 }
 
-/** Begin; must follow a click or a key. @param {Viewer} viewer @returns {Promise<XRSession>} */
-export async function enterVr(viewer) {
-  const renderer = /** @type {import("./renderer.js").Renderer} */ (viewer.renderer);
-  const session = await /** @type {XRSystem} */ (navigator.xr).requestSession("immersive-vr");
+/** Begin; must follow a click or a key. @param {Viewer} viewer @param {"immersive-vr" | "immersive-ar"} mode @returns {Promise<XRSession>} */
+export async function enter(viewer, mode) {
+  const renderer = /** @type {import("./renderer.js").Renderer} */ (viewer.renderer), isSeeThrough = mode === "immersive-ar";
+  const session = await /** @type {XRSystem} */ (navigator.xr).requestSession(mode);
   await renderer.gl.makeXRCompatible();
-  const layer = new XRWebGLLayer(session, renderer.gl, { antialias: false, depth: false, alpha: false });
+  const layer = new XRWebGLLayer(session, renderer.gl, { antialias: false, depth: false, alpha: isSeeThrough });
   await session.updateRenderState({ baseLayer: layer });
   const space = await session.requestReferenceSpace("local");
   let stand = standing(viewer), before = 0, turning = false;
@@ -83,7 +83,7 @@ export async function enterVr(viewer) {
       const port = layer.getViewport(eye);
       if (!port) continue;
       const { x, y, width, height } = port;
-      renderer.draw(seen(stand, eye, width, height), { framebuffer: layer.framebuffer, x, y, width, height });
+      renderer.draw(seen(stand, eye, width, height), { framebuffer: layer.framebuffer, x, y, width, height, isSeeThrough });
     }
   };
   viewer.presenting = true;

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
 from tests.client.web.test_browser import WAIT, clip, page, shows
@@ -22,6 +24,52 @@ RULES = """async (only) => {
 
 CONTROLS = "[...document.querySelectorAll('button, input, canvas')].filter((e) => e.checkVisibility()).map((e) => e.id)"
 NEXT_FRAME = "new Promise((resolve) => requestAnimationFrame(() => resolve(streamlod.state.camera)))"
+
+
+TEXTS = ("#status-text", "#stream-name", "#t-time", "#t-live-text", "#stats dt", "#stats dd", ".menu small", ".menu p")
+
+
+def luminance(colour: tuple[float, ...]) -> float:
+    """Of an sRGB colour, 0 to 1 (WCAG 2.2, relative luminance)."""
+    linear = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in (c / 255 for c in colour)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+COLOURS = """(names) => names.map((name) => {
+  const found = document.querySelector(name), { left, top, right, bottom } = found.getBoundingClientRect();
+  return [name, [left, top, right, bottom], getComputedStyle(found).color.match(/[0-9.]+/g).slice(0, 3).map(Number)];
+})"""
+
+
+def contrasts(page: Any, backdrop: str) -> dict[str, float]:
+    """WCAG contrast of the texts that lie over the picture, were the picture all of one colour."""
+    page.evaluate("""(colour) => {
+      document.getElementById("canvas").style.visibility = "hidden";
+      document.getElementById("stage").style.background = colour;
+    }""", backdrop)  # fmt: skip
+    screen = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    found = {}
+    for name, box, ink in page.evaluate(COLOURS, TEXTS):
+        area = screen.crop(box)
+        ground = max(area.getcolors(area.width * area.height))[1]  # most of it
+        dark, bright = sorted((luminance(ground), luminance(tuple(ink))))
+        found[name] = (bright + 0.05) / (dark + 0.05)
+    return found
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_texts_are_readable_on_any_picture(page: Any, clip: Clip, theme: str) -> None:
+    """At least 4.5 : 1 over white, black and what lies between, live and with panels open."""
+    page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+    page.set_viewport_size({"width": 900, "height": 600})
+    with serving(create_app(clip, Behaviour(fps=2, streams=("main", "stage left")))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.phase === 'live' && s.version >= 1")
+        page.click("#b-stats")
+        page.click("#b-quality")
+        for backdrop in ("white", "black", "#ff0", "#808080"):
+            found = contrasts(page, backdrop)
+            assert min(found.values()) >= 4.5, (backdrop, found)
 
 
 def complaints(page: Any, only: str | None) -> list[str]:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.browser
 
 OPACITY = "getComputedStyle(document.getElementById('{}')).opacity"
 COLOUR = "getComputedStyle(document.querySelector('#t-live')).color"
-RED = "rgb(255, 93, 93)"
+RED = "rgb(255, 122, 122)"
 KEEP_TITLES = """
 window.titles = [];
 document.addEventListener("DOMContentLoaded", () => {
