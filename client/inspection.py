@@ -7,32 +7,61 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from client.recording import require_whole
 from codec.container import SlodReader
 from codec.decoder import SceneDecoder
-from codec.packet.info import PacketInfo, peek
+from codec.packet.bytes import parse
+from codec.packet.info import PacketInfo, describe
 from codec.packet.packet import PacketKind
 from core.errors import BitstreamError, InputError
 from core.scene.anchors import Scene
 
+_MAX_NUMBERS = 10  # of damaged packets that are listed
+
 
 def describe_file(path: Path) -> str:
-    """A report of several lines.
+    """A report of several lines; of a file that was cut, also what is lost and what can still be decoded.
 
     Raises:
-        InputError: the file is cut, damaged or empty; names it.
+        InputError: the file is none, or holds no whole keyframe; names it.
     """
     try:
         with SlodReader(path) as reader:
-            require_whole(path, reader)
-            infos = [peek(packet) for packet in reader.packets()]
+            infos, damaged = _packets(reader)
+            faults = _fault_lines(path, reader, damaged)
             scene = _first_scene(reader)
     except BitstreamError as error:
         raise InputError(path, f"is damaged: {error}") from error
     if scene is None:
-        raise InputError(path, "holds no keyframe")
+        raise InputError(path, "holds no whole keyframe, so that nothing of it can be shown")
     size = path.stat().st_size
-    return "\n".join([*_file_lines(path, size, infos), "", *_scene_lines(scene), "", *_size_lines(infos)])
+    return "\n".join([*_file_lines(path, size, infos), *faults, "", *_scene_lines(scene), "", *_size_lines(infos)])
+
+
+def _packets(reader: SlodReader) -> tuple[list[PacketInfo], list[int]]:
+    """What is known of the packets that are whole, and the numbers of the damaged ones."""
+    infos: list[PacketInfo] = []
+    damaged: list[int] = []
+    for number, packet in enumerate(reader.packets()):
+        try:
+            infos.append(describe(parse(packet)))
+        except BitstreamError:
+            damaged.append(number)
+    return infos, damaged
+
+
+def _fault_lines(path: Path, reader: SlodReader, damaged: list[int]) -> list[str]:
+    """What is missing from a file, if anything."""
+    lines, size, count = [], path.stat().st_size, len(reader.entries)
+    if damaged:
+        numbers = ", ".join(map(str, damaged[:_MAX_NUMBERS])) + (" and others" if len(damaged) > _MAX_NUMBERS else "")
+        cost = "each costs pictures up to the next keyframe"
+        lines.append(f"damaged: {len(damaged)} of {count} packets ({numbers}); {cost}")
+    if reader.torn or reader.records_end == size:
+        lost = size - reader.records_end
+        end = f"{lost} bytes of an incomplete packet or index are lost" if lost else "only the index is missing"
+        there = f"{count} packets, to byte {reader.records_end}, are there"
+        lines.append(f"cut short, or still being written: {there}; {end}")
+    return lines
 
 
 def _first_scene(reader: SlodReader) -> Scene | None:

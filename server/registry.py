@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import secrets
-import tempfile
 from collections import Counter
 from collections.abc import Coroutine
 from pathlib import Path
@@ -15,6 +13,7 @@ from core.errors import InputError, StorageError
 from server.auth.gate import Gate
 from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
+from server.stream.socket_folder import SocketFolder
 from server.stream.store import Recording, Store
 from server.stream.stream import Stream
 from server.stream.worker_stream import WorkerStream
@@ -47,7 +46,7 @@ class Registry:
         self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
         self.draining = False
         self._drained = False
-        self._sockets: tempfile.TemporaryDirectory[str] | None = None
+        self._sockets: SocketFolder | None = None
         self.kept: dict[str, Recording] = {}  # recordings of streams that were deleted
         idle = {new.id for new in settings.streams if new.start is False}
         self._initial = [spec.id for spec in specs if spec.id not in idle]
@@ -94,12 +93,17 @@ class Registry:
         return stream
 
     async def delete(self, stream: WorkerStream, *, erase: bool) -> None:
-        """Remove a stream, with its recording if that is to be erased."""
-        del self.streams[stream.id]
+        """Remove a stream, with its recording if that is to be erased.
+
+        Raises:
+            StorageError: this cannot be remembered, as the disk is full; the stream is as it was.
+        """
         recording = stream.bus.recording
-        await stream.delete(erase=erase)
         if recording is not None and not erase:
             recording.note(definition=None, running=False)
+        del self.streams[stream.id]
+        await stream.delete(erase=erase)
+        if recording is not None and not erase:
             self.kept[stream.id] = recording
 
     async def drain(self) -> None:
@@ -123,7 +127,7 @@ class Registry:
         if self.store is not None:
             await asyncio.to_thread(self.store.close)
         if self._sockets is not None:
-            self._sockets.cleanup()
+            self._sockets.close()
 
     def _add(self, spec: StreamSpec) -> WorkerStream:
         recording = self.kept.pop(spec.id, None)
@@ -166,7 +170,7 @@ class Registry:
         task.add_done_callback(self._tasks.discard)
 
     def _push_socket(self) -> Path:
-        """A place for a worker's socket in a folder that is this user's alone; its path may have 107 bytes."""
+        """A place for a worker's socket."""
         if self._sockets is None:
-            self._sockets = tempfile.TemporaryDirectory(prefix="streamlod-")
-        return Path(self._sockets.name) / secrets.token_hex(8)
+            self._sockets = SocketFolder()
+        return self._sockets.new_socket()

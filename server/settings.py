@@ -37,6 +37,9 @@ class Limits(BaseModel):
     messages_per_second: float = Field(default=50.0, gt=0, description="control messages of a viewer, on average")
     hello_seconds: float = Field(default=5.0, gt=0, description="time a viewer has to say hello")
     stuck_seconds: float = Field(default=30.0, gt=0, description="a viewer that takes no byte for so long is closed")
+    download_bytes_per_second: float = Field(
+        default=8192, ge=0, description="a download that is read more slowly, over `stuck_seconds`, is cut off"
+    )
     viewer_bytes: int = Field(
         default=128 * 1024, ge=4096, description="socket buffer of a viewer, and how far it may lag"
     )

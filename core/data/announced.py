@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 MAX_SEGMENTS = 1024  # before the pixels of a JPEG
 MAX_CHUNKS = 65536  # of a PNG
+MAX_SCANS = 64  # of a JPEG; usual progressive ones have 10, and each costs a decoder the time of a whole picture
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_PIXELS = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
 _JPEG = b"\xff\xd8"
 _END_OF_IMAGE = b"\xff\xd9"
-_START_OF_SCAN = 0xDA
+_START_OF_SCAN = b"\xff\xda"
 _FRAME_HEADERS = {0xC0, 0xC1, 0xC2}  # baseline, extended sequential, progressive; Huffman-coded
 _TABLES = {0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)}  # Huffman, quantisation, restart interval, comment, application
 
@@ -51,8 +52,9 @@ def _jpeg(data: bytes) -> AnnouncedPicture | None:
         if at + 4 > len(data) or data[at] != 0xFF:
             return None
         marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
-        if marker == _START_OF_SCAN:
-            return AnnouncedPicture(size, data) if size is not None and data.find(_END_OF_IMAGE, at) >= 0 else None
+        if marker == _START_OF_SCAN[1]:
+            usable = data.find(_END_OF_IMAGE, at) >= 0 and data.count(_START_OF_SCAN, at) <= MAX_SCANS
+            return AnnouncedPicture(size, data) if size is not None and usable else None
         if length < 2 or at + 2 + length > len(data):
             return None
         if marker in _FRAME_HEADERS and size is None and length >= 8:

@@ -43,7 +43,8 @@ class LimitedProtocol(HttpToolsProtocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        self._stalls = StallWatch(transport, self.limits.stuck_seconds, self.turned_away)
+        seconds = self.limits.stuck_seconds
+        self._stalls = StallWatch(transport, seconds, self.turned_away, self.limits.download_bytes_per_second * seconds)
         if len(self.connections) > 2 * self.limits.connections:  # up to here, a request is answered with 503
             self.turned_away["many"] += 1
             transport.abort()

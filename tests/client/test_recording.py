@@ -75,9 +75,32 @@ def test_a_file_cut_at_any_byte_is_refused_by_name(tmp_path: Path) -> None:
         path.write_bytes(data[:size])
         with pytest.raises(InputError, match=re.escape(str(path))):
             list(decode_frames(path))
-    for read in (lambda: decode_version(path, 1), lambda: describe_file(path)):
+    with pytest.raises(InputError, match=re.escape(str(path))):
+        decode_version(path, 1)
+
+
+def test_the_description_of_a_torn_file_says_what_is_whole_and_what_is_lost(tmp_path: Path) -> None:
+    whole, path = tmp_path / "whole.slod", tmp_path / "torn.slod"
+    packets = write_clip(whole, states(3, plain_scene((3, 5))))
+    data = whole.read_bytes()
+    ends = [8 + sum(4 + len(packet) for packet in packets[: n + 1]) for n in range(3)]
+
+    def described(damaged: bytes) -> str:
+        path.write_bytes(damaged)
+        return describe_file(path)
+
+    assert "cut short" not in described(data)
+    assert f"1 packets, to byte {ends[0]}, are there; 20 bytes of an incomplete" in described(data[: ends[0] + 20])
+    text = described(data[: ends[1]])
+    assert f"2 packets, to byte {ends[1]}, are there; only the index is missing" in text
+    assert "frames 0 to 1," in text
+    assert "3 packets" in described(data[:-1])
+    flipped = bytearray(data)
+    flipped[ends[1] - 3] ^= 1
+    assert "damaged: 1 of 3 packets (1);" in described(bytes(flipped))
+    for size in (0, 7, 8, 30, ends[0] - 1):
         with pytest.raises(InputError, match=re.escape(str(path))):
-            read()
+            described(data[:size])
 
 
 def test_description_adds_up(tmp_path: Path) -> None:

@@ -11,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from codec.container import SlodWriter
+from codec.encoder import encode_keyframe
 from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Settings
+from tests.codec.scenes import make_scene
 from tests.server.conftest import Running, running
 from tests.server.test_faults import masked, raw
 
@@ -70,6 +73,25 @@ def test_a_peer_that_takes_no_answer_is_cut(upgraded: bool) -> None:
         with contextlib.suppress(ConnectionError):
             while peer.recv(1 << 20):  # what the kernel had; then it ends
                 pass
+
+
+def test_a_download_that_is_read_too_slowly_is_cut_and_a_slow_one_is_not(tmp_path: Path) -> None:
+    large, packet = tmp_path / "large.slod", encode_keyframe(make_scene((50, 500, 4000)), time_ns=0, profile=0)
+    with SlodWriter(large) as writer:
+        for _ in range(20_000_000 // len(packet)):  # more than socket buffers take
+            writer.append(packet)
+    request = b"GET /v1/streams/main/recording HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    limits = Limits(stuck_seconds=0.5, download_bytes_per_second=50_000)
+    with running(Settings(limits=limits), StreamSpec(play=large)) as server:
+        for bytes_at_once, cut in ((4096, False), (100, True)):
+            with peer_of(server, upgraded=False) as peer:
+                peer.sendall(request)
+                end = time.monotonic() + 2
+                with contextlib.suppress(ConnectionError):
+                    while time.monotonic() < end and server.registry.turned_away["stalled"] == 0:
+                        peer.recv(bytes_at_once)
+                        time.sleep(0.005)
+            assert server.registry.turned_away["stalled"] == cut, bytes_at_once
 
 
 def test_requests_that_wait_for_each_other_are_not_piled_up() -> None:
