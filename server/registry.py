@@ -9,10 +9,12 @@ from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError, StorageError
+from core.close_codes import CloseCode
+from core.errors import InputError, SessionError, StorageError
 from server.auth.gate import Gate
 from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
+from server.stream.feed import Feed
 from server.stream.socket_folder import SocketFolder
 from server.stream.store import Recording, Store
 from server.stream.stream import Stream
@@ -39,6 +41,8 @@ class Registry:
     def __init__(self, settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> None:
         self.settings = settings
         self.gate = Gate(settings)
+        self.feed = Feed()
+        self.configured = frozenset(spec.id for spec in specs)  # which only the settings can change
         self.store = Store(settings.state, settings.retention) if settings.state else None
         self.streams: dict[str, Stream] = {}
         self.sessions: dict[ViewerSession | ThinSession, str] = {}  # with the viewer's address
@@ -88,6 +92,7 @@ class Registry:
                 del self.streams[spec.id]
                 await recording.erase()
                 raise
+        self.feed.tell("stream.created", spec.id)
         if start:
             stream.start()
         return stream
@@ -105,6 +110,23 @@ class Registry:
         await stream.delete(erase=erase)
         if recording is not None and not erase:
             self.kept[stream.id] = recording
+        self.feed.tell("stream.deleted", stream.id, erased=erase)
+
+    def change(self, stream: WorkerStream, spec: StreamSpec) -> None:
+        """Make a stream from something else, from its next start on.
+
+        Raises:
+            InputError: it runs, or belongs to the settings.
+            StorageError: this cannot be remembered, as the disk is full; the stream is as it was.
+        """
+        if stream.id in self.configured:
+            raise InputError(f"stream {stream.id}", "is of the settings; change it there")
+        if stream.is_running:
+            raise InputError(f"stream {stream.id}", "runs; stop it before it is changed")
+        if stream.bus.recording is not None:
+            stream.bus.recording.note(definition=self._sealed(spec))
+        stream.define(spec, self._push_socket() if spec.is_live else None)
+        self.feed.tell("stream.changed", stream.id)
 
     async def drain(self) -> None:
         """Disconnect viewers, stop workers and finish recordings; only the first call does anything."""
@@ -113,7 +135,7 @@ class Registry:
             return
         self._drained = True
         for session in self.sessions:
-            session.drain()
+            session.end(SessionError(CloseCode.STOPPING, "the server is stopping; connect again"))
         for stream in self.streams.values():
             stream.hub.wake()  # requests that wait for something new
         limit = asyncio.get_running_loop().time() + self.settings.drain_seconds / 2
@@ -134,7 +156,7 @@ class Registry:
         if recording is None and self.store is not None:
             recording = self.store.recording(spec.id)
         socket = self._push_socket() if spec.is_live else None
-        stream = self.streams[spec.id] = WorkerStream(spec, self.settings, recording, socket)
+        stream = self.streams[spec.id] = WorkerStream(spec, self.settings, recording, socket, self.feed)
         return stream
 
     def _sealed(self, spec: StreamSpec) -> Any:

@@ -70,6 +70,17 @@ class Retention(BaseModel):
     reserve_fraction: float = Field(default=0.05, ge=0, lt=1, description="part of the disk that recording leaves free")
 
 
+class Webhook(BaseModel):
+    """A program that is told what happens, by POST (docs/protocol.md)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    url: str = Field(pattern=r"^https?://[^/@\s]+(/\S*)?$", max_length=2000, description="where to")
+    key: Path = Field(description="file with the secret that signs, of at least 32 characters")
+    events: tuple[str, ...] = Field(default=("*",), description="kinds of events, as shell patterns")
+    streams: str = Field(default="*", description="ids of streams, as a shell pattern")
+
+
 class WorkerSettings(BaseModel):
     """How workers are watched."""
 
@@ -112,6 +123,9 @@ class Settings(BaseModel):
     tokens: Path | None = Field(default=None, description="token file; without one everybody may do everything")
     jwt_key: Path | None = Field(default=None, description="file with the HS256 secret or the Ed25519 public key (PEM)")
     jwks: str | None = Field(default=None, description="JSON web key set: a file, or an https address that is fetched")
+    revoked: Path | None = Field(
+        default=None, description="file of JSON web tokens that count no more: a line each, `jti` or SHA-256"
+    )
     link_key: Path | None = Field(
         default=None,
         description="file with the secret that signs download links; without one they end with the process",
@@ -141,6 +155,12 @@ class Settings(BaseModel):
     certificate: Path | None = Field(default=None, description="TLS certificate chain (PEM)")
     certificate_key: Path | None = Field(default=None, description="TLS private key (PEM)")
     drain_seconds: float = Field(default=8.0, gt=0, le=10, description="time that viewers get to leave after SIGTERM")
+    webhooks: tuple[Webhook, ...] = Field(
+        default=(), description="programs that are told what happens, as `[[webhooks]]`"
+    )
+    on_demand_seconds: float = Field(
+        default=10.0, ge=0, description="a stream on demand stops so long after its last viewer has gone"
+    )
     streams: tuple[NewStream, ...] = Field(
         default=(), description="streams to start with, as `[[streams]]`; fields as in `POST /v1/streams`"
     )

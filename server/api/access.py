@@ -138,6 +138,7 @@ def need_download() -> Any:
 
     async def check(request: Request) -> None:
         gate, begin = registry_of(request).gate, time.monotonic()
+        gate.look()
         stream = registry_of(request).streams.get(request.path_params.get("stream_id", ""))
         incarnation = "" if stream is None else stream.incarnation
         if "signature" not in request.query_params:

@@ -13,8 +13,10 @@ from codec.container import joined, size_of
 from core.errors import StreamlodError
 from server.api.access import StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, respond
+from server.api.wall_clock import WallClock
 from server.http.problems import PROBLEMS, Problem
 from server.protocol.packets import Position, StreamPacket
+from server.stream.store import Segment
 from server.stream.stream import Stream
 
 Group = pathlib.Path | list[StreamPacket]  # a recorded file, or packets in memory
@@ -23,7 +25,7 @@ _BOUND = 2**32 - 1
 _ANSWERS: dict[int | str, dict[str, Any]] = {
     206: {"description": "the range asked for"},
     304: {"description": "what the client has is current"},
-    **{status: PROBLEMS[status] for status in (401, 403, 404, 410, 416, 422, 429)},
+    **{status: PROBLEMS[status] for status in (401, 403, 404, 409, 410, 416, 422, 429)},
 }
 
 Epoch = Annotated[int, Path(ge=0, le=_BOUND, description="encoder run", examples=[1])]
@@ -37,14 +39,12 @@ _FOR_GOOD = "/incarnations/{incarnation}"  # addresses below it never lead to an
 Incarnation = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="of the stream", examples=["9f86d081884c7d65"])]
 
 
-@router.head(_PACKET, include_in_schema=False)
 @router.get(_PACKET, summary="One packet of the present stream", response_class=Response, responses=_ANSWERS)
 async def packet(stream: StreamOf, epoch: Epoch, version: Version, request: Request) -> Response:
     """The packet that leads to this version, as in codec/FORMAT.md."""
     return respond(request, await _packet(stream, epoch, version, FRESH))
 
 
-@router.head(_FOR_GOOD + _PACKET, include_in_schema=False)
 @router.get(_FOR_GOOD + _PACKET, summary="One packet", response_class=Response, responses=_ANSWERS)
 async def packet_for_good(
     stream: StreamOf, incarnation: Incarnation, epoch: Epoch, version: Version, request: Request
@@ -54,14 +54,12 @@ async def packet_for_good(
     return respond(request, await _packet(stream, epoch, version, IMMUTABLE))
 
 
-@router.head(_GROUP, include_in_schema=False)
 @router.get(_GROUP, summary="One group of pictures of the present stream", response_class=Response, responses=_ANSWERS)
 async def group(stream: StreamOf, epoch: Epoch, first: Version, request: Request) -> Response:
     """A keyframe and its residuals as a `.slod` file."""
     return respond(request, await _group_file(stream, epoch, first, FRESH))
 
 
-@router.head(_FOR_GOOD + _GROUP, include_in_schema=False)
 @router.get(_FOR_GOOD + _GROUP, summary="One group of pictures", response_class=Response, responses=_ANSWERS)
 async def group_for_good(
     stream: StreamOf, incarnation: Incarnation, epoch: Epoch, first: Version, request: Request
@@ -71,16 +69,21 @@ async def group_for_good(
     return respond(request, await _group_file(stream, epoch, first, IMMUTABLE))
 
 
-@router.head("/bitstream", include_in_schema=False)
 @router.get("/bitstream", summary="Everything retained of one epoch", response_class=Response, responses=_ANSWERS)
 async def bitstream(
     stream: StreamOf,
     request: Request,
+    clock: WallClock,
     epoch: Annotated[int | None, Query(ge=0, le=_BOUND, description="encoder run; the newest by default")] = None,
 ) -> Response:
-    """All retained groups of pictures of one encoder run as a `.slod` file."""
-    if stream.bus.recording is not None:
-        await stream.bus.recording.flush()
+    """All retained groups of pictures of one encoder run as a `.slod` file; with `from` or `to`, those between two
+    times, which only a recording knows. Where these span several runs, `epoch` has to name one (409)."""
+    recording = stream.bus.recording
+    if recording is not None:
+        await recording.flush()
+    if not clock.is_open:
+        segments = [s for s in clock.choose(recording.segments if recording else ()) if epoch in (None, s.first.epoch)]
+        return respond(request, await recorded_file(stream.id, stream.incarnation, group_files(segments)))
     groups = _groups(stream)
     newest = stream.newest
     wanted = epoch if epoch is not None else max((place.epoch for place in groups), default=0)
@@ -90,7 +93,6 @@ async def bitstream(
     return respond(request, await _file(stream, chosen, FRESH, str(wanted)))
 
 
-@router.head("/recording", include_in_schema=False)
 @router.get("/recording", summary="The file that the stream plays", response_class=Response, responses=_ANSWERS)
 async def recording(stream: StreamOf, request: Request) -> Response:
     """The whole `.slod` file behind a stream whose source is a recording, whatever part of it has been played."""
@@ -138,14 +140,38 @@ def _groups(stream: Stream) -> dict[Position, Group]:
     return recorded or {packets[0].position: packets for packets in stream.bus.window.groups()}
 
 
+def group_files(segments: list[Segment]) -> dict[Position, Group]:
+    """The files of recorded groups of pictures, by position; those that hold something."""
+    return {segment.first: segment.path for segment in segments if segment.packets}
+
+
+async def recorded_file(name: str, incarnation: str, groups: dict[Position, Group]) -> Download:
+    """Recorded groups of one encoder run as one file.
+
+    Raises:
+        Problem: 404 without any, 409 where they are of several runs.
+    """
+    epochs = sorted({place.epoch for place in groups})
+    if not epochs:
+        raise Problem(404, "nothing of that is recorded")
+    if len(epochs) > 1:
+        runs = f"{epochs[0]} to {epochs[-1]}"
+        raise Problem(409, f"these are {len(epochs)} encoder runs, {runs}; name one with `epoch`")
+    return await _joined(name, incarnation, groups, FRESH, str(epochs[0]))
+
+
 async def _file(stream: Stream, groups: dict[Position, Group], caching: str, name: str) -> Download:
+    return await _joined(stream.id, stream.incarnation, groups, caching, name)
+
+
+async def _joined(name: str, incarnation: str, groups: dict[Position, Group], caching: str, part: str) -> Download:
     parts = [
         [(packet.info, packet.data) for packet in group] if isinstance(group, list) else group
         for _, group in sorted(groups.items())
     ]
     pieces = await asyncio.to_thread(joined, parts)
-    state = f"{stream.incarnation} {sorted(groups)} {list(map(size_of, pieces))}"
-    return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{stream.id}-{name}.slod")
+    state = f"{incarnation} {sorted(groups)} {list(map(size_of, pieces))}"
+    return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{name}-{part}.slod")
 
 
 def _hash(data: bytes) -> str:

@@ -136,6 +136,7 @@ async def _watch(
         return True
 
     registry.sessions[session] = address
+    registry.feed.tell("viewer.joined", stream_id, viewer=session.id, address=address, client=hello.client)
     transport.connection.listen(take)
     sending = asyncio.create_task(session.run())
     listening = asyncio.create_task(_listen(websocket, session))
@@ -147,6 +148,8 @@ async def _watch(
         transport.connection.listen(None)
         transport.connection.on_blocked(None)
         registry.sessions.pop(session, None)
+        told = session.describe()
+        registry.feed.tell("viewer.left", stream_id, viewer=session.id, address=address, seconds=told["seconds"])
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

@@ -12,6 +12,7 @@ from fastapi.responses import StreamingResponse
 
 from codec.container import FilePart, Piece, size_of
 from server.api.access import registry_of
+from server.http.head import is_head
 from server.http.problems import Problem
 
 _CHUNK_BYTES = 1 << 20
@@ -66,13 +67,13 @@ def respond(request: Request, download: Download) -> Response:
         return Response(status_code=304, headers=headers)
     begin, end, status = 0, size, 200
     condition = request.headers.get("if-range")
-    if request.method == "GET" and (condition is None or condition.strip() == etag):
+    if not is_head(request) and (condition is None or condition.strip() == etag):
         asked = _parse_range(request.headers.get("range"), size)
         if asked is not None:
             (begin, end), status = asked, 206
             headers["Content-Range"] = f"bytes {begin}-{end - 1}/{size}"
     headers["Content-Length"] = str(end - begin)
-    if request.method == "HEAD":
+    if is_head(request):
         return Response(status_code=200, headers=headers, media_type=download.media_type)
     return StreamingResponse(_read(download, begin, end), status, headers, download.media_type)
 

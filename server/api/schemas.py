@@ -129,6 +129,68 @@ class Link(BaseModel):
     expires_at: datetime
 
 
+class ViewerBody(BaseModel):
+    """A viewer of a stream."""
+
+    id: str
+    address: str = Field(description="where it connects from")
+    client: str = Field(description="what it calls itself")
+    seconds: float = Field(description="since it said hello")
+    mode: Literal["live", "replay", "paused"]
+    position: PositionBody | None = Field(description="of the last packet sent; null before the first")
+    sent_bytes: int
+    thin: bool = Field(description="whether the server draws for it")
+
+
+class ViewerList(BaseModel):
+    """All viewers of a stream."""
+
+    items: list[ViewerBody]
+
+
+class RecordingBody(BaseModel):
+    """What is recorded of one encoder run of a stream."""
+
+    stream: str
+    deleted: bool = Field(description="whether the stream is there no more")
+    epoch: int
+    begun_at: datetime
+    last_group_at: datetime = Field(description="when its newest group of pictures began")
+    groups: int
+    packets: int
+    bytes: int
+    path: str = Field(description="download of all of it")
+
+
+class RecordingList(BaseModel):
+    """A page of recordings."""
+
+    items: list[RecordingBody]
+    next_cursor: str | None = Field(description="pass it as `cursor` for the next page; null on the last")
+
+
+class Capabilities(BaseModel):
+    """What a server can do as it is set up."""
+
+    recording: bool
+    tokens: bool = Field(description="whether tokens are needed")
+    thin_viewers: bool = Field(description="whether it draws for viewers that cannot")
+    webhooks: bool
+    stopping: bool
+
+
+class ServerBody(BaseModel):
+    """What a server is and can do."""
+
+    version: str
+    protocol_versions: list[int] = Field(description="of the viewer protocol")
+    started_at: datetime
+    server_time_ns: int = Field(description="Unix time")
+    limits: dict[str, float] = Field(description="the settings `limits`")
+    retention: dict[str, float] = Field(description="the settings `retention`")
+    capabilities: Capabilities
+
+
 class Health(BaseModel):
     """Whether the server works."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,11 +14,12 @@ from fastapi import APIRouter, Query, Request, Response
 from codec.container import SlodReader
 from core.errors import BitstreamError, InputError, StorageError
 from server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
+from server.api.conditions import IfMatch, tag_headers
 from server.api.reach import check_reach
 from server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem
-from server.pipeline.new_stream import NewStream
+from server.pipeline.new_stream import NewStream, StreamChange
 from server.pipeline.spec import StreamSpec
 from server.protocol.packets import Position
 from server.registry import Registry
@@ -58,25 +60,21 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
     problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
     if problem is not None:
         raise problem
-    try:
-        spec = body.spec
-        check_reach(spec, registry.settings)
-        await asyncio.to_thread(_check_source, spec)
-    except (InputError, BitstreamError) as error:
-        raise Problem(422, masked(str(error))) from error
+    spec = await _checked(lambda: body.spec, registry)
     try:
         stream = await registry.create(spec, start=body.start is True)
     except StorageError as error:
         raise Problem(507, str(error)) from error
     except InputError as error:
         raise Problem(409 if body.id in registry.streams else 422, str(error)) from error
-    response.headers["Location"] = f"/v1/streams/{body.id}"
+    response.headers.update({"Location": f"/v1/streams/{body.id}", **tag_headers(stream)})
     return StreamBody.model_validate(stream.describe())
 
 
 @router.get("/{stream_id}", summary="A stream's state", dependencies=[need(Right.READ)])
-async def get_stream(stream: StreamOf) -> StreamBody:
-    """State, newest position, progress and figures of one stream."""
+async def get_stream(stream: StreamOf, response: Response) -> StreamBody:
+    """State, newest position, progress and figures of one stream. The ETag is that of its definition."""
+    response.headers.update({**tag_headers(stream), "Cache-Control": "no-store"})
     return StreamBody.model_validate(stream.describe())
 
 
@@ -88,19 +86,47 @@ async def get_stream(stream: StreamOf) -> StreamBody:
 )
 async def get_ready(stream: StreamOf, response: Response) -> Health:
     """200 while the stream is live or has ended as it should; otherwise 503, with its state and the reason."""
-    ready = stream.state in {"live", "ended"}
+    ready = stream.is_ready
     response.status_code = 200 if ready else 503
     return Health(status="ok" if ready else stream.state, detail=stream.detail)
 
 
 @control.get("/{stream_id}/definition", summary="What a stream is made from", dependencies=[need(Right.CONTROL)])
-async def get_definition(stream: WorkerStreamOf) -> dict[str, Any]:
+async def get_definition(stream: WorkerStreamOf, response: Response) -> dict[str, Any]:
     """The fields with which the stream was created, and defaults; passwords are left out."""
+    response.headers.update(tag_headers(stream))
     found: dict[str, Any] = masked(stream.spec.to_json())
     return found
 
 
-@control.delete("/{stream_id}", status_code=204, summary="Delete a stream", dependencies=[need(Right.CONTROL)])
+@control.patch(
+    "/{stream_id}",
+    summary="Change a stream",
+    dependencies=[need(Right.CONTROL), IfMatch],
+    responses=_problems(409, 412, 507),
+)
+async def change_stream(body: StreamChange, stream: WorkerStreamOf, request: Request, response: Response) -> StreamBody:
+    """Change what a stream is made from: the fields that are given, `null` for a default, take effect at its next
+    start. A stream that runs, or that the settings file defines, is not changed (409)."""
+    registry = registry_of(request)
+    spec = await _checked(lambda: body.apply_to(stream.spec), registry)
+    try:
+        registry.change(stream, spec)
+    except StorageError as error:
+        raise Problem(507, str(error)) from error
+    except InputError as error:
+        raise Problem(409, str(error)) from error
+    response.headers.update(tag_headers(stream))
+    return StreamBody.model_validate(stream.describe())
+
+
+@control.delete(
+    "/{stream_id}",
+    status_code=204,
+    summary="Delete a stream",
+    dependencies=[need(Right.CONTROL), IfMatch],
+    responses=_problems(412, 507),
+)
 async def delete_stream(
     stream: WorkerStreamOf,
     request: Request,
@@ -113,14 +139,26 @@ async def delete_stream(
         raise Problem(507, str(error)) from error
 
 
-@control.post("/{stream_id}/start", status_code=202, summary="Start", dependencies=[need(Right.CONTROL)])
+@control.post(
+    "/{stream_id}/start",
+    status_code=202,
+    summary="Start",
+    dependencies=[need(Right.CONTROL), IfMatch],
+    responses=_problems(412),
+)
 async def start_stream(stream: WorkerStreamOf) -> StreamBody:
     """Start the worker; one that runs goes on, an ended source begins again."""
     stream.start()
     return StreamBody.model_validate(stream.describe())
 
 
-@control.post("/{stream_id}/stop", status_code=202, summary="Stop", dependencies=[need(Right.CONTROL)])
+@control.post(
+    "/{stream_id}/stop",
+    status_code=202,
+    summary="Stop",
+    dependencies=[need(Right.CONTROL), IfMatch],
+    responses=_problems(412),
+)
 async def stop_stream(stream: WorkerStreamOf) -> StreamBody:
     """Stop the worker; viewers stay connected and the recording stays."""
     await stream.stop()
@@ -166,6 +204,17 @@ async def get_manifest(
             "gops": _groups(stream),
         }
     )
+
+
+async def _checked(make: Callable[[], StreamSpec], registry: Registry) -> StreamSpec:
+    """What a stream is to be made from; 422 where that cannot be used, or must not be reached."""
+    try:
+        spec = make()
+        check_reach(spec, registry.settings)
+        await asyncio.to_thread(_check_source, spec)
+    except (InputError, BitstreamError) as error:
+        raise Problem(422, masked(str(error))) from error
+    return spec
 
 
 def _check_source(spec: StreamSpec) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import logging
 import time
 from collections import OrderedDict, deque
 from dataclasses import dataclass
@@ -14,13 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from core.errors import InputError
-from server.auth.keys import TokenKeys
+from server.auth.keys import TokenKeys, is_address
 from server.auth.links import LinkSigner
 from server.settings import Settings
 
+_LOG = logging.getLogger(__name__)
 _MAX_ADDRESSES = 10_000
 _MAX_TOKEN_CHARACTERS = 4096
 _MINUTE = 60.0
+_LOOK_SECONDS = 1.0  # between two looks whether a file has changed
+MAX_REVOKED = 100_000
 
 
 class Right(StrEnum):
@@ -82,6 +86,9 @@ class Gate:
         self.links = LinkSigner(settings.link_key)
         self._refusals: OrderedDict[str, deque[float]] = OrderedDict()
         self.refused = 0
+        self._revoked: frozenset[str] = frozenset()
+        self._looked_at = 0.0
+        self._marks: tuple[object, ...] = ()
         self.reload()
 
     @property
@@ -90,18 +97,45 @@ class Gate:
         return not self._settings.has_tokens
 
     def reload(self) -> None:
-        """Read the token and key files.
+        """Read the files of tokens, keys and revocations.
 
         Raises:
             InputError: a file cannot be used; the earlier tokens stay.
         """
+        self._looked_at, self._marks = time.monotonic(), self._file_marks()
         grants = {} if self._settings.tokens is None else read_tokens(self._settings.tokens)
+        revoked = frozenset() if self._settings.revoked is None else read_revoked(self._settings.revoked)
         self._keys.reload()
         self.links.reload()
-        self._grants = grants
+        self._grants, self._revoked = grants, revoked
+
+    def look(self) -> None:
+        """Read the files again if one has changed; where they cannot be used, the earlier ones stay."""
+        if time.monotonic() - self._looked_at < _LOOK_SECONDS:
+            return
+        self._looked_at = time.monotonic()
+        if self._file_marks() != self._marks:
+            try:
+                self.reload()
+                _LOG.info("tokens were read again")
+            except InputError as error:
+                _LOG.error("tokens were not read again, the earlier ones stay: %s", error)
+
+    def _file_marks(self) -> tuple[object, ...]:
+        """What changes with the files."""
+        settings, marks = self._settings, []
+        key_set = Path(settings.jwks) if settings.jwks is not None and not is_address(settings.jwks) else None
+        for path in (settings.tokens, settings.revoked, settings.jwt_key, settings.link_key, key_set):
+            try:
+                found = path.stat() if path is not None else None
+                marks.append(found and (found.st_mtime_ns, found.st_size, found.st_ino))
+            except OSError:
+                marks.append(None)
+        return tuple(marks)
 
     async def admit(self, token: str | None) -> Grant | None:
-        """`grant_of`, after keys that the token needs have been fetched."""
+        """`grant_of`, after files that have changed were read and keys that the token needs were fetched."""
+        self.look()
         if token and len(token) <= _MAX_TOKEN_CHARACTERS and token.count(".") == 2:
             await self._keys.refresh(token)
         return self.grant_of(token)
@@ -116,8 +150,10 @@ class Gate:
         for known, grant in self._grants.items():  # compare with all of them, so that the time taken tells nothing
             if hmac.compare_digest(known, offered):
                 found = grant
-        if found is None and token.count(".") == 2:
-            return _grant_of_claims(self._keys.claims(token))
+        if found is None and token.count(".") == 2 and offered not in self._revoked:
+            claims = self._keys.claims(token)
+            if claims is not None and str(claims.get("jti", "")) not in self._revoked:
+                return _grant_of_claims(claims)
         return found
 
     def note_refusal(self, address: str) -> None:
@@ -149,6 +185,21 @@ def read_tokens(path: Path) -> dict[str, Grant]:
     if not isinstance(entries, list):
         raise InputError(path, "must hold a list of tokens")
     return dict(_read_entry(path, number, entry) for number, entry in enumerate(entries))
+
+
+def read_revoked(path: Path) -> frozenset[str]:
+    """Identifiers (`jti`) or SHA-256 of JSON web tokens that count no more, a line each; `#` begins a comment.
+
+    Raises:
+        InputError: the file cannot be read, or has too many lines.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"cannot be read ({error})") from error
+    if len(lines) > MAX_REVOKED:
+        raise InputError(path, f"has more than {MAX_REVOKED} lines; take out tokens that have expired")
+    return frozenset(filter(None, (line.partition("#")[0].strip() for line in lines)))
 
 
 def _read_entry(path: Path, number: int, entry: Any) -> tuple[str, Grant]:

@@ -10,8 +10,11 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ConfigDict, Field, create_model
 
+from server.pipeline.job import SOURCES
 from server.pipeline.options import Option
 from server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
+
+_SOURCES = (*SOURCES, "play")
 
 
 def _json_type(kind: Any) -> Any:
@@ -23,6 +26,13 @@ def _json_type(kind: Any) -> Any:
     if get_origin(kind) is tuple:
         return list[str]
     return kind
+
+
+def _change(option: Option) -> Any:
+    """As `_field`, of a change: absent or null by default."""
+    kind, field = _field(option)
+    field.default = None
+    return kind | None, field
 
 
 def _field(option: Option) -> Any:
@@ -61,3 +71,22 @@ class NewStream(_StreamOptions):  # type: ignore[misc, valid-type]
     def spec(self) -> StreamSpec:
         """What the stream is made from; InputError if it cannot be made."""
         return spec_from_json(self.model_dump(exclude={"start"}, exclude_none=True))
+
+
+_StreamChanges = create_model(
+    "_StreamChanges", **{option.name: _change(option) for option in STREAM_OPTIONS if option.name != "id"}
+)
+
+
+class StreamChange(_StreamChanges):  # type: ignore[misc, valid-type]
+    """Fields of a stream that are to be changed; a new source replaces the old one."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"on_demand": True}]})
+
+    def apply_to(self, spec: StreamSpec) -> StreamSpec:
+        """The changed specification; InputError if there can be none."""
+        changes = self.model_dump(exclude_unset=True)
+        values = spec.to_json() | changes
+        if any(changes.get(name) is not None for name in _SOURCES):
+            values |= {name: changes.get(name) for name in _SOURCES}
+        return spec_from_json({name: value for name, value in values.items() if value is not None})

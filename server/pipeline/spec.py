@@ -26,6 +26,7 @@ class StreamSpec:
     job: TrainJob | None = None
     play: Path | None = option(None, "Stream a recorded file in real time.", metavar="FILE.slod", max_length=MAX_PATH)
     loop: bool = option(True, "Begin a played file again at its end.")
+    on_demand: bool = option(False, "Start with the first viewer, and stop some time after the last one.")
 
     def __post_init__(self) -> None:
         if not re.fullmatch(_ID, self.id):
@@ -50,6 +51,7 @@ class StreamSpec:
     def to_json(self) -> dict[str, Any]:
         """Plain values, those of the job among them; `spec_from_json` goes back."""
         own = {"id": self.id, "play": None if self.play is None else str(self.play), "loop": self.loop}
+        own["on_demand"] = self.on_demand
         return own if self.job is None else own | self.job.to_json()
 
 

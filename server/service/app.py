@@ -14,17 +14,20 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
-from server.api import downloads, live, poster, push, streams
+from server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
 from server.api.access import grant_of, need, registry_of
 from server.api.openapi import describe, operation_id
 from server.api.schemas import Health
 from server.auth.gate import Right
+from server.http.head import HeadAsGet
 from server.http.problems import PROBLEMS, Problem, problem_page, problem_response
 from server.http.site_policy import SitePolicy
 from server.http.static_page import PageFiles
 from server.pipeline.spec import StreamSpec
 from server.registry import Registry
+from server.service.docs_page import add_docs
 from server.service.metrics import collector_registry
+from server.service.webhooks import webhooks
 from server.settings import Settings
 
 _DESCRIPTION = """
@@ -57,12 +60,13 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        registry.start()
-        yield
-        await registry.drain()
+        async with webhooks(settings, registry.feed):
+            registry.start()
+            yield
+            await registry.drain()
 
     app = FastAPI(
-        title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, redoc_url=None,
+        title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, docs_url=None, redoc_url=None,
         generate_unique_id_function=operation_id,
     )  # fmt: skip
     app.state.registry, app.state.posters = registry, poster.Posters()
@@ -72,11 +76,13 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     app.include_router(push.router)
     app.include_router(streams.router)
     app.include_router(streams.control)
-    app.include_router(downloads.router)
-    app.include_router(poster.router)
+    for part in (downloads, viewers, recordings, events, server_info, poster):
+        app.include_router(part.router)
     _add_health(app)
+    add_docs(app)
     _add_page(app)
 
+    app.add_middleware(HeadAsGet)
     app.add_middleware(SitePolicy, settings=settings)
     return app
 
@@ -113,8 +119,7 @@ def _allowed(app: FastAPI, path: str) -> list[str]:
     for template, operations in app.openapi()["paths"].items():
         if re.fullmatch(re.sub(r"\{[^}]+\}", "[^/]+", template), path):
             found |= {method.upper() for method in operations}
-            found |= {"HEAD" for operation in operations.values() if "downloads" in operation.get("tags", ())}
-    return sorted(found)
+    return sorted(found | ({"HEAD"} if "GET" in found else set()))
 
 
 def _add_health(app: FastAPI) -> None:

@@ -15,7 +15,7 @@ import shutil
 import sqlite3
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -203,6 +203,14 @@ class Recording:
     async def close(self) -> None:
         """Finish the open segment."""
         await self._store.run(self.finish)
+
+    async def delete(self, firsts: Collection[Position]) -> None:
+        """Delete the closed segments that begin at these positions."""
+
+        def work() -> None:
+            self._delete([s for s in self.segments if s.closed and s.first in firsts])
+
+        await self._store.run(work)
 
     async def erase(self) -> None:
         """Delete everything."""

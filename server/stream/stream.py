@@ -17,6 +17,7 @@ from server.protocol.packets import Position, StreamPacket, text_frame
 from server.settings import Settings
 from server.stream.bus import Bus
 from server.stream.counters import Counters
+from server.stream.feed import Feed
 from server.stream.hub import Hub
 from server.stream.sealing import masked
 from server.stream.store import Recording
@@ -34,6 +35,7 @@ class Stream:
         incarnation: names its packets for good.
         settings: of the server.
         recording: its place on disk, or None.
+        feed: where its states are told.
 
     Attributes:
         source, loop, created_at: as in STREAM of docs/protocol.md.
@@ -49,8 +51,16 @@ class Stream:
     push_socket: Path | None = None
     played_file: Path | None = None
 
-    def __init__(self, name: str, incarnation: str, settings: Settings, recording: Recording | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        incarnation: str,
+        settings: Settings,
+        recording: Recording | None = None,
+        feed: Feed | None = None,
+    ) -> None:
         self.id, self.incarnation = name, incarnation
+        self.feed = feed or Feed()
         self.bus = Bus(settings.retention.memory_bytes, recording)
         self.counters = Counters()
         self.hub = Hub(_HUB_BYTES, self.counters, settings.limits.decoder)
@@ -67,6 +77,20 @@ class Stream:
 
     async def close(self) -> None:
         """Take no more packets, because the server ends."""
+
+    def join(self) -> None:
+        """A viewer has come."""
+        self.viewers += 1
+        self.counters.joins += 1
+
+    def leave(self) -> None:
+        """A viewer has gone."""
+        self.viewers -= 1
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it delivers, or has delivered all there is."""
+        return self.state in {"live", "ended"}
 
     @property
     def is_over(self) -> bool:
@@ -156,6 +180,7 @@ class Stream:
         if (state, detail) != (self.state, self.detail):
             self.state, self.detail = state, detail
             self._tell(event("state", state=state, detail=masked(detail)))
+            self.feed.tell("stream.state", self.id, state=state, detail=masked(detail))
 
     def _tell(self, message: dict[str, Any]) -> None:
         for queue in self._events:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 import logging
 import secrets
@@ -18,12 +19,14 @@ from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
 from server.protocol.packets import stream_packet
 from server.settings import Settings
+from server.stream.feed import Feed
 from server.stream.store import Recording
 from server.stream.stream import Stream
 from server.worker.process import Resume, Tag
 from server.worker.supervisor import Ending, Supervisor
 
 _LOG = logging.getLogger(__name__)
+_WAITS = "it starts with its first viewer"
 
 
 class WorkerStream(Stream):
@@ -34,6 +37,7 @@ class WorkerStream(Stream):
         settings: of the server.
         recording: its place on disk, or None.
         push_socket: where its worker takes pictures that capture nodes push, or None.
+        feed: where its states are told.
     """
 
     def __init__(
@@ -42,12 +46,12 @@ class WorkerStream(Stream):
         settings: Settings,
         recording: Recording | None = None,
         push_socket: Path | None = None,
+        feed: Feed | None = None,
     ) -> None:
         incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
-        super().__init__(spec.id, incarnation, settings, recording)
-        self.spec, self._settings, self.push_socket = spec, settings, push_socket
-        self.source, self.played_file = spec.source, spec.play
-        self.loop = spec.play is not None and spec.loop
+        super().__init__(spec.id, incarnation, settings, recording, feed)
+        self._settings = settings
+        self.define(spec, push_socket)
         created_ns = recording.stored.created_ns if recording else time.time_ns()
         self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
         self._epoch = recording.last_epoch if recording else 0
@@ -55,6 +59,26 @@ class WorkerStream(Stream):
         self._frames_done = 0
         self._supervisor = self._make_supervisor()
         self._task: asyncio.Task[None] | None = None
+        self._armed = False  # whether the next viewer starts it
+        self._pause: asyncio.TimerHandle | None = None
+        self._pausing: asyncio.Task[None] | None = None
+
+    def define(self, spec: StreamSpec, push_socket: Path | None) -> None:
+        """Make it from something else; only while it does not run."""
+        self.spec, self.push_socket = spec, push_socket
+        self.source, self.played_file = spec.source, spec.play
+        self.loop = spec.play is not None and spec.loop
+
+    @property
+    def etag(self) -> str:
+        """Changes with what the stream is made from; a strong validator, without quotes."""
+        state = json.dumps([self.incarnation, self.spec.to_json()], sort_keys=True)
+        return hashlib.sha256(state.encode()).hexdigest()[:32]
+
+    @property
+    def is_ready(self) -> bool:
+        """As of `Stream`; one that waits for its first viewer is ready, too."""
+        return super().is_ready or self._armed
 
     @property
     def restarts(self) -> int:
@@ -72,13 +96,50 @@ class WorkerStream(Stream):
         return self._task is not None and not self._task.done()
 
     def start(self) -> None:
-        """Start the worker, unless it runs or the stream was deleted; an ended source begins again."""
+        """Start the worker, unless it runs or the stream was deleted; an ended source begins again.
+
+        One that is to run on demand waits for its first viewer.
+        """
         if self.is_running or self.deleted:
             return
+        self._note(running=True)
+        self._armed = self.spec.on_demand
+        if self._armed and not self.viewers:
+            self._enter("idle", _WAITS)
+        else:
+            self._launch()
+
+    def join(self) -> None:
+        """A viewer has come; it may be what a stream on demand waits for."""
+        super().join()
+        if self._pause is not None:
+            self._pause.cancel()
+        if self._armed and not self.is_running and self._pausing is None:
+            self._launch()
+
+    def leave(self) -> None:
+        """A viewer has gone; after the last one, a stream on demand stops for now."""
+        super().leave()
+        if self._armed and not self.viewers:
+            seconds = self._settings.on_demand_seconds
+            self._pause = asyncio.get_running_loop().call_later(seconds, self._begin_pause)
+
+    def _begin_pause(self) -> None:
+        if self._armed and not self.viewers and self._pausing is None and not self.deleted:
+            self._pausing = asyncio.create_task(self._wait_for_viewers())
+
+    async def _wait_for_viewers(self) -> None:
+        await self._end_worker()
+        self._pausing = None
+        if self._armed and self.viewers:  # somebody came meanwhile
+            self._launch()
+        elif self._armed:
+            self._enter("idle", _WAITS)
+
+    def _launch(self) -> None:
         if self.state in {"ended", "failed"}:
             self._frames_done, self._new_epoch = 0, True
         self._supervisor = self._make_supervisor()
-        self._note(running=True)
         self._enter("starting")
         self._task = asyncio.create_task(self._supervisor.run())
 
@@ -103,14 +164,22 @@ class WorkerStream(Stream):
         """
         if remember:
             self._note(running=False)
+        self._armed = False
+        if self._pause is not None:
+            self._pause.cancel()
+        if self._pausing is not None:
+            await self._pausing
+        await self._end_worker()
+        if self.state in {"starting", "live", "degraded"} or self.detail == _WAITS:
+            self._enter("idle")
+
+    async def _end_worker(self) -> None:
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
             self._task = None
         if self.bus.recording is not None:
             await self.bus.recording.close()
-        if self.state in {"starting", "live", "degraded"}:
-            self._enter("idle")
 
     async def delete(self, *, erase: bool) -> None:
         """Stop for good, and erase the recording if wanted."""

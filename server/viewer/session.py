@@ -12,6 +12,7 @@ import logging
 import secrets
 import time
 from collections.abc import Callable
+from typing import Any
 
 from core.close_codes import CloseCode
 from core.errors import SessionError
@@ -56,7 +57,8 @@ class ViewerSession:
         self._stream, self._limits = stream, limits
         self.id = secrets.token_hex(6)
         self.client = hello.client
-        self._draining, self._on_arrival = False, on_arrival
+        self._end: SessionError | None = None
+        self._on_arrival = on_arrival
         self.wake = asyncio.Event()
         now = time.monotonic()
         wanted = hello.levels or _MAX_LEVELS
@@ -81,10 +83,28 @@ class ViewerSession:
         """Stay at the present position."""
         self._playhead.pause()
 
-    def drain(self) -> None:
-        """Close the connection soon: the server is stopping."""
-        self._draining = True
-        self.wake.set()
+    @property
+    def stream_id(self) -> str:
+        """Of the stream that it watches."""
+        return self._stream.id
+
+    def describe(self) -> dict[str, Any]:
+        """VIEWER of docs/protocol.md, without its address."""
+        position = self.position
+        return {
+            "id": self.id,
+            "client": self.client,
+            "seconds": time.monotonic() - self._began_at,
+            "mode": self._playhead.mode,
+            "position": None if position is None else position.to_json(),
+            "sent_bytes": self._delivery.receiver.sent,
+            "thin": False,
+        }
+
+    def end(self, reason: SessionError) -> None:
+        """Close the connection soon, with the reason's code."""
+        self._end = reason
+        self._notify()
 
     def on_control(self, message: Control) -> None:
         """Take a control message; it takes effect with the next step.
@@ -130,8 +150,7 @@ class ViewerSession:
         stream = self._stream
         events = stream.listen()
         stream.hub.listeners.add(self._notify)
-        stream.viewers += 1
-        stream.counters.joins += 1
+        stream.join()
         _LOG.info("stream %s: viewer %s (%s) joins", stream.id, self.id, self.client)
         try:
             await self._delivery.send_event(welcome(stream.describe(), stream.window, self.id, stream.now_ns()))
@@ -143,12 +162,12 @@ class ViewerSession:
                     raise SessionError(CloseCode.DONE, "the stream was deleted")
                 if stream.replaced:
                     raise SessionError(CloseCode.STOPPING, "the stream began anew; connect again")
-                if self._draining:
-                    raise SessionError(CloseCode.STOPPING, "the server is stopping; connect again")
+                if self._end is not None:
+                    raise self._end
                 if not await self._step():
                     await self._idle()
         finally:
-            stream.viewers -= 1
+            stream.leave()
             self._follower.leave_broadcast()
             stream.hub.listeners.discard(self._notify)
             stream.unlisten(events)

@@ -96,9 +96,23 @@ class ThinSession:
         self._frozen: tuple[Scene, int] | None = None  # paused: the state on screen, whatever has arrived since
         self._drawn: tuple[Scene, int, Camera] | None = None
 
-    def drain(self) -> None:
+    @property
+    def id(self) -> str:
         """As of `ViewerSession`."""
-        self._session.drain()
+        return self._session.id
+
+    @property
+    def stream_id(self) -> str:
+        """As of `ViewerSession`."""
+        return self._stream.id
+
+    def describe(self) -> dict[str, Any]:
+        """As of `ViewerSession`; bytes are those of packets, which stay in the server."""
+        return self._session.describe() | {"thin": True}
+
+    def end(self, reason: SessionError) -> None:
+        """As of `ViewerSession`."""
+        self._session.end(reason)
 
     def on_control(self, message: Control) -> None:
         """Take a control message.

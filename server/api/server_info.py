@@ -1,0 +1,49 @@
+"""What this server is and can do."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from fastapi import APIRouter, Request
+
+from server.api.access import need, registry_of
+from server.api.schemas import Capabilities, ServerBody
+from server.auth.gate import Right
+from server.http.problems import PROBLEMS
+from server.protocol.messages import PROTOCOL_VERSION
+
+_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 429)}
+_STARTED = time.time()
+router = APIRouter(tags=["server"], responses=_ANSWERS, dependencies=[need(Right.READ)])
+
+
+@router.get("/v1/server", summary="What the server is and can do")
+async def get_server(request: Request) -> ServerBody:
+    """Version, limits and capabilities."""
+    registry = registry_of(request)
+    settings = registry.settings
+    return ServerBody(
+        version=_version(),
+        protocol_versions=[PROTOCOL_VERSION],
+        started_at=datetime.fromtimestamp(_STARTED, UTC),
+        server_time_ns=time.time_ns(),
+        limits=settings.limits.model_dump(),
+        retention=settings.retention.model_dump(),
+        capabilities=Capabilities(
+            recording=registry.store is not None,
+            tokens=settings.has_tokens,
+            thin_viewers=settings.limits.thin_viewers > 0,
+            webhooks=bool(settings.webhooks),
+            stopping=registry.draining,
+        ),
+    )
+
+
+def _version() -> str:
+    try:
+        return version("streamlod")
+    except PackageNotFoundError:  # from a source folder that was not installed
+        return "unknown"

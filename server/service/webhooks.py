@@ -1,0 +1,148 @@
+"""Webhooks: events as signed POST requests, tried again a few times, and never into networks that are not listed.
+
+Signed as in Standard Webhooks (standardwebhooks.com): HMAC-SHA256 over id, time and body.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import hashlib
+import hmac
+import json
+import logging
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from core.errors import InputError
+from server.api.reach import is_reachable
+from server.settings import Settings, Webhook
+from server.stream.feed import Feed, ServerEvent
+
+if TYPE_CHECKING:
+    import httpx
+
+_LOG = logging.getLogger(__name__)
+RETRY_SECONDS = (1.0, 5.0, 30.0, 120.0, 600.0)  # pauses after attempts that failed; then an event is given up
+_ANSWER_SECONDS = 10.0
+_MAX_WAITING = 1000  # events of one webhook; the oldest are given up first
+_MIN_KEY_CHARACTERS = 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hook:
+    """One webhook, its secret, and the events that wait for it."""
+
+    webhook: Webhook
+    key: bytes
+    waiting: asyncio.Queue[ServerEvent]
+
+    def take(self, event: ServerEvent) -> None:
+        """Let an event wait, if it is one that the webhook asks for."""
+        if not fnmatchcase(event.stream, self.webhook.streams):
+            return
+        if any(fnmatchcase(event.type, pattern) for pattern in self.webhook.events):
+            if self.waiting.full():
+                self.waiting.get_nowait()
+                _LOG.warning("webhook %s is too slow; an event is given up", self.webhook.url)
+            self.waiting.put_nowait(event)
+
+
+@contextlib.asynccontextmanager
+async def webhooks(settings: Settings, feed: Feed) -> AsyncIterator[None]:
+    """Deliver the feed's events while the context lasts.
+
+    Raises:
+        InputError: a secret cannot be used.
+    """
+    hooks = [_Hook(each, read_key(each.key), asyncio.Queue(_MAX_WAITING)) for each in settings.webhooks]
+    feed.listeners.update(hook.take for hook in hooks)
+    tasks = [asyncio.create_task(_deliver_all(hook, settings.networks)) for hook in hooks]
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def read_key(path: Path) -> bytes:
+    """The secret in a file.
+
+    Raises:
+        InputError: it cannot be read, or is too short.
+    """
+    try:
+        key = path.read_bytes().strip()
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error})") from error
+    if len(key) < _MIN_KEY_CHARACTERS:
+        raise InputError(path, f"a key needs at least {_MIN_KEY_CHARACTERS} characters")
+    return key
+
+
+def signature(key: bytes, identifier: str, seconds: int, body: bytes) -> str:
+    """The header `webhook-signature`."""
+    signed = hmac.new(key, f"{identifier}.{seconds}.".encode() + body, hashlib.sha256).digest()
+    return f"v1,{base64.b64encode(signed).decode()}"
+
+
+async def _deliver_all(hook: _Hook, networks: tuple[str, ...]) -> None:
+    import httpx
+
+    limits = httpx.Limits(max_connections=1)
+    async with httpx.AsyncClient(timeout=_ANSWER_SECONDS, trust_env=False, limits=limits) as client:
+        while True:
+            event = await hook.waiting.get()
+            for pause in (*RETRY_SECONDS, None):
+                fault = await _deliver(client, hook, event, networks)
+                if fault is None:
+                    break
+                _LOG.warning("webhook %s: %s is not delivered (%s)", hook.webhook.url, event.id, fault)
+                if pause is not None:
+                    await asyncio.sleep(pause)
+
+
+async def _deliver(client: httpx.AsyncClient, hook: _Hook, event: ServerEvent, networks: tuple[str, ...]) -> str | None:
+    """One attempt: what was wrong, or None."""
+    import httpx
+
+    parts = urlsplit(hook.webhook.url)
+    host = parts.hostname or ""
+    address = await _address(host, parts.port or (443 if parts.scheme == "https" else 80), networks)
+    if address is None:
+        return "it leads to no address, or to one that is not in the setting `networks`"
+    body, seconds = json.dumps(event.to_json()).encode(), int(time.time())
+    headers = {
+        "Host": parts.netloc,
+        "Content-Type": "application/json",
+        "webhook-id": event.id,
+        "webhook-timestamp": str(seconds),
+        "webhook-signature": signature(hook.key, event.id, seconds, body),
+    }
+    # to the address that was checked, whatever the name leads to by then
+    url = httpx.URL(hook.webhook.url).copy_with(host=address)
+    request = client.build_request("POST", url, content=body, headers=headers, extensions={"sni_hostname": host})
+    try:
+        answer = await client.send(request, stream=True)  # redirections are not followed, bodies not read
+        await answer.aclose()
+    except (httpx.HTTPError, httpx.InvalidURL) as error:
+        return str(error) or type(error).__name__
+    return None if answer.is_success else f"answered {answer.status_code}"
+
+
+async def _address(host: str, port: int, networks: tuple[str, ...]) -> str | None:
+    """The address that a name leads to, where all that it leads to may be reached."""
+    try:
+        found = await asyncio.get_running_loop().getaddrinfo(host, port, type=1)
+    except OSError:
+        return None
+    addresses = [str(each[4][0]) for each in found]
+    allowed = host in networks or all(is_reachable(address, networks) for address in addresses)
+    return addresses[0] if addresses and allowed else None
