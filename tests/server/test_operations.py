@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from server.pipeline.spec import StreamSpec
 from server.service.metrics import collector_registry
-from server.settings import Limits, Retention, Settings, WorkerSettings, load_settings
+from server.settings import Limits, Retention, Settings, Webhook, WorkerSettings, load_settings
 from tests.server.conftest import Clip, running, viewing
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
@@ -21,11 +21,15 @@ PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
 
 def test_every_setting_is_documented_with_its_default() -> None:
     models: tuple[tuple[str, type[BaseModel]], ...] = (
-        ("", Settings), ("limits.", Limits), ("retention.", Retention), ("worker.", WorkerSettings)
+        ("", Settings), ("limits.", Limits), ("retention.", Retention), ("worker.", WorkerSettings),
+        ("webhooks.", Webhook),
     )  # fmt: skip
     for prefix, model in models:
         for name, field in model.model_fields.items():
             if field.default_factory is not None:
+                continue
+            if field.is_required():
+                assert f"| `{prefix}{name}` | | {field.description} |" in PAGE, name
                 continue
             default = {None: "none", (): "[]", False: "false", True: "true"}.get(field.default, str(field.default))
             if type(field.default) in (int, float):

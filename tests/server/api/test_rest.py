@@ -171,7 +171,7 @@ def test_an_idle_stream_has_an_empty_manifest_and_other_methods_are_named(client
     assert (manifest["window"], manifest["gops"], manifest["epoch"]) == (None, [], None)
     assert client.get("/v1/streams/idle/bitstream").status_code == 404
     for method, path, allowed in (
-        ("PUT", "/v1/streams", "GET, POST"),
+        ("PUT", "/v1/streams", "GET, HEAD, POST"),
         ("GET", "/v1/streams/idle/start", "POST"),
         ("POST", "/v1/streams/idle/bitstream", "GET, HEAD"),
     ):
