@@ -5,6 +5,7 @@
     |   +-- StorageError      the disk is full, or does not take what is to be stored
     +-- BitstreamError        bytes that are not a valid packet or file (refusal codes in codec/FORMAT.md)
     +-- SessionError          a peer broke the viewer protocol
+    +-- RequestRefused        a server refuses a REST request
     +-- ModelError            training or a scene reached a state from which it can't go on
     +-- BackendUnavailable    a rendering backend or an optional package is missing
 
@@ -71,6 +72,23 @@ class SessionError(StreamlodError):
 
     def __str__(self) -> str:
         return f"{self.detail} [{self.close_code}]"
+
+
+class RequestRefused(StreamlodError):
+    """A server refuses a REST request.
+
+    Args:
+        status: HTTP status.
+        detail: one sentence of the server.
+    """
+
+    def __init__(self, status: int, detail: str) -> None:
+        super().__init__(status, detail)
+        self.status = status
+        self.detail = detail
+
+    def __str__(self) -> str:
+        return f"{self.detail} [{self.status}]"
 
 
 class ModelError(StreamlodError):

@@ -18,6 +18,7 @@ from server.cli.explain import INTERRUPTED, explain
 from server.cli.options import (
     DEFAULTS,
     TRAINING,
+    CaFile,
     Data,
     Device,
     Downscale,
@@ -29,6 +30,7 @@ from server.cli.options import (
     SnapshotFormat,
     SplitFile,
     Test,
+    fields_in,
     names_in,
     numbers_in,
     takes,
@@ -160,6 +162,29 @@ def view(
 ) -> None:
     """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
     _call("client.commands:view", url, out, camera, orbit, pose, frames, levels)
+
+
+@app.command()
+def remote(
+    address: Annotated[str, typer.Argument(metavar="http://HOST:PORT", help="A server.")],
+    action: Annotated[
+        str,
+        typer.Argument(
+            metavar="ACTION",
+            help="list, show, create, change, start, stop, delete, viewers, disconnect, recordings, download, events, "
+            "server.",
+        ),
+    ],
+    name: Annotated[str | None, typer.Argument(metavar="ID", help="The stream.")] = None,
+    set_: Annotated[
+        str, typer.Option("--set", metavar="NAME=VALUE[,...]", help="Fields, such as play=/data/a.slod,start=true.")
+    ] = "",
+    out: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="File of a download.")] = None,
+    ca: CaFile = None,
+) -> None:
+    """Control a server by REST; results are JSON, one a line. A token comes from STREAMLOD_TOKEN."""
+    for line in _load("client.remote:remote")(address, action, name, fields_in(set_), out, ca):
+        typer.echo(line)
 
 
 @app.command()

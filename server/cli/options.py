@@ -124,6 +124,9 @@ def _default(option: Option) -> Any:
 _JOB = {option.name: option for option in JOB_OPTIONS}
 DEFAULTS: dict[str, Any] = {option.name: option.default for option in JOB_OPTIONS}
 TRAINING = tuple(option for option in JOB_OPTIONS if option.name not in SOURCES)
+CaFile = Annotated[
+    Path | None, typer.Option(metavar="FILE.pem", help="Trust these certificates instead of the system's.")
+]
 SlodFile = Annotated[Path, typer.Argument(metavar="FILE.slod", help="A recorded bitstream.")]
 Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recording; its layout is detected.")]
 Layout = Annotated[str | None, described(_JOB["layout"])]

@@ -1,0 +1,255 @@
+"""The REST interface of a server from Python: streams, viewers, recordings and events (docs/protocol.md, section 3)."""
+
+from __future__ import annotations
+
+import json
+import ssl
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Self, TypeVar
+from urllib.parse import quote
+
+import httpx
+
+from core.errors import InputError, RequestRefused
+from core.files import put_in_place, temporary_beside
+
+_T = TypeVar("_T")
+_SECONDS = 30.0
+_MAX_ITEMS = 200  # of a page
+
+
+@dataclass(frozen=True, slots=True)
+class StreamInfo:
+    """A stream's state; see STREAM of docs/protocol.md. `etag` names what it is made from."""
+
+    id: str
+    state: str
+    detail: str
+    source: str
+    epoch: int | None
+    version: int | None
+    viewers: int
+    recording: str
+    etag: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerInfo:
+    """A viewer; see VIEWER of docs/protocol.md."""
+
+    id: str
+    address: str
+    client: str
+    seconds: float
+    mode: str
+    sent_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """What is recorded of one encoder run; see RECORDING of docs/protocol.md."""
+
+    stream: str
+    deleted: bool
+    epoch: int
+    begun_at: datetime
+    last_group_at: datetime
+    groups: int
+    packets: int
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class FeedEvent:
+    """One event; see EVENT of docs/protocol.md."""
+
+    id: str
+    type: str
+    stream: str
+    at: datetime
+    data: Mapping[str, Any]
+
+
+class ServerClient:
+    """One server. All methods raise RequestRefused where the server refuses, InputError where it cannot be reached.
+
+    Args:
+        address: such as ``https://stage.example``.
+        token: bearer token, where the server wants one.
+        ca: certificates (PEM) to trust instead of the system's.
+    """
+
+    def __init__(self, address: str, token: str | None = None, ca: Path | None = None) -> None:
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        try:
+            verify = ssl.create_default_context(cafile=ca)
+            self._http = httpx.Client(base_url=address, headers=headers, timeout=_SECONDS, verify=verify)
+        except (httpx.InvalidURL, OSError) as error:
+            raise InputError(ca or address, f"cannot be used ({error})") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._http.close()
+
+    def server(self) -> dict[str, Any]:
+        """Version, limits and capabilities."""
+        return self._json("GET", "/v1/server")
+
+    def streams(self) -> tuple[StreamInfo, ...]:
+        """All streams that the token may read."""
+        return tuple(_read(StreamInfo, item) for item in self._pages("/v1/streams", {}))
+
+    def stream(self, name: str) -> StreamInfo:
+        """One stream."""
+        return self._stream("GET", _path(name))
+
+    def definition(self, name: str) -> dict[str, Any]:
+        """What a stream is made from."""
+        return self._json("GET", f"{_path(name)}/definition")
+
+    def create(self, name: str, options: Mapping[str, Any]) -> StreamInfo:
+        """A new stream; `options` as in the body of ``POST /v1/streams``."""
+        return self._stream("POST", "/v1/streams", body={**options, "id": name})
+
+    def change(self, name: str, options: Mapping[str, Any], etag: str | None = None) -> StreamInfo:
+        """Change what a stream is made from; with `etag`, only if that is still its own."""
+        return self._stream("PATCH", _path(name), body=dict(options), etag=etag)
+
+    def start(self, name: str) -> StreamInfo:
+        """Start a stream."""
+        return self._stream("POST", f"{_path(name)}/start")
+
+    def stop(self, name: str) -> StreamInfo:
+        """Stop a stream."""
+        return self._stream("POST", f"{_path(name)}/stop")
+
+    def delete(self, name: str, *, erase: bool = False, etag: str | None = None) -> None:
+        """Delete a stream, and what was recorded of it if wanted."""
+        self._send("DELETE", _path(name), {"erase": erase}, etag=etag)
+
+    def viewers(self, name: str) -> tuple[ViewerInfo, ...]:
+        """Who watches a stream."""
+        return tuple(_read(ViewerInfo, item) for item in self._json("GET", f"{_path(name)}/viewers")["items"])
+
+    def disconnect(self, name: str, viewer: str) -> None:
+        """Close a viewer's connection."""
+        self._send("DELETE", f"{_path(name)}/viewers/{quote(viewer, safe='')}")
+
+    def recordings(self, begin: datetime | None = None, end: datetime | None = None) -> tuple[RecordingInfo, ...]:
+        """What was recorded between two times, of every stream that the token may read."""
+        return tuple(_read(RecordingInfo, item) for item in self._pages("/v1/recordings", _times(begin, end)))
+
+    def download(
+        self,
+        name: str,
+        path: Path,
+        begin: datetime | None = None,
+        end: datetime | None = None,
+        epoch: int | None = None,
+    ) -> int:
+        """Write a recording, or what of it lies between two times, to a `.slod` file; returns its length in bytes."""
+        params = _times(begin, end) | ({} if epoch is None else {"epoch": epoch})
+        written, size = temporary_beside(path), 0
+        try:
+            place = f"/v1/recordings/{quote(name, safe='')}/bitstream"
+            with self._open("GET", place, params) as answer, written.open("wb") as file:
+                for chunk in answer.iter_bytes():
+                    size += file.write(chunk)
+            put_in_place(written, path)
+        except httpx.HTTPError as error:
+            raise InputError(self._http.base_url, f"the download broke off ({error})") from error
+        except OSError as error:
+            raise InputError(path, f"cannot be written ({error.strerror})") from error
+        finally:
+            written.unlink(missing_ok=True)
+        return size
+
+    def erase(self, name: str, begin: datetime | None = None, end: datetime | None = None) -> None:
+        """Delete what was recorded of a stream, or of it what lies between two times."""
+        self._send("DELETE", f"/v1/recordings/{quote(name, safe='')}", _times(begin, end))
+
+    def events(self, name: str | None = None, last_id: str | None = None) -> Iterator[FeedEvent]:
+        """Events as they happen, until the server ends the feed; those after `last_id` first."""
+        headers = {} if last_id is None else {"Last-Event-ID": last_id}
+        params = {} if name is None else {"stream": name}
+        with self._open("GET", "/v1/events", params, headers=headers, timeout=None) as answer:
+            try:
+                for line in answer.iter_lines():
+                    if line.startswith("data: "):
+                        yield _read(FeedEvent, json.loads(line.removeprefix("data: ")))
+            except httpx.HTTPError:
+                return
+
+    def _stream(self, method: str, path: str, **options: Any) -> StreamInfo:
+        answer = self._send(method, path, **options)
+        return _read(StreamInfo, answer.json() | {"etag": answer.headers.get("etag")})
+
+    def _pages(self, path: str, params: dict[str, Any]) -> Iterator[dict[str, Any]]:
+        cursor = None
+        while True:
+            extra = {"limit": _MAX_ITEMS} | ({} if cursor is None else {"cursor": cursor})
+            page = self._json("GET", path, params | extra)
+            yield from page["items"]
+            cursor = page["next_cursor"]
+            if cursor is None:
+                return
+
+    def _json(self, method: str, path: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
+        found: dict[str, Any] = self._send(method, path, params).json()
+        return found
+
+    def _send(
+        self, method: str, path: str, params: dict[str, Any] | None = None, *, body: Any = None, etag: str | None = None
+    ) -> httpx.Response:
+        headers = {} if etag is None else {"If-Match": etag}
+        with self._open(method, path, params, headers=headers, json=body) as answer:
+            answer.read()
+            return answer
+
+    @contextmanager
+    def _open(
+        self, method: str, path: str, params: dict[str, Any] | None = None, **options: Any
+    ) -> Iterator[httpx.Response]:
+        """An answer whose body is not read yet."""
+        try:
+            answer = self._http.send(self._http.build_request(method, path, params=params, **options), stream=True)
+        except httpx.HTTPError as error:
+            raise InputError(self._http.base_url, f"cannot be reached ({error}); is the server running?") from error
+        with closing(answer):
+            if not answer.is_success:
+                answer.read()
+                raise RequestRefused(answer.status_code, _detail(answer))
+            yield answer
+
+
+def _detail(answer: httpx.Response) -> str:
+    """The sentence of a problem, or of an answer that is none."""
+    try:
+        return str(answer.json()["detail"])
+    except (ValueError, KeyError, TypeError):
+        return answer.reason_phrase or "no reason given"
+
+
+def _path(name: str) -> str:
+    return f"/v1/streams/{quote(name, safe='')}"
+
+
+def _times(begin: datetime | None, end: datetime | None) -> dict[str, Any]:
+    given = {"from": begin, "to": end}
+    return {name: time.astimezone(UTC).isoformat() for name, time in given.items() if time is not None}
+
+
+def _read(kind: type[_T], values: Mapping[str, Any]) -> _T:
+    """The fields of a dataclass in JSON; others are ignored, as newer servers may send more."""
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    known = {name: values[name] for name in names if name in values}
+    for name in ("begun_at", "last_group_at", "at"):
+        if name in known:
+            known[name] = datetime.fromisoformat(known[name])
+    return kind(**known)
