@@ -12,8 +12,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from codec.container import joined, size_of
 from core.errors import StreamlodError
 from server.api.access import StreamOf, need_download
-from server.api.ranges import FRESH, IMMUTABLE, Download, respond
-from server.api.wall_clock import WallClock
+from server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
 from server.http.problems import PROBLEMS, Problem
 from server.protocol.packets import Position, StreamPacket
 from server.stream.store import Segment

@@ -62,7 +62,6 @@ def middle_camera(scene: Scene) -> Camera:
     return cameras[int(np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin())]
 
 
-@router.head("/v1/streams/{stream_id}/poster.jpg", include_in_schema=False, dependencies=[need(Right.READ)])
 @router.get(
     "/v1/streams/{stream_id}/poster.jpg", summary="A picture of a stream", response_class=Response,
     dependencies=[need(Right.READ)],

@@ -1,4 +1,4 @@
-"""Downloads joined from bytes and parts of files, with ranges, strong ETags and conditional requests (RFC 9110)."""
+"""Downloads joined from bytes and parts of files, with ranges of bytes or of time, strong ETags, conditions (RFC 9110)."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import asyncio
 import re
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Annotated
 
-from fastapi import Request, Response
+from fastapi import Depends, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from codec.container import FilePart, Piece, size_of
 from server.api.access import registry_of
 from server.http.head import is_head
 from server.http.problems import Problem
+from server.stream.time_range import TimeRange
 
 _CHUNK_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")
@@ -117,3 +120,26 @@ def _read_part(part: FilePart, begin: int, count: int) -> bytes:
     if len(data) != count:
         raise OSError(f"{part.path.name} became shorter while it was read")
     return data
+
+
+def _time_range(
+    begin: Annotated[datetime | None, Query(alias="from", description="RFC 3339 time, inclusive")] = None,
+    end: Annotated[datetime | None, Query(alias="to", description="RFC 3339 time, exclusive")] = None,
+) -> TimeRange:
+    found = TimeRange(_nanoseconds(begin), _nanoseconds(end))
+    if found.begin_ns is not None and found.end_ns is not None and found.end_ns <= found.begin_ns:
+        raise Problem(422, "`to` must be later than `from`")
+    return found
+
+
+def _nanoseconds(time: datetime | None) -> int | None:
+    if time is None:
+        return None
+    try:
+        known = time if time.tzinfo is not None else time.replace(tzinfo=UTC)
+        return int(known.timestamp() * 1e6) * 1000
+    except (OverflowError, ValueError) as error:
+        raise Problem(422, "a time is out of range") from error
+
+
+WallClock = Annotated[TimeRange, Depends(_time_range)]

@@ -10,9 +10,8 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from server.api.access import grant_of, need, registry_of
 from server.api.downloads import group_files, recorded_file
-from server.api.ranges import respond
+from server.api.ranges import WallClock, respond
 from server.api.schemas import RecordingBody, RecordingList
-from server.api.wall_clock import WallClock
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem
 from server.registry import Registry
