@@ -1,4 +1,4 @@
-"""Downloads joined from bytes and parts of files, with ranges of bytes or of time, strong ETags, conditions (RFC 9110)."""
+"""Downloads joined from bytes and parts of files: ranges of bytes and of time, strong ETags, conditions (RFC 9110)."""
 
 from __future__ import annotations
 
