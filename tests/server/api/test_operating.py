@@ -270,7 +270,8 @@ def test_recordings_are_listed_downloaded_by_time_and_deleted(clip: Clip, tmp_pa
         assert ("main", 2, False) in places
         gops = client.get("/v1/streams/main/manifest").json()["gops"]
         second, third = (datetime.fromtimestamp(gop["begun_ns"] / 1e9, UTC) for gop in gops[1:3])
-        window = {"from": (second + timedelta(milliseconds=1)).isoformat(), "to": third.isoformat()}
+        moment = timedelta(milliseconds=1)
+        window = {"from": (second + moment).isoformat(), "to": (third - moment).isoformat()}
         path = tmp_path / "part.slod"
         for address in ("/v1/streams/main/bitstream", "/v1/recordings/main/bitstream"):
             path.write_bytes(client.get(address, params=window).content)
