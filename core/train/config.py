@@ -87,6 +87,7 @@ class PredictConfig:
         least_gain: where an epoch gains less than this share of what epochs did on average before, the frame moves on
             faster (paper: 0).
         latent_rate, position_rate: Adam rates in steps.
+        group_cells: width of the neighbourhoods whose anchors also move as one, in level-0 cells; 0 for none (paper).
         optimiser: a name in `core.train.optimise.optimisers`.
         memory: Adam's beta_1 (usual: 0.9). A few dozen steps are too few for a long one.
         continuation: share of the latest change that an anchor's training begins with, where the one before it pointed
@@ -112,6 +113,7 @@ class PredictConfig:
     least_gain: float = 0.3
     latent_rate: float = 0.3
     position_rate: float = 1.4
+    group_cells: float = 4.0
     optimiser: str = "adam"
     memory: float = 0.6
     continuation: float = 0.9

@@ -91,6 +91,7 @@ PREDICT = {
     "least_gain": _given(0.0, "V-A", "the number of epochs is fixed"),
     "latent_rate": _reading(0.2, "none given (docs/method.md, reading 12)"),
     "position_rate": _reading(1.0, "none given (docs/method.md, reading 12)"),
+    "group_cells": _reading(0.0, "not mentioned: every anchor moves by itself"),
     "optimiser": _octree("adam", "its optimiser"),
     "memory": _reading(0.9, "none given; the usual one of Adam"),
     "continuation": _reading(0.0, "not mentioned: training begins at the frame before"),

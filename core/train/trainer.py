@@ -228,7 +228,13 @@ class Trainer:
             with watch.stage("train"):
                 useful = _by_change(views, references, masks) if cue.only_changed_views else views.usable
                 trainer = ResidualTrainer(
-                    state, partition, views, self._exposure, useful, optimiser(config.optimiser, config.memory)
+                    state,
+                    partition,
+                    views,
+                    self._exposure,
+                    useful,
+                    optimiser(config.optimiser, config.memory),
+                    config.group_cells,
                 )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 update = trainer.run(config, self._backend, generator, self._pace)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from core.arrays import Float32, Int32
 from core.render.backends import Backend
@@ -34,6 +35,7 @@ from core.train.optimise.rate import residual_bits
 from core.train.optimise.schedule import ViewOrder
 from core.train.pictures.views import Views
 from core.train.residual.apply import UnitChange, applied
+from core.train.residual.groups import Groups, neighbourhoods
 from core.train.residual.state import State
 from core.train.residual.tile_cache import TileCache, make_tile_cache
 from core.train.residual.update import IntegerUpdate, no_update
@@ -52,6 +54,7 @@ class ResidualTrainer:
         exposure: of the cameras.
         useful: cameras to train on, the most important first.
         optimiser: of latents and positions.
+        group_cells: width of the neighbourhoods that also move as one, in level-0 cells; 0 for none.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class ResidualTrainer:
         exposure: Exposure,
         useful: list[int],
         optimiser: Optimiser = Adam(),  # noqa: B008 (frozen)
+        group_cells: float = 0.0,
     ) -> None:
         scene, field = state.scene, state.field
         trained = torch.from_numpy(partition.trained).to(field.feature.device)
@@ -77,6 +81,10 @@ class ResidualTrainer:
         self._unit_change = UnitChange(*(torch.from_numpy(part).to(device) for part in steps))
         start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
         begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
+        self._groups: Groups | None = None
+        if group_cells > 0:
+            self._groups = neighbourhoods(self._base.position, group_cells * field.octree.root_cell)
+            begin |= self._groups.at_rest()
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
         self._optimiser = optimiser.start(leaves)
         static_splats = _static_splats(field, static, self._centres)
@@ -153,12 +161,13 @@ class ResidualTrainer:
         self._caches[number] = cache
         loss = photometric_loss(raster.image, self._views.targets[number], config.dssim_weight, cache.region)
         if config.rate_weight:
-            bits = residual_bits(self._optimiser.parameters["latent"], self._optimiser.parameters["position"])
+            bits = residual_bits(self._optimiser.parameters["latent"], self._position())
             loss = loss + config.rate_weight * bits / raster.image.numel()
         loss.backward()  # type: ignore[no-untyped-call]
         if config.growth_share:
             self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
-        self._optimiser.step({"latent": config.latent_rate * decay, "position": config.position_rate * decay})
+        rates = dict.fromkeys(("position", "shift", "turn"), config.position_rate * decay)
+        self._optimiser.step(rates | {"latent": config.latent_rate * decay})
         return loss.detach()
 
     def _cache_of(self, number: int, dynamic: Splats, backend: Backend) -> TileCache:
@@ -169,8 +178,16 @@ class ResidualTrainer:
 
     def _dynamic_field(self) -> Field:
         """The dynamic anchors with their residuals, rounded as they will be sent."""
+        return applied(self._base, self._optimiser.parameters["latent"], self._position(), self._unit_change)
+
+    def _position(self) -> Tensor:
+        """[n,3] how far each anchor goes in steps, by itself and with its group."""
         parameters = self._optimiser.parameters
-        return applied(self._base, parameters["latent"], parameters["position"], self._unit_change)
+        own = parameters["position"]
+        if self._groups is None:
+            return own
+        shared = self._groups.motion(parameters["shift"], parameters["turn"])
+        return own + functional.pad(shared, (0, 0, 0, len(own) - len(shared)))  # new anchors belong to no group
 
     def _dynamic_splats(self, number: int) -> Splats:
         return self._exposure.before(self._dynamic_field().decode(self._centres[number]), number)
@@ -191,7 +208,7 @@ class ResidualTrainer:
         self._statistics = GrowthStatistics(len(self._base), self._base.slots, device)
 
     def _integer_update(self, steps: int, loss: float) -> IntegerUpdate:
-        latent, position = (_finite_integers(self._optimiser.parameters[name]) for name in ("latent", "position"))
+        latent, position = map(_finite_integers, (self._optimiser.parameters["latent"], self._position()))
         with torch.no_grad():
             opacity = self._dynamic_splats(self._views.usable[0]).opacities.reshape(len(latent), -1).amax(dim=1)
         # what looks different to every camera may be transparent to one only
@@ -206,7 +223,7 @@ class ResidualTrainer:
 
     def _wanted(self) -> Float32:
         """[n,27] latents and positions before rounding, of the anchors that were there before."""
-        wanted = torch.cat([self._optimiser.parameters[name].detach() for name in ("latent", "position")], dim=1)
+        wanted = torch.cat([self._optimiser.parameters["latent"], self._position()], dim=1).detach()
         return np.asarray(wanted[: self._known].nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
 
 

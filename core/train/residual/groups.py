@@ -1,0 +1,48 @@
+"""Neighbourhoods of anchors that move together while a frame trains.
+
+An anchor by itself sees little: where a thing has moved farther than its Gaussians reach, its gradient points anywhere,
+and its colour changes instead of its place. The gradients of a whole neighbourhood say where all of it went. So each
+neighbourhood has a shift and a turn that are trained beside the anchors' own positions; what is sent is their sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Groups:
+    """Neighbourhoods of n anchors.
+
+    Attributes:
+        number: [n] int64 below `count`, the group of each anchor.
+        arm: [n,3] from the mean position of its group to the anchor, in units of a group's width.
+    """
+
+    number: Tensor
+    arm: Tensor
+    count: int
+
+    def at_rest(self) -> dict[str, Tensor]:
+        """[count,3] float32 shifts and turns of groups that do not move."""
+        return {name: torch.zeros(self.count, 3, device=self.arm.device) for name in ("shift", "turn")}
+
+    def motion(self, shift: Tensor, turn: Tensor) -> Tensor:
+        """[n,3] how far each anchor goes if its group is shifted and turned by `shift` and `turn` [count,3].
+
+        Both are lengths of one unit: `turn` is how far the end of an arm of length 1 goes that is at right angles to it
+        (the small rotation turn x arm).
+        """
+        turned: Tensor = torch.linalg.cross(turn[self.number], self.arm)
+        return shift[self.number] + turned
+
+
+def neighbourhoods(position: Tensor, width: float) -> Groups:
+    """Groups of the anchors at `position` [n,3]: those in the same cell of a grid of cells `width` wide."""
+    cells, number = torch.unique((position / width).floor().long(), dim=0, return_inverse=True)
+    members = torch.bincount(number, minlength=len(cells))[:, None]
+    mean = torch.zeros(len(cells), 3, device=position.device).index_add_(0, number, position) / members
+    return Groups(number, (position - mean[number]) / width, len(cells))

@@ -1,0 +1,245 @@
+"""Quality of what moves, over the frames of a synthetic clip, and what it depends on.
+
+    python -m tests.bench.moving_bench [--kind hard --speed 4 --frames 32 --size 200x112 --views 6] [--run X=1,...]
+
+Every `--run` is a run of its own with these fields X of `PredictConfig` changed; all start from the same first frame.
+Four causes of decay can be switched off beside them: `truth=1` trains exactly the anchors that show what moves or
+has just moved, `finer=10` makes the steps of residuals so many times finer without a price on bits, `renew=10` trains a
+refresh keyframe of the state every so many frames, and `anew=20` a first frame.
+
+Each run tells PSNR on moving pixels (true motion, dilated; docs/benchmarks.md) of the held-out camera and of the
+training cameras, as means over frames 3 to 10, over the middle and over the last 10; the mean PSNR of the whole
+held-out picture; bytes and CPU seconds a frame; and how many anchors mostly show what moves, at the same times.
+`--json FILE` keeps the figures of every frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from client.evaluation.measure.moving import MovingPixels
+from client.evaluation.measure.scores import draw
+from client.evaluation.measure.truth import shown_motion
+from client.evaluation.systems import with_steps
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe, encode_residual
+from core.arrays import UInt8
+from core.camera import Camera
+from core.data import linspace_split
+from core.frames import FrameSet
+from core.initialise import first_points
+from core.metrics import psnr
+from core.scene.anchors import Scene
+from core.synthetic import SyntheticSpec, open_synthetic
+from core.train import TrainConfig, Trainer, preset
+from core.train.motion import cues
+from core.train.motion.partition import Observation, Partition
+
+_HELD_OUT = "cam00"
+_EARLY, _LATE = slice(3, 11), slice(-10, None)  # frames
+_COUNTED_EVERY = 4  # frames between counts of the anchors that show what moves
+_SHOWN = 0.05  # pixels of what moves, from which an anchor belongs to the true set
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clip:
+    """A synthetic clip: training pictures and those of the camera that is held out."""
+
+    spec: SyntheticSpec
+    fps: float
+    cameras: tuple[Camera, ...]
+    held_out: Camera
+    training: list[FrameSet]
+    testing: list[FrameSet]
+    bounds: tuple[float, float]
+
+
+@dataclass(slots=True)
+class Course:
+    """Figures of one run, a frame each: dB on movers (held out, trained), dB of the picture, bytes, CPU seconds."""
+
+    moving: list[float] = field(default_factory=list)
+    fitted: list[float] = field(default_factory=list)
+    whole: list[float] = field(default_factory=list)
+    size: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    trained: list[int] = field(default_factory=list)
+    anchors: dict[int, int] = field(default_factory=dict)
+
+    def told(self) -> str:
+        """One line."""
+        spans = (_EARLY, slice(len(self.moving) // 2 - 5, len(self.moving) // 2 + 5), _LATE)
+        early, middle, late = ([np.nanmean(values[span]) for values in (self.moving, self.fitted)] for span in spans)
+        counts = list(self.anchors.values())
+        return (
+            f"moving {early[0]:.2f} {middle[0]:.2f} {late[0]:.2f} (trained {early[1]:.2f} {middle[1]:.2f} "
+            f"{late[1]:.2f}), picture {np.mean(self.whole[1:]):.2f} dB, {np.mean(self.size):.0f} bytes, "
+            f"{np.mean(self.seconds):.3f} CPU s, {np.mean(self.trained):.0f} trained, "
+            f"movers' anchors {counts[0]} {counts[len(counts) // 2]} {counts[-1]}"
+        )
+
+
+def open_clip(spec: SyntheticSpec, views: int) -> Clip:
+    """Render it."""
+    whole = open_synthetic(spec)
+    training = whole.select(linspace_split(whole.names, views, (_HELD_OUT,)).train)
+    testing = whole.select((_HELD_OUT,))
+    assert whole.depth_bounds is not None
+    return Clip(
+        spec, whole.fps, training.cameras, testing.cameras[0], list(training.frames()), list(testing.frames()),
+        whole.depth_bounds,
+    )  # fmt: skip
+
+
+class TrueSet:
+    """A motion cue that knows: anchors that show what moves in this frame or did in the one before."""
+
+    only_changed_views = True
+
+    def __init__(self, clip: Clip) -> None:
+        self._clip = clip
+        self.before, self.index = None, 0
+
+    def partition(self, seen: Observation) -> Partition:
+        """As `MotionCue.partition`."""
+        assert self.before is not None
+        shown = np.zeros(len(seen.field))
+        for index in {max(self.index - 1, 1), self.index}:
+            shown = np.maximum(shown, shown_motion(self._clip.spec, self.before, index, self._clip.cameras)[1])
+        chosen = (shown >= _SHOWN) & seen.alive.cpu().numpy()
+        return Partition(chosen, chosen)
+
+
+def first_frame(clip: Clip, config: TrainConfig, kept: Path | None) -> Scene:
+    """The first frame, from the packet `kept` if there is one."""
+    if kept is not None and kept.is_file():
+        decoder = SceneDecoder()
+        decoder.push(kept.read_bytes())
+        assert decoder.scene is not None
+        return decoder.scene
+    points = first_points(clip.training[0], clip.cameras, depth_bounds=clip.bounds)
+    scene = Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(clip.training[0], points).scene
+    if kept is not None:
+        kept.write_bytes(encode_keyframe(scene, time_ns=0))
+    return scene
+
+
+def follow(clip: Clip, config: TrainConfig, first: Scene, causes: dict[str, int]) -> Course:
+    """Train all frames after the first and measure them."""
+    truth = TrueSet(clip)
+    if causes.get("truth"):
+        cues.CUES["truth"] = lambda _: truth
+        config = replace(config, predict=replace(config.predict, cue="truth"))
+    course = Course()
+    held, fitted = MovingPixels((clip.held_out,), clip.spec), MovingPixels(clip.cameras, clip.spec)
+    trainer = Trainer(clip.cameras, config, clip.fps, "cpu", label_motion=False)
+    truth.before = first
+    trainer.resume(first)
+    trainer.predict(clip.training[0])  # tells the trainer what the first frame was shown
+    trainer.resume(first, keep_references=True)
+    for frame, test in zip(clip.training, clip.testing, strict=True):
+        if frame.index:
+            before = truth.before = trainer.scene
+            truth.index = frame.index
+            begin = time.process_time()
+            result = trainer.predict(frame)
+            assert result.residual is not None
+            course.size.append(len(encode_residual(before, result.residual, time_ns=0)))
+            course.seconds.append(time.process_time() - begin)
+            course.trained.append(result.report.dynamic + result.report.changed)
+        scene = trainer.scene
+        drawn = draw(scene, clip.held_out)
+        course.whole.append(psnr(drawn, test.images[0]))
+        course.moving.append(_moving_psnr([drawn], test, held))
+        course.fitted.append(np.nan)
+        if frame.index and frame.index % _COUNTED_EVERY == 0:
+            course.fitted[-1] = _moving_psnr([draw(scene, camera) for camera in clip.cameras], frame, fitted)
+            seen, _, visibly = shown_motion(clip.spec, scene, frame.index, clip.cameras)
+            course.anchors[frame.index] = int(((seen >= 0.3) & (visibly >= 0.5 * seen)).sum())
+        if frame.index and causes.get("renew") and frame.index % causes["renew"] == 0:
+            trainer.request_refresh()
+            trainer.refresh(frame)
+        if frame.index and causes.get("anew") and frame.index % causes["anew"] == 0:
+            points = first_points(frame, clip.cameras, depth_bounds=clip.bounds)
+            trainer.keyframe(frame, points)
+    return course
+
+
+def _moving_psnr(drawn: list[UInt8], truth: FrameSet, pixels: MovingPixels) -> float:
+    masks = pixels.masks(max(truth.index, 1), truth.images)
+    assert masks is not None
+    found = [
+        psnr(one[mask][None], true[mask][None])
+        for one, true, mask in zip(drawn, truth.images, masks, strict=True)
+        if mask.any()
+    ]
+    return float(np.mean(found)) if found else np.nan
+
+
+def changed(config: TrainConfig, changes: str) -> tuple[TrainConfig, dict[str, int]]:
+    """`config` with comma-separated changes, and the causes that are switched off."""
+    predict, causes = config.predict, dict[str, int]()
+    for change in filter(None, changes.split(",")):
+        name, value = change.split("=")
+        if hasattr(predict, name):
+            predict = replace(predict, **{name: type(getattr(predict, name))(value)})
+        else:
+            causes[name] = int(value)
+    factor = causes.get("finer", 1)
+    if factor > 1:
+        predict = replace(
+            predict,
+            feature_step=predict.feature_step / factor,
+            offset_step=predict.offset_step / factor,
+            position_steps_per_cell=predict.position_steps_per_cell * factor,
+            latent_rate=predict.latent_rate * factor,
+            position_rate=predict.position_rate * factor,
+            rate_weight=0.0,
+        )
+    return replace(config, predict=predict), causes
+
+
+def main() -> None:
+    options = _options()
+    width, height = map(int, options.size.split("x"))
+    spec = SyntheticSpec(
+        kind=options.kind, frames=options.frames, width=width, height=height, seed=options.clip_seed,
+        speed=options.speed, cameras=options.cameras,
+    )  # fmt: skip
+    clip = open_clip(spec, options.views)
+    base = replace(preset(options.preset), seed=options.seed)
+    first = first_frame(clip, base, options.first)
+    for changes in options.run or [""]:
+        config, causes = changed(base, changes)
+        course = follow(clip, config, with_steps(first, base.predict, config.predict), causes)
+        print(f"{changes or options.preset:32s} {course.told()}", flush=True)
+        if options.json:
+            with options.json.open("a") as file:
+                file.write(json.dumps({"run": changes, **{n: getattr(course, n) for n in Course.__slots__}}) + "\n")
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kind", default="hard")
+    parser.add_argument("--speed", type=float, default=4.0, help="pixels a frame of the fastest thing")
+    parser.add_argument("--frames", type=int, default=32)
+    parser.add_argument("--size", default="200x112")
+    parser.add_argument("--cameras", type=int, default=13)
+    parser.add_argument("--views", type=int, default=6)
+    parser.add_argument("--preset", default="live")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--clip-seed", type=int, default=0)
+    parser.add_argument("--first", type=Path, help="packet of the first frame, written where it is absent")
+    parser.add_argument("--json", type=Path, help="append the figures of every frame")
+    parser.add_argument("--run", action="append", metavar="FIELD=VALUE,...")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

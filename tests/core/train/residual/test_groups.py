@@ -1,0 +1,72 @@
+"""Groups: neighbourhoods are found, shifted and turned as one, and find motion that single anchors do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from core.camera import look_at, pinhole
+from core.train.config import PredictConfig
+from core.train.field.convert import scene_of
+from core.train.field.exposure import neutral
+from core.train.field.rendered import rendered
+from core.train.motion.partition import Partition
+from core.train.pictures.views import Views
+from core.train.residual.groups import neighbourhoods
+from core.train.residual.state import fresh_state
+from core.train.residual.trainer import ResidualTrainer
+from tests.core.train.fields import random_field
+
+WIDTH, HEIGHT = 96, 64
+
+
+def test_a_group_is_what_lies_in_one_cell() -> None:
+    position = torch.tensor([[0.1, 0.1, 0.1], [0.9, 0.2, 0.4], [1.1, 0.1, 0.1], [-0.1, 0.1, 0.1]])
+    groups = neighbourhoods(position, 1.0)
+    assert groups.count == 3
+    assert groups.number[0] == groups.number[1]
+    assert len(set(groups.number[[0, 2, 3]].tolist())) == 3
+    torch.testing.assert_close(groups.arm[0] + groups.arm[1], torch.zeros(3))
+    torch.testing.assert_close(groups.arm[2:], torch.zeros(2, 3))
+
+
+def test_a_turn_is_a_small_rotation_about_the_groups_middle() -> None:
+    position = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) * 4
+    groups = neighbourhoods(position, 4.0)
+    axis = torch.tensor([[0.3, -0.5, 0.8]])
+    angle = 1e-3 * axis
+    rotation = torch.linalg.matrix_exp(torch.linalg.cross(angle.expand(3, 3), torch.eye(3)))
+    centre = position.mean(dim=0)
+    turned = centre + (position - centre) @ rotation - position
+    moved = groups.motion(torch.zeros(1, 3), 1e-3 * 4.0 * axis)
+    torch.testing.assert_close(moved, turned, atol=1e-5, rtol=0)
+    torch.testing.assert_close(groups.motion(axis, torch.zeros(1, 3)), axis.expand(50, 3))
+
+
+def test_groups_follow_a_motion_that_single_anchors_lose() -> None:
+    config = PredictConfig(epochs=20, minimum_steps=0, least_gain=0.0)
+    cameras = tuple(
+        pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),
+                look_at(np.array([x, -0.4, -3.0]), np.zeros(3), np.array([0.0, -1.0, 0.0])))
+        for i, x in enumerate((-1.0, 0.0, 1.0))
+    )  # fmt: skip
+    scene = scene_of(random_field(160), config, cameras, 30.0, 0)
+    state = fresh_state(scene, "cpu")
+    shift = torch.tensor([0.06, 0.0, 0.0])  # two pixels
+    moved = replace(state.field, position=state.field.position + shift)
+    blank = Views(cameras, torch.zeros(3, HEIGHT, WIDTH, 3), [0, 1, 2])
+    views = replace(blank, targets=rendered(moved, state.alive, blank, "cpu"))
+    everything = np.ones(len(state.field), np.bool_)
+
+    def missing(group_cells: float) -> float:
+        """Mean distance that is left, as a share of the motion."""
+        trainer = ResidualTrainer(
+            state, Partition(None, everything), views, neutral(3), [0, 1, 2], group_cells=group_cells
+        )
+        update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
+        went = torch.from_numpy(update.position) * scene.header.position_steps[0]
+        return float((went - shift).norm(dim=1).mean() / shift.norm())
+
+    assert missing(2.0) < 0.85 * missing(0.0)
