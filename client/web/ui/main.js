@@ -54,7 +54,7 @@ async function start(viewer) {
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
   const isShared = viewer.thin || (!recording && options.get("together") === "1"); // a played file is seen where the server plays it
-  let retryAt = 0;
+  let retryAt = 0, shown = -1;
 
   const destroy = () => {
     controls.destroy();
@@ -93,7 +93,8 @@ async function start(viewer) {
     element("stage").toggleAttribute("data-shown", true);
     rates.frame(detail, viewer.status?.bytes ?? 0);
     latency.add(detail, viewer.status);
-    refresh();
+    if (detail.version !== shown) refresh(); // the same frame from elsewhere changes nothing around it
+    shown = detail.version;
   });
   viewer.addEventListener("drawn", (event) => {
     const { ms, all } = /** @type {CustomEvent} */ (event).detail;

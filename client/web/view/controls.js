@@ -74,6 +74,7 @@ export class Controls {
     this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     this.panning = event.button === 2 || event.button === 1 || event.shiftKey;
     this.spin = { yaw: 0, pitch: 0 };
+    this.viewer.touched = true;
     if (this.pointers.size === 1) this.travel = 0;
   }
 
@@ -106,6 +107,7 @@ export class Controls {
   /** @param {PointerEvent} event */
   #up(event) {
     if (!this.pointers.delete(event.pointerId)) return;
+    this.viewer.touched = this.pointers.size > 0;
     if (this.panning || this.pointers.size || event.timeStamp - this.last > 60) this.spin = { yaw: 0, pitch: 0 };
     if (event.pointerType !== "touch" || event.type !== "pointerup" || this.travel > TAP_PX) return;
     const again = event.timeStamp - this.tap.time < DOUBLE_TAP_MS;

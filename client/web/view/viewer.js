@@ -14,7 +14,7 @@ import { Renderer } from "./renderer.js";
 /** @typedef {import("./messages.js").Status} Status */
 
 const GLIDE_MS = 450;
-const REST_MS = 400; // a picture that has not changed for so long is drawn at full resolution
+const REST_MS = 400, HELD_MS = 1000; // a picture that has not changed for so long is drawn in full; while a finger or button is down
 const VSYNC_MS = 25, ASLEEP_MS = 3000; // between two frames: more means that drawing was waited for; that nobody looked
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -55,6 +55,8 @@ export class Viewer extends EventTarget {
     this.resting = false; // drawn in full, because nothing moves
     this.timed = { frames: 0, ms: 0 }; // drawn since `pace` was asked for, and the time that took
     this.lastFrame = 0;
+    this.touched = false; // a finger or button is down: what does not move now will
+    this.frameMs = 0; // that the newest picture took
     this.drew = this.drewAll = false; // since the last frame: while things move; everything there is
     this.fps = 0;
     this.frames = 0;
@@ -241,7 +243,9 @@ export class Viewer extends EventTarget {
     }
     this.dispatchEvent(new CustomEvent("frame", { detail: { now } }));
     this.#clock(now);
-    const rested = !this.dirty && now - this.lastDraw > REST_MS, isCut = this.resolution < 1 || this.share < 1;
+    // Where pictures take long, nothing may be late because all detail is drawn between two of them.
+    const patience = Math.max(this.touched ? HELD_MS : REST_MS, 2 * this.frameMs);
+    const rested = !this.dirty && now - this.lastDraw > patience, isCut = this.resolution < 1 || this.share < 1;
     if (!this.dirty && (!rested || this.resting || !isCut)) return;
     if (rested !== this.resting) {
       this.resting = rested;
@@ -264,6 +268,7 @@ export class Viewer extends EventTarget {
   #clock(now) {
     const ms = now - this.lastFrame;
     this.lastFrame = now;
+    if (this.drew && ms < ASLEEP_MS) this.frameMs = ms;
     if (ms < ASLEEP_MS && (this.drew || ms > VSYNC_MS)) {
       this.timed.frames += Number(this.drew);
       this.timed.ms += ms;
