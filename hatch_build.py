@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -52,6 +53,10 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
         content = path.read_bytes()
         if path.suffix == ".js":
             content = rjsmin.jsmin(content.decode()).encode()
+        elif path.suffix == ".css":
+            content = re.sub(rb"\s*([{};])\s*", rb"\1", content)
+        elif path.suffix == ".html":
+            content = re.sub(rb"\n\s+", b"\n", content)
         name = path.relative_to(folder).as_posix()
         yield f"{name}.br", brotli.compress(content)
         yield f"{name}.gz", gzip.compress(content, mtime=0)

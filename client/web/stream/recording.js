@@ -1,84 +1,17 @@
 /** Plays a `.slod` file over HTTP Range requests; takes the same commands as a connection. */
 
-import { FOOTER, levelOf, moments, plan, readFooter, readIndex, walkRecords } from "../decode/container.js";
+import { levelOf, moments, plan } from "../decode/container.js";
 import { KEY, LIMITS, must } from "../decode/packet.js";
+import { FileReader } from "./file.js";
 import { Session } from "./session.js";
 
 /** @typedef {import("./connection.js").Handlers} Handlers */
 /** @typedef {import("../decode/container.js").Entry} Entry */
 
-const MAX_AHEAD = 1 << 19, MAX_READ = 1 << 30, CACHE_BYTES = 96 << 20, TICK_MS = 8;
+const MAX_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
 const AHEAD_MS = 500; // how long a request may take
 const LATE_MS = 300; // a keyframe that takes longer is shown level by level
 const STALL_MS = 1000; // that a frame is waited for
-
-/** Bytes of one address, by range where the server can, whole where it cannot. */
-class RangeReader {
-  /** @param {string} url @param {string | null} token - where the server asks for one */
-  constructor(url, token) {
-    this.url = url;
-    /** @type {Record<string, string>} */
-    this.headers = token ? { Authorization: `Bearer ${token}` } : {};
-    /** @type {Uint8Array | null} */
-    this.whole = null;
-    this.size = 0;
-  }
-
-  /** @param {string} range @returns {Promise<Response>} */
-  async #fetch(range) {
-    const { origin } = new URL(this.url);
-    const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${range}` } }).catch(() => {
-      throw new Error(`${origin} does not answer${origin === location.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`);
-    });
-    if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
-    return answer;
-  }
-
-  /** The last `n` bytes; learns the size. @param {number} n */
-  async tail(n) {
-    const answer = await this.#fetch(`-${n}`);
-    const bytes = new Uint8Array(await answer.arrayBuffer());
-    if (answer.status === 206) {
-      const total = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
-      if (!total) throw new Error("the file's server hides the header Content-Range from pages of other sites (CORS): it must expose it");
-      this.size = Number(total[1]);
-    } else this.#keep(bytes);
-    return bytes.subarray(Math.max(0, bytes.length - n));
-  }
-
-  /** @param {Uint8Array} bytes */
-  #keep(bytes) {
-    this.whole = bytes;
-    this.size = bytes.length;
-  }
-
-  /** A range, each time as much of it as has come. @param {number} start @param {number} end @returns {AsyncGenerator<Uint8Array, void>} */
-  async *arriving(start, end) {
-    if (!this.whole) {
-      const answer = await this.#fetch(`${start}-${end - 1}`);
-      if (answer.status !== 206 || !answer.body) this.#keep(new Uint8Array(await answer.arrayBuffer()));
-      else {
-        must(end - start <= MAX_READ, "limit_exceeded", "the recording has no index and is too long to be read without");
-        const bytes = new Uint8Array(end - start), reader = answer.body.getReader();
-        for (let at = 0, more; !(more = await reader.read()).done; ) {
-          bytes.set(more.value, at);
-          yield bytes.subarray(0, (at += more.value.length));
-        }
-        return;
-      }
-    }
-    yield /** @type {Uint8Array} */ (this.whole).subarray(start, end);
-  }
-
-  /** @param {number} start @param {number} end @returns {Promise<Uint8Array>} */
-  async read(start, end) {
-    /** @type {Uint8Array} */
-    let bytes = new Uint8Array(0);
-    for await (bytes of this.arriving(start, end));
-    must(bytes.length === end - start, "truncated", "the recording ends too early");
-    return bytes;
-  }
-}
 
 export class Recording {
   /** @param {string} url @param {string | null} token @param {Handlers} handlers @param {boolean} loop - begin again at the end */
@@ -87,7 +20,7 @@ export class Recording {
     this.token = token;
     this.session = new Session(performance.now());
     Object.assign(this.session.status, { source: "recording", mode: "replay", loops: loop });
-    this.reader = new RangeReader(url, token);
+    this.reader = new FileReader(url, token);
     /** @type {Entry[]} */
     this.entries = [];
     /** @type {{ version: number, timeMs: number }[]} */
@@ -112,11 +45,7 @@ export class Recording {
   }
 
   async #load() {
-    const tail = await this.reader.tail(FOOTER);
-    const { size } = this.reader;
-    const footer = readFooter(tail, size);
-    const index = footer && readIndex(await this.reader.read(footer.start, size - FOOTER), footer.checksum, footer.start);
-    this.entries = index ?? walkRecords(await this.reader.read(0, size));
+    this.entries = await this.reader.entries();
     this.moments = moments(this.entries);
     must(this.moments.length, "bad_file", "the recording is empty or not a .slod file");
     const oldest = { epoch: 1, version: this.moments[0].version };

@@ -29,6 +29,7 @@ export function createHandle(viewer, timeline, latency, destroy) {
         phase: status?.phase ?? "connecting", source: status?.source ?? null, mode: status?.mode ?? "live",
         behindSeconds: status?.lagSeconds ?? null, latencyMs: latency.ms, fraction: status?.fraction ?? null, position: status?.position ?? null,
         window: status?.window ?? null, version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.fps, camera: toText(viewer.pose),
+        viewers: viewer.watchers,
       };
     },
     /** @type {(name: string, listener: (detail: any) => void) => () => void} returns the way to stop listening */

@@ -6,8 +6,8 @@ import { createHandle, listenToParent } from "./handle.js";
 import { attachMenu, button, element, menuItem, toast } from "./page.js";
 import { Quality, QUALITIES } from "../view/quality.js";
 import { NO_WEBGL, words } from "./states.js";
-import { hideWhenIdle, Latency, show } from "./status.js";
-import { chooseStream, liveAddress, showStreams } from "./streams.js";
+import { describe, hideWhenIdle, Latency, show } from "./status.js";
+import { chooseStream, countWatchers, liveAddress, showStreams } from "./streams.js";
 import { attachPhone } from "./phone.js";
 import { Rig } from "./rig.js";
 import { attachSharing, copyMoment, savePicture } from "./sharing.js";
@@ -105,6 +105,7 @@ async function start(viewer) {
     if (viewer.status?.phase === "reconnecting") refresh();
     latency.show(viewer.status?.phase);
     if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, latency.ms);
+    canvas.ariaDescription = describe(viewer, element("t-time").textContent ?? "");
   }, 500);
   let lastOutside = -1;
   viewer.addEventListener("frame", () => {
@@ -217,13 +218,14 @@ async function start(viewer) {
   const wishes = quality.wishes();
   if (recording) {
     const url = new URL(recording, location.href).href;
-    attachSharing(viewer, () => url);
+    attachSharing(viewer, () => url, null);
     viewer.tell({ type: "connect", live: null, file: url, token: null, wishes });
     return;
   }
   const stream = await chooseStream(options);
   const place = `/v1/streams/${encodeURIComponent(stream)}`;
-  attachSharing(viewer, () => (token || !viewer.status?.window ? null : `${place}/${viewer.status.source === "recording" ? "recording" : "bitstream"}`));
+  attachSharing(viewer, () => viewer.status?.window ? `${place}/${viewer.status.source === "recording" ? "recording" : "bitstream"}` : null, token);
+  countWatchers(options, stream, viewer);
   viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : new URL(`${place}/recording`, location.href).href, token, wishes });
 }
 

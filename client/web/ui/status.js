@@ -1,5 +1,6 @@
 /** The chip at the top, the card in the middle, and controls that hide from a hand that rests. */
 
+import { add, fromCamera } from "../view/camera.js";
 import { button, element } from "./page.js";
 
 /** @typedef {import("./states.js").Words} Words */
@@ -55,6 +56,14 @@ export class Latency {
     if (phase !== "live") this.ms = null;
     element("status-latency").textContent = this.ms === null ? "" : `${Math.round(this.ms)} ms`;
   }
+}
+
+/** The picture in words, for those who do not see it. @param {import("../view/viewer.js").Viewer} viewer @param {string} time */
+export function describe({ scene, pose }, time) {
+  /** @type {(camera: import("../view/camera.js").RigCamera) => number} */
+  const away = (camera) => Math.hypot(...add(fromCamera(camera, 1).position, pose.position, -1));
+  const nearest = scene?.cameras.reduce((a, b) => (away(b) < away(a) ? b : a), scene.cameras[0]);
+  return `${element("status-text").textContent}, ${time}${nearest ? `, seen from near ${nearest.name}` : ""}`;
 }
 
 /** Hide the controls of a picture that plays when nobody has touched anything for a while. @param {() => boolean} plays */

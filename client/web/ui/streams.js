@@ -27,6 +27,17 @@ export async function chooseStream(options) {
   return chosen;
 }
 
+const COUNT_MS = 10_000;
+
+/** Say how many watch a stream, as long as `viewer` does. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */
+export async function countWatchers(options, stream, viewer) {
+  for (; viewer.running; await new Promise((resolve) => setTimeout(resolve, COUNT_MS))) {
+    if (document.hidden || viewer.status?.phase === "reconnecting") continue;
+    viewer.watchers = (await fetchStreams(options)).find(({ id }) => id === stream)?.viewers ?? null;
+    element("status-viewers").textContent = (viewer.watchers ?? 0) > 1 ? `${viewer.watchers} watching` : "";
+  }
+}
+
 /** @type {(stream: string) => string} */
 export function liveAddress(stream) {
   const address = new URL(`/v1/streams/${encodeURIComponent(stream)}/live`, location.href);

@@ -48,6 +48,8 @@ export class Viewer extends EventTarget {
     this.status = null;
     /** @type {import("./messages.js").PictureMessage | null} */
     this.picture = null;
+    /** @type {number | null} how many watch the stream, as far as the server says */
+    this.watchers = null;
     this.posed = false; // someone chose a pose: a new scene does not move the camera
     this.levels = Infinity;
     this.resolution = 1; // fraction of the screen's own, while things move

@@ -73,6 +73,7 @@ class Behaviour:
     newest: int | None = None  # the live edge stops there
     corrupt: set[int] = field(default_factory=set)  # versions whose packet is damaged, once
     streams: tuple[str, ...] = ("main",)
+    viewers: int = 1  # in the list of streams
     hellos: list[dict[str, Any]] = field(default_factory=list)
     wishes: list[dict[str, Any]] = field(default_factory=list)  # heard, not obeyed
 
@@ -194,7 +195,9 @@ def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None, page
 
     @app.get("/v1/streams")
     def streams() -> dict[str, Any]:
-        items = [{"id": s, "name": s, "state": behaviour.state, "viewers": 1} for s in behaviour.streams]
+        items = [
+            {"id": s, "name": s, "state": behaviour.state, "viewers": behaviour.viewers} for s in behaviour.streams
+        ]
         return {"items": items, "next_cursor": None}
 
     if files is not None:

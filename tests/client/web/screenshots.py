@@ -88,6 +88,8 @@ def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
         page.evaluate("document.getElementById('toast').remove()" if shot.live else "0")
         verb, _, what = shot.act.partition(":")
         if verb == "button":
+            if shot.live and page.locator("#b-more").is_visible():
+                page.click("#b-more")  # the tools of a small page are a sheet
             page.click(what)
         elif verb == "js":
             page.evaluate(what)

@@ -68,7 +68,7 @@ def test_works_compressed_and_is_small(page: Any, clip: Clip, packed: Path) -> N
         page.goto(f"{url}/")
         shows(page, "s.version === 4")
     assert {"main.js", "worker.js", "kernel.wasm"} <= set(sizes)
-    assert not {"recording.js", "thin.js", "webxr.js"} & set(sizes)
+    assert not {"recording.js", "file.js", "clip.js", "thin.js", "webxr.js"} & set(sizes)
     assert sum(sizes.values()) < MOST_BYTES, sizes
 
 

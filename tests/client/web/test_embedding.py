@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from codec.container import SlodWriter
+from codec.container import SlodReader, SlodWriter
+from codec.decoder import SceneDecoder
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
@@ -173,3 +174,22 @@ def test_links_keep_the_moment(page: Any, clip: Clip, tmp_path: Path) -> None:
             page.click("#b-share")
             page.locator("#share-menu button", has_text="Download recording").click()
         assert Path(download.value.path()).read_bytes() == (tmp_path / "clip.slod").read_bytes()
+        page.evaluate("streamlod.seek(12)")
+        shows(page, "s.version === 12")
+        page.click("#b-share")
+        page.locator("#share-menu button", has_text="A clip begins here").click()
+        page.evaluate("streamlod.seek(5)")
+        shows(page, "s.version === 5")
+        with page.expect_download() as download:
+            page.click("#b-share")
+            page.locator("#share-menu button", has_text="Download clip up to here").click()
+        assert download.value.suggested_filename == "clip-5-12.slod"
+        with SlodReader(download.value.path()) as reader:
+            decoder = SceneDecoder()
+            for number in reader.plan(12):
+                decoder.push(reader.read(number))
+            assert max(entry.to_version for entry in reader.entries) == 12
+        assert decoder.scene is not None
+        assert [level.digest() for level in decoder.scene.levels] == [
+            level.digest() for level in clip.states[12].levels
+        ]

@@ -119,3 +119,22 @@ def test_both_eyes_see_the_scene(page: Any, clip: Clip) -> None:
         before = page.evaluate("streamlod.state.camera")
         page.keyboard.press("+")
         page.wait_for_function("(before) => streamlod.state.camera !== before", arg=before, **WAIT)
+
+
+def test_the_room_shows_around_the_scene(page: Any, clip: Clip) -> None:
+    """Pass-through: what no splat covers is left out (the emulated headset draws without alpha)."""
+    if not IWER.exists():
+        pytest.skip("iwer is not installed: npm install --prefix tests/client/web")
+    page.add_init_script(path=IWER)
+    page.add_init_script(PUT_ON)
+    page.set_viewport_size({"width": 900, "height": 450})
+    with serving(create_app(clip, Behaviour(newest=4))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 4")
+        page.click("#b-ar")
+        page.wait_for_function("window.ticks > 3", **WAIT)
+        assert page.evaluate("session.environmentBlendMode") == "alpha-blend"
+        colours = pixels_of(page.evaluate(LOOK)[0])
+        assert (colours.max(axis=2) == 0).mean() > 0.2, "the room: not the scene's background"
+        assert (colours.max(axis=2) > 0.3).mean() > 0.01, "the scene in it"
+        page.evaluate("session.end()")

@@ -86,9 +86,11 @@ def test_live_is_red_only_while_it_is(page: Any, clip: Clip) -> None:
 def test_pictures_taken_earlier_are_not_called_live(page: Any, clip: Clip) -> None:
     """A stream that is trained from a data set is at its newest frame, in green."""
     page.emulate_media(color_scheme="dark", reduced_motion="reduce")
-    with serving(create_app(clip, Behaviour(source="data"))) as url:
+    with serving(create_app(clip, Behaviour(source="data", viewers=3))) as url:
         page.goto(f"{url}/?quality=high")
         chip(page, "Newest frame")
+        page.locator("#status-viewers", has_text="3 watching").wait_for(**WAIT)
+        assert page.evaluate("streamlod.state.viewers") == 3
         assert page.locator("#t-live").inner_text() == "NEWEST"
         assert page.evaluate(COLOUR) != RED
 

@@ -1,0 +1,80 @@
+/** A `.slod` file at an address: its bytes by range where the server can, whole where it cannot; what it holds. */
+
+import { FOOTER, readFooter, readIndex, walkRecords } from "../decode/container.js";
+import { must } from "../decode/packet.js";
+
+const MAX_READ = 1 << 30; // bytes at once
+
+export class FileReader {
+  /** @param {string} url @param {string | null} token - where the server asks for one */
+  constructor(url, token) {
+    this.url = url;
+    /** @type {Record<string, string>} */
+    this.headers = token ? { Authorization: `Bearer ${token}` } : {};
+    /** @type {Uint8Array | null} */
+    this.whole = null;
+    this.size = 0;
+  }
+
+  /** @param {string} range @returns {Promise<Response>} */
+  async #fetch(range) {
+    const { origin } = new URL(this.url);
+    const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${range}` } }).catch(() => {
+      throw new Error(`${origin} does not answer${origin === location.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`);
+    });
+    if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
+    return answer;
+  }
+
+  /** The last `n` bytes; learns the size. @param {number} n */
+  async tail(n) {
+    const answer = await this.#fetch(`-${n}`);
+    const bytes = new Uint8Array(await answer.arrayBuffer());
+    if (answer.status === 206) {
+      const total = /\/(\d+)$/.exec(answer.headers.get("Content-Range") ?? "");
+      if (!total) throw new Error("the file's server hides the header Content-Range from pages of other sites (CORS): it must expose it");
+      this.size = Number(total[1]);
+    } else this.#keep(bytes);
+    return bytes.subarray(Math.max(0, bytes.length - n));
+  }
+
+  /** @param {Uint8Array} bytes */
+  #keep(bytes) {
+    this.whole = bytes;
+    this.size = bytes.length;
+  }
+
+  /** A range, each time as much of it as has come. @param {number} start @param {number} end @returns {AsyncGenerator<Uint8Array, void>} */
+  async *arriving(start, end) {
+    if (!this.whole) {
+      const answer = await this.#fetch(`${start}-${end - 1}`);
+      if (answer.status !== 206 || !answer.body) this.#keep(new Uint8Array(await answer.arrayBuffer()));
+      else {
+        must(end - start <= MAX_READ, "limit_exceeded", "the recording has no index and is too long to be read without");
+        const bytes = new Uint8Array(end - start), reader = answer.body.getReader();
+        for (let at = 0, more; !(more = await reader.read()).done; ) {
+          bytes.set(more.value, at);
+          yield bytes.subarray(0, (at += more.value.length));
+        }
+        return;
+      }
+    }
+    yield /** @type {Uint8Array} */ (this.whole).subarray(start, end);
+  }
+
+  /** @param {number} start @param {number} end @returns {Promise<Uint8Array>} */
+  async read(start, end) {
+    /** @type {Uint8Array} */
+    let bytes = new Uint8Array(0);
+    for await (bytes of this.arriving(start, end));
+    must(bytes.length === end - start, "truncated", "the recording ends too early");
+    return bytes;
+  }
+
+  /** What the file holds. @returns {Promise<import("../decode/container.js").Entry[]>} */
+  async entries() {
+    const tail = await this.tail(FOOTER), { size } = this, footer = readFooter(tail, size);
+    const index = footer && readIndex(await this.read(footer.start, size - FOOTER), footer.checksum, footer.start);
+    return index ?? walkRecords(await this.read(0, size));
+  }
+}
