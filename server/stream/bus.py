@@ -8,10 +8,13 @@ hub of their server writes to them.
 from __future__ import annotations
 
 import asyncio
+from concurrent.futures import Future
 
 from codec.container import SlodReader
 from server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
 from server.stream.store import Recording, Segment
+
+_RECORD_SECONDS = 0.5  # that viewers wait for a disk that stands still
 
 
 class Bus:
@@ -25,6 +28,18 @@ class Bus:
     def __init__(self, memory_bytes: int, recording: Recording | None = None) -> None:
         self.window = PacketWindow(memory_bytes)
         self.recording = recording
+        self._late: Future[None] | None = None  # the writing that viewers did not wait for any longer
+
+    async def record(self, packet: StreamPacket) -> None:
+        """Have the packet written, if there is a recording, and wait for that: nobody gets what could be lost.
+
+        Where the disk stands still, viewers wait for it once, and then no more until it has caught up.
+        """
+        writing = None if self.recording is None else self.recording.append(packet)
+        if writing is None or (self._late is not None and not self._late.done()):
+            return
+        done, _ = await asyncio.wait([asyncio.wrap_future(writing)], timeout=_RECORD_SECONDS)
+        self._late = None if done else writing
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
         """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -79,12 +79,17 @@ class Hub:
         return None if newest is None else self._states[newest.sequence].scene
 
     async def accept(
-        self, packet: StreamPacket, message: bytes = b"", on_decoded: Callable[[], None] = lambda: None
+        self,
+        packet: StreamPacket,
+        message: bytes = b"",
+        on_decoded: Callable[[], None] = lambda: None,
+        record: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         """Decode the newest packet in a thread, then send it to viewers with `message`, a framed control message.
 
         Args:
             on_decoded: called once the packet is known to be valid, just before it becomes the newest.
+            record: awaited before that, and so before any viewer gets the packet.
 
         Raises:
             BitstreamError: it is not valid; nothing has changed.
@@ -93,6 +98,8 @@ class Hub:
         await asyncio.get_running_loop().run_in_executor(self._thread, self._decoder.push, packet.data)
         scene = self._decoder.scene
         assert scene is not None
+        if record is not None:
+            await record()
         on_decoded()
         packet = replace(packet, arrived=time.monotonic())
         if packet.is_key and len(packet.data) > PIECE_BYTES:

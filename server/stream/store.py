@@ -1,7 +1,8 @@
 """Recordings on disk: one append-only `.slod` file for each group of pictures (GOP), and a catalogue of them.
 
-All writing happens on one thread. Live streaming never waits for it and survives its failure: a full disk stops the
-recording and is reported, and the next keyframe tries again.
+All writing happens on one thread. A packet goes to viewers when it is written, so that a recording holds whatever a
+viewer got (see `server.stream.bus`). Live streaming survives a failure: a full disk stops the recording and is
+reported, and the next keyframe tries again.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import sqlite3
 import sys
 import time
 from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -98,9 +99,9 @@ class Store:
         """Do `work` on the recording thread."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
 
-    def submit(self, work: Callable[[], None]) -> None:
+    def submit(self, work: Callable[[], None]) -> Future[None]:
         """Do `work` on the recording thread, later."""
-        self._thread.submit(work)
+        return self._thread.submit(work)
 
     def execute(self, statement: str, values: tuple[Any, ...]) -> list[tuple[Any, ...]]:
         """One catalogue statement, committed."""
@@ -187,14 +188,14 @@ class Recording:
             write_stored(self._folder, stored)
             self.stored = stored
 
-    def append(self, packet: StreamPacket) -> None:
-        """Queue a packet for recording, or drop it if the disk is far behind."""
+    def append(self, packet: StreamPacket) -> Future[None] | None:
+        """Queue a packet for recording, or drop it if the disk is far behind; what is done when it is written."""
         if self._waiting_bytes > self._store.retention.memory_bytes:
             self.fault, self.lost_packets = "the disk is too slow", self.lost_packets + 1
             self._store.submit(self._abandon)
-            return
+            return None
         self._waiting_bytes += len(packet.data)
-        self._store.submit(lambda: self._write(packet))
+        return self._store.submit(lambda: self._write(packet))
 
     async def flush(self) -> None:
         """Wait until everything appended so far is written."""

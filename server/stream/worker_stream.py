@@ -10,6 +10,7 @@ import secrets
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -232,8 +233,9 @@ class WorkerStream(Stream):
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
         packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
-        await self.hub.accept(packet, self._window_message(), self._begin_epoch)
-        self._publish(packet, record=record)
+        recording = partial(self.bus.record, packet) if record else None
+        await self.hub.accept(packet, self._window_message(), self._begin_epoch, recording)
+        self._publish(packet, record=False)
         if record:
             self._enter_live()
 

@@ -6,13 +6,17 @@ import json
 import stat
 import subprocess
 import sys
+import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
+from codec.container import SlodReader
+from codec.packet.info import peek
 from core.errors import InputError
 from server.pipeline.spec import StreamSpec
 from server.settings import Retention, Settings
@@ -129,3 +133,33 @@ def test_old_recordings_are_deleted_though_no_packet_comes(tmp_path: Path, clip:
             assert time.monotonic() < limit
             time.sleep(0.1)
     assert json.loads((tmp_path / "streams" / "main" / "stream.json").read_text())["epoch"] == 1
+
+
+def test_what_a_viewer_got_is_on_the_disk_already(tmp_path: Path, clip: Clip) -> None:
+    with running(Settings(state=tmp_path), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
+        viewer.hello()
+        viewer.until("caught_up")
+        store = server.registry.store
+        assert store is not None
+        for number in range(12):
+            if number % 4 == 0:
+                store.submit(partial(time.sleep, 0.1))  # a disk that is slow now and then
+            while not isinstance(packet := viewer.step(), bytes):
+                pass
+            newest = max((tmp_path / "streams" / "main").glob("*.slod"))
+            with SlodReader(newest) as reader:
+                assert reader.entries[-1].to_version >= peek(packet).to_version
+
+
+def test_a_disk_that_stands_still_holds_viewers_up_once(tmp_path: Path, clip: Clip) -> None:
+    with running(Settings(state=tmp_path), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
+        viewer.hello()
+        viewer.until("caught_up")
+        store, free = server.registry.store, threading.Event()
+        assert store is not None
+        store.submit(lambda: free.wait(20) and None)
+        begin = time.monotonic()
+        for _ in range(20):
+            viewer.next_packet()
+        free.set()
+        assert time.monotonic() - begin < 8  # and not half a second for each packet
