@@ -125,13 +125,13 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
     return ""
 
 
-def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool) -> str:
+def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool, ca: Path | None = None) -> str:
     """Be a capture node until the sources end."""
     from server.ingest.push.capture import find_cameras
     from server.ingest.push.node import push as send
 
     cameras = find_cameras(sources, fps, None if size is None else picture_size(size), repeats=loop)
-    pushed = send(url, cameras, os.environ.get("STREAMLOD_TOKEN"))
+    pushed = send(url, cameras, os.environ.get("STREAMLOD_TOKEN"), ca)
     return "\n".join(
         f"{name}: {one.acknowledged} pictures taken, {one.refused} refused, {one.dropped} dropped"
         for name, one in pushed.items()

@@ -145,9 +145,10 @@ def push(
     fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Of webcams and folders of pictures.")] = 30.0,
     size: Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Asked of webcams.")] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin files again at their end.")] = False,
+    ca: CaFile = None,
 ) -> None:
     """Send this machine's cameras to a live stream with push: sources. A token comes from STREAMLOD_TOKEN."""
-    _call("server.cli.commands:push", url, sources, fps, size, loop)
+    _call("server.cli.commands:push", url, sources, fps, size, loop, ca)
 
 
 @app.command()

@@ -261,7 +261,9 @@ class WorkerStream(Stream):
     def _on_ingest(self, figures: dict[str, Any]) -> None:
         self.ingest = figures
         if self.state == "starting":
-            self._enter("starting", complaint(figures))
+            if (fault := complaint(figures)) != self.detail:
+                _LOG.info("stream %s: starting: %s", self.id, fault or "all cameras deliver")
+            self._enter("starting", fault)
         elif not self._new_epoch:  # until a restarted worker has sent a packet, the stream stays degraded
             self._enter_live()
 

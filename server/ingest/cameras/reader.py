@@ -29,6 +29,7 @@ _LOG = logging.getLogger(__name__)
 _MIN_DELAY, _MAX_DELAY = 0.25, 5.0  # seconds between attempts
 _SETTLED_SECONDS = 5.0  # a connection that lasted so long resets the delay
 _ENDED = "it ended"
+_LISTENS = "listening; its camera has not connected yet"
 _REPORT_NS = 1_000_000_000
 
 
@@ -91,6 +92,8 @@ class Reader:
 
     def _run(self) -> None:
         delay = _MIN_DELAY
+        if self._address.listens:
+            self._sink.gone(self.camera, _LISTENS, ended=False)
         while not self._stopping.is_set():
             begin, before, reason = time.monotonic(), self.connections, _ENDED
             try:
@@ -106,7 +109,7 @@ class Reader:
                 return
             lasted = time.monotonic() - begin
             if self._address.listens and self.connections == before and lasted > _MIN_DELAY:
-                reason = "its camera has not connected yet"
+                reason = _LISTENS
             ended = not self._address.is_live and reason == _ENDED
             self._sink.gone(self.camera, reason, ended=ended)
             if ended:

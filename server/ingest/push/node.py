@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import ssl
 import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
@@ -35,16 +37,22 @@ class Pushed:
     dropped: int = 0
 
 
-def push(url: str, cameras: Sequence[CaptureCamera], token: str | None = None) -> dict[str, Pushed]:
+def push(
+    url: str, cameras: Sequence[CaptureCamera], token: str | None = None, ca: Path | None = None
+) -> dict[str, Pushed]:
     """Send all cameras' pictures until their sources end or the process is interrupted; returns the counts by camera.
 
     A broken connection is opened again; pictures taken meanwhile are dropped.
 
+    Args:
+        ca: certificates (PEM) to trust instead of the system's, for ``wss`` addresses.
+
     Raises:
-        StreamlodError: a source cannot be read, or the server refuses the node for good.
+        StreamlodError: a source or `ca` cannot be read, or the server refuses the node for good.
     """
+    trust = None if ca is None else _trusting(ca)
     start_ns = time.time_ns() + round(_START_SECONDS * 1e9)
-    nodes = [_Node(url, camera, token) for camera in cameras]
+    nodes = [_Node(url, camera, token, trust) for camera in cameras]
     threads = [threading.Thread(target=node.run, args=(start_ns,), daemon=True) for node in nodes]
     for thread in threads:
         thread.start()
@@ -63,6 +71,7 @@ class _Node:
     url: str
     camera: CaptureCamera
     token: str | None
+    trust: ssl.SSLContext | None
     pushed: Pushed = field(default_factory=Pushed)
     failure: StreamlodError | None = None
     _connection: _Connection | None = None
@@ -88,7 +97,7 @@ class _Node:
                 if time.monotonic() < self._retry_at:
                     self.pushed.dropped += 1
                     return
-                self._connection = _Connection(self.url, self.token)
+                self._connection = _Connection(self.url, self.token, self.trust)
             message = PushMessage(self.camera.name, sequence, taken.capture_ns, taken.codec, taken.body)
             if self._connection.send(message, self.pushed):
                 self._delay, self._told = _MIN_DELAY, ""
@@ -112,7 +121,7 @@ class _Node:
 class _Connection:
     """A connection, with its unacknowledged pictures."""
 
-    def __init__(self, url: str, token: str | None) -> None:
+    def __init__(self, url: str, token: str | None, trust: ssl.SSLContext | None) -> None:
         headers = {"Authorization": f"Bearer {token}"} if token else None
         self._open = ExitStack()
         self._connection: ClientConnection = self._open.enter_context(
@@ -120,6 +129,7 @@ class _Connection:
                 url,
                 subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)],
                 additional_headers=headers,
+                ssl=trust,
                 compression=None,
                 open_timeout=5,
                 close_timeout=1,
@@ -170,6 +180,13 @@ class _Connection:
             if (reason := str(answer.get("reason"))) != self._told:
                 self._told = reason
                 _LOG.warning("camera %s: a picture is refused: %s", answer.get("camera"), reason)
+
+
+def _trusting(ca: Path) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=ca)
+    except OSError as error:  # ssl.SSLError, too
+        raise InputError(ca, f"holds no certificates that can be read ({error.strerror or error})") from error
 
 
 def _reason(error: Exception) -> str:

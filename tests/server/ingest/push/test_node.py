@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import ssl
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -14,11 +17,13 @@ import pytest
 import uvicorn
 from fastapi import FastAPI
 from starlette.websockets import WebSocket
+from websockets.sync.server import ServerConnection, serve
+from websockets.typing import Subprotocol
 
 from core.errors import InputError, SessionError
 from server.ingest.cameras.address import Address, webcam_options
 from server.ingest.push.capture import CaptureCamera, find_cameras
-from server.ingest.push.message import Codec, PushMessage
+from server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, parse_push
 from server.ingest.push.node import Pushed, push
 from server.ingest.push.router import AnyIntake, push_router
 from tests.server.ingest.rig import FPS, burnt, free_ports, number_of, write_clip
@@ -168,3 +173,31 @@ def test_a_refusal_for_good_ends_it_with_the_reason(folder: Path, served: tuple[
     server.refusal = SessionError(4403, "the token does not give the right to publish here")
     with pytest.raises(InputError, match="does not give the right to publish"):
         push(url, find_cameras([f"cam0={folder / 'cam0.ts'}"], FPS))
+
+
+def test_a_certificate_of_ones_own_making_is_trusted_when_it_is_named(tmp_path: Path, folder: Path) -> None:
+    certificate, key = tmp_path / "own.pem", tmp_path / "own.key"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "1",
+         "-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-keyout", key, "-out", certificate],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+
+    def acknowledge(connection: ServerConnection) -> None:
+        for data in connection:
+            message = parse_push(bytes(data))  # type: ignore[arg-type]
+            connection.send(json.dumps({"type": "ack", "camera": message.camera, "sequence": message.sequence}))
+
+    protocols = [Subprotocol(PUSH_SUBPROTOCOL)]
+    with serve(acknowledge, "127.0.0.1", 0, ssl=context, subprotocols=protocols) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"wss://localhost:{server.socket.getsockname()[1]}/v1/streams/main/ingest"
+        cameras = find_cameras([f"cam1={folder / 'cam1'}"], FPS)
+        assert push(url, cameras, ca=certificate)["cam1"].acknowledged == 3
+        assert push(url, cameras)["cam1"] == Pushed(0, 0, 3)  # not trusted
+        server.shutdown()
+    for wrong in (key, tmp_path / "none.pem"):
+        with pytest.raises(InputError, match="holds no certificates"):
+            push(url, cameras, ca=wrong)
