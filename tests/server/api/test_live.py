@@ -15,6 +15,8 @@ from websockets.exceptions import ConnectionClosed
 
 from codec.packet.info import peek
 from codec.packet.packet import PacketKind
+from core.close_codes import CloseCode
+from core.errors import SessionError
 from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Settings
 from tests.codec.scenes import assert_same_level, assert_same_state
@@ -218,7 +220,7 @@ def test_stopping_the_server_tells_viewers_to_come_back(clip: Clip) -> None:
             viewer.hello()
             server.registry.draining = True
             for session in server.registry.sessions:
-                session.draining = True
+                session.end(SessionError(CloseCode.STOPPING, "the server is stopping"))
             assert closed(viewer)[0] == 1001
             with server.client() as client:
                 assert client.get("/readyz").status_code == 503
