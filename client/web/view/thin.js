@@ -12,7 +12,7 @@ import { PROTOCOL, Session } from "../stream/session.js";
 
 const HEADER_BYTES = 24;
 const VIEW_MS = 50; // between two views that are told
-const TICK_MS = 250, HOLD_MS = 1500;
+const TICK_MS = 250, HOLD_MS = 1500, PLAYING_HOLD_MS = 500;
 
 /** @param {HTMLCanvasElement} canvas @throws {Error} where not even a flat canvas can be had */
 export function createThin(canvas) {
@@ -74,6 +74,7 @@ export class ThinLink {
     /** @type {number | null} */
     this.held = null;
     this.heldUntil = 0;
+    this.left = 0; // version that was shown when a seek began
     /** @type {Map<number, "pick" | "depth">} */
     this.asked = new Map();
   }
@@ -177,7 +178,7 @@ export class ThinLink {
   /** Show no other version for a while. @param {number | null} version */
   #hold(version) {
     this.held = version;
-    this.heldUntil = performance.now() + HOLD_MS;
+    this.heldUntil = performance.now() + (this.stopAt === null ? PLAYING_HOLD_MS : HOLD_MS);
   }
 
   /** A picture came. @param {ArrayBuffer} data @param {WebSocket} socket */
@@ -188,7 +189,9 @@ export class ThinLink {
     const start = performance.now();
     const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" }));
     if (socket !== this.socket) return bitmap.close();
-    const wanted = this.held === null || this.held === version || start > this.heldUntil;
+    const { held } = this; // what plays is past it by the time it is drawn; what is still on its way is near to where we were
+    const isNear = held !== null && this.stopAt === null && version > held && version - held < Math.abs(version - this.left);
+    const wanted = held === null || held === version || isNear || start > this.heldUntil;
     if (wanted) {
       this.held = null;
       this.bitmap?.close();
@@ -214,6 +217,7 @@ export class ThinLink {
     const message = wanted.type === "play" && position ? { type: "seek", to: position } : wanted;
     if (message.type === "seek") {
       this.stopAt = message.stop ? message.to.version : null;
+      this.left = position?.version ?? 0;
       this.#hold(message.to === "live" ? (range?.newest.version ?? null) : message.to.version);
     } else if (message.type === "pause") this.stopAt = null;
     this.#transmit(message);
