@@ -66,7 +66,7 @@ class State:
             rows: [n] trained rows, with their `change` [n,27] and where to `start` [n,27] in the next frame.
         """
         if any(len(part.added) for part in residual.levels):
-            return self._with_added_rows(residual, scene, partition)
+            return self._with_added_rows(residual, scene, partition, rows, change, start)
         field, starts = self.field, level_starts(scene)
         device = field.feature.device
         feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
@@ -86,8 +86,10 @@ class State:
             self, scene=scene, field=field, partition=partition, change=changes, start=starts_at, motion=motion
         )
 
-    def _with_added_rows(self, residual: Residual, scene: Scene, partition: Partition) -> State:
-        """As `after`, where anchors were added: rows of finer levels move up; newcomers count as dynamic."""
+    def _with_added_rows(
+        self, residual: Residual, scene: Scene, partition: Partition, rows: Tensor, change: Float32, start: Float32
+    ) -> State:
+        """As `after`, where anchors were added: rows of finer levels move up; new ones count as dynamic."""
         device = str(self.field.feature.device)
         before, origins = level_starts(self.scene), []
         for number, part in enumerate(residual.levels):
@@ -97,8 +99,21 @@ class State:
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         canonical = self.canonical.with_rows(known).with_values(new, field)
-        reordered = replace(self, scene=scene, field=field, canonical=canonical, partition=partition.reordered(origin))
-        return replace(reordered, change=None, start=None, motion=None)
+        is_known = torch.from_numpy(origin >= 0).to(device)[:, None]
+        changes, starts_at = torch.zeros(2, len(self.field), start.shape[1], device=device)
+        changes[rows], starts_at[rows] = torch.from_numpy(change).to(device), torch.from_numpy(start).to(device)
+        mean = None if self.motion is None else self.motion[known] * is_known
+        motion = mean_motion(mean, (field.position - self.field.position[known]) * is_known)
+        return replace(
+            self,
+            scene=scene,
+            field=field,
+            canonical=canonical,
+            partition=partition.reordered(origin),
+            change=changes[known] * is_known,
+            start=starts_at[known] * is_known,
+            motion=motion,
+        )
 
 
 def fresh_state(
