@@ -17,10 +17,10 @@ def tag_headers(stream: Stream) -> dict[str, str]:
     return {"ETag": f'"{stream.etag}"'} if isinstance(stream, WorkerStream) else {}
 
 
-def check_match(
-    stream: StreamOf,
-    if_match: Annotated[str | None, Header(max_length=1000, description="change it only if its ETag is this")] = None,
-) -> None:
+IfMatchHeader = Annotated[str | None, Header(max_length=1000, description="change it only if its ETag is this")]
+
+
+def check_match(stream: StreamOf, if_match: IfMatchHeader = None) -> None:
     """Refuse a change with 412 where the stream is made from something else than the client believes."""
     if if_match is None or if_match.strip() == "*" or not isinstance(stream, WorkerStream):
         return

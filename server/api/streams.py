@@ -14,7 +14,7 @@ from fastapi import APIRouter, Query, Request, Response
 from codec.container import SlodReader
 from core.errors import BitstreamError, InputError, StorageError
 from server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
-from server.api.conditions import IfMatch, tag_headers
+from server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
 from server.api.reach import check_reach
 from server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
@@ -102,13 +102,20 @@ async def get_definition(stream: WorkerStreamOf, response: Response) -> dict[str
 @control.patch(
     "/{stream_id}",
     summary="Change a stream",
-    dependencies=[need(Right.CONTROL), IfMatch],
+    dependencies=[need(Right.CONTROL)],
     responses=_problems(409, 412, 507),
 )
-async def change_stream(body: StreamChange, stream: WorkerStreamOf, request: Request, response: Response) -> StreamBody:
+async def change_stream(
+    body: StreamChange,
+    stream: WorkerStreamOf,
+    request: Request,
+    response: Response,
+    if_match: IfMatchHeader = None,
+) -> StreamBody:
     """Change what a stream is made from: the fields that are given, `null` for a default, take effect at its next
     start. A stream that runs, or that the settings file defines, is not changed (409)."""
     registry = registry_of(request)
+    check_match(stream, if_match)
     spec = await _checked(lambda: body.apply_to(stream.spec), registry)
     try:
         registry.change(stream, spec)
