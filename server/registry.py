@@ -49,6 +49,7 @@ class Registry:
         self.renderer = PictureRenderer(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
         self.draining = False
+        self.unready = ""  # why viewers should not come yet
         self._drained = False
         self._sockets: SocketFolder | None = None
         self.kept: dict[str, Recording] = {}  # recordings of streams that were deleted
@@ -66,9 +67,9 @@ class Registry:
         """Show every stream's last state, and start those of the settings and those that ran before."""
         for name, stream in self.streams.items():
             if isinstance(stream, WorkerStream):
-                self._spawn(self._begin(stream, start=name in self._initial))
+                self.spawn(self._begin(stream, start=name in self._initial))
         if self.store is not None:
-            self._spawn(self._retain(self.store))
+            self.spawn(self._retain(self.store))
 
     async def create(self, spec: StreamSpec, *, start: bool = False) -> WorkerStream:
         """Add a stream, remember it, and start it if wanted.
@@ -186,7 +187,8 @@ class Registry:
             await asyncio.sleep(min(_RETAIN_SECONDS, self.settings.retention.seconds))
             store.retain()
 
-    def _spawn(self, work: Coroutine[None, None, None]) -> None:
+    def spawn(self, work: Coroutine[None, None, None]) -> None:
+        """Do `work` until it is done or the server stops."""
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)

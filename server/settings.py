@@ -108,6 +108,19 @@ class WorkerSettings(BaseModel):
     )
 
 
+class EdgeSettings(BaseModel):
+    """Serve the streams of another server."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    origin: str = Field(description="address of that server; its token comes from STREAMLOD_TOKEN")
+    streams: tuple[str, ...] = Field(default=(), description="which of its streams; all by default")
+    linger_seconds: float = Field(
+        default=10.0, ge=0, description="a stream is pulled for so long after its last viewer"
+    )
+    poll_seconds: float = Field(default=2.0, gt=0, description="time between two looks at which streams there are")
+
+
 class Settings(BaseModel):
     """The whole configuration, from the command line or a TOML file of the same names."""
 
@@ -167,6 +180,7 @@ class Settings(BaseModel):
     limits: Limits = Field(default_factory=Limits)
     retention: Retention = Field(default_factory=Retention)
     worker: WorkerSettings = Field(default_factory=WorkerSettings)
+    edge: EdgeSettings | None = Field(default=None, description="serve the streams of another server, as `[edge]`")
 
     @property
     def has_tokens(self) -> bool:
@@ -199,6 +213,8 @@ class Settings(BaseModel):
                 f"--host {self.host}",
                 "other machines could control this server; give it --tokens FILE, or --insecure if that is meant",
             )
+        if self.edge is not None and (self.streams or self.state is not None):
+            raise InputError("edge", "an edge has neither streams nor a state folder of its own; leave them out")
         if (self.certificate is None) != (self.certificate_key is None):
             raise InputError("certificate", "TLS needs both the certificate and its key")
         for name, network in (

@@ -32,7 +32,7 @@ LAYERS = {
     ),
     "server": (
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer", "registry",
-        "api", "service", "cli",
+        "edge", "api", "service", "cli",
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead metrics", "rig", "live"),
     "client": (

@@ -101,6 +101,8 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
         raise SessionError(CloseCode.FORBIDDEN if problem.status == 403 else CloseCode.UNAUTHORISED, problem.detail)
     if registry.draining:
         raise SessionError(CloseCode.STOPPING, "the server is stopping; connect again")
+    if stream_id not in registry.streams and registry.unready:
+        raise SessionError(CloseCode.BUSY, "the server is not ready yet; try again later")
     if stream_id not in registry.streams:
         raise SessionError(CloseCode.NO_STREAM, "there is no such stream")
     return registry.streams[stream_id]

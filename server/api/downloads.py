@@ -21,7 +21,7 @@ from server.stream.stream import Stream
 Group = pathlib.Path | list[StreamPacket]  # a recorded file, or packets in memory
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
 _BOUND = 2**32 - 1
-_ANSWERS: dict[int | str, dict[str, Any]] = {
+ANSWERS: dict[int | str, dict[str, Any]] = {
     206: {"description": "the range asked for"},
     304: {"description": "what the client has is current"},
     **{status: PROBLEMS[status] for status in (401, 403, 404, 409, 410, 416, 422, 429)},
@@ -31,20 +31,22 @@ Epoch = Annotated[int, Path(ge=0, le=_BOUND, description="encoder run", examples
 Version = Annotated[int, Path(ge=0, le=_BOUND, description="number of the state in its epoch", examples=[0])]
 
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
+played = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
 
 
+RECORDING = "/recording"
 _PACKET, _GROUP = "/packets/{epoch}/{version}", "/gops/{epoch}/{first}"
 _FOR_GOOD = "/incarnations/{incarnation}"  # addresses below it never lead to anything else
 Incarnation = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="of the stream", examples=["9f86d081884c7d65"])]
 
 
-@router.get(_PACKET, summary="One packet of the present stream", response_class=Response, responses=_ANSWERS)
+@router.get(_PACKET, summary="One packet of the present stream", response_class=Response, responses=ANSWERS)
 async def packet(stream: StreamOf, epoch: Epoch, version: Version, request: Request) -> Response:
     """The packet that leads to this version, as in codec/FORMAT.md."""
     return respond(request, await _packet(stream, epoch, version, FRESH))
 
 
-@router.get(_FOR_GOOD + _PACKET, summary="One packet", response_class=Response, responses=_ANSWERS)
+@router.get(_FOR_GOOD + _PACKET, summary="One packet", response_class=Response, responses=ANSWERS)
 async def packet_for_good(
     stream: StreamOf, incarnation: Incarnation, epoch: Epoch, version: Version, request: Request
 ) -> Response:
@@ -53,13 +55,13 @@ async def packet_for_good(
     return respond(request, await _packet(stream, epoch, version, IMMUTABLE))
 
 
-@router.get(_GROUP, summary="One group of pictures of the present stream", response_class=Response, responses=_ANSWERS)
+@router.get(_GROUP, summary="One group of pictures of the present stream", response_class=Response, responses=ANSWERS)
 async def group(stream: StreamOf, epoch: Epoch, first: Version, request: Request) -> Response:
     """A keyframe and its residuals as a `.slod` file."""
     return respond(request, await _group_file(stream, epoch, first, FRESH))
 
 
-@router.get(_FOR_GOOD + _GROUP, summary="One group of pictures", response_class=Response, responses=_ANSWERS)
+@router.get(_FOR_GOOD + _GROUP, summary="One group of pictures", response_class=Response, responses=ANSWERS)
 async def group_for_good(
     stream: StreamOf, incarnation: Incarnation, epoch: Epoch, first: Version, request: Request
 ) -> Response:
@@ -68,7 +70,7 @@ async def group_for_good(
     return respond(request, await _group_file(stream, epoch, first, IMMUTABLE))
 
 
-@router.get("/bitstream", summary="Everything retained of one epoch", response_class=Response, responses=_ANSWERS)
+@router.get("/bitstream", summary="Everything retained of one epoch", response_class=Response, responses=ANSWERS)
 async def bitstream(
     stream: StreamOf,
     request: Request,
@@ -92,7 +94,7 @@ async def bitstream(
     return respond(request, await _file(stream, chosen, FRESH, str(wanted)))
 
 
-@router.get("/recording", summary="The file that the stream plays", response_class=Response, responses=_ANSWERS)
+@played.get(RECORDING, summary="The file that the stream plays", response_class=Response, responses=ANSWERS)
 async def recording(stream: StreamOf, request: Request) -> Response:
     """The whole `.slod` file behind a stream whose source is a recording, whatever part of it has been played."""
     if stream.played_file is None:

@@ -55,11 +55,10 @@ def respond(request: Request, download: Download) -> Response:
         Problem: 416, the range lies outside.
     """
     size, etag = download.size, f'"{download.etag}"'
-    anybody = registry_of(request).gate.is_open or "signature" in request.query_params
     headers = {
         "ETag": etag,
         "Accept-Ranges": "bytes",
-        "Cache-Control": f"{'public' if anybody else 'private'}, {download.caching}",
+        "Cache-Control": caching(request, download.caching),
         "Content-Disposition": f'attachment; filename="{download.name}"',
     }
     offered = request.headers.get("if-none-match")
@@ -79,6 +78,12 @@ def respond(request: Request, download: Download) -> Response:
     if is_head(request):
         return Response(status_code=200, headers=headers, media_type=download.media_type)
     return StreamingResponse(_read(download, begin, end), status, headers, download.media_type)
+
+
+def caching(request: Request, rule: str) -> str:
+    """Cache-Control of an answer: shared caches may keep what needs no token."""
+    anybody = registry_of(request).gate.is_open or "signature" in request.query_params
+    return f"{'public' if anybody else 'private'}, {rule}"
 
 
 def _parse_range(header: str | None, size: int) -> tuple[int, int] | None:

@@ -19,17 +19,23 @@ from server.cli.options import (
     DEFAULTS,
     TRAINING,
     CaFile,
+    Config,
     Data,
     Device,
     Downscale,
     Frames,
+    Host,
+    Insecure,
     Layout,
+    MetricsPort,
+    Port,
     Preset,
     Seed,
     SlodFile,
     SnapshotFormat,
     SplitFile,
     Test,
+    Tokens,
     fields_in,
     names_in,
     numbers_in,
@@ -103,27 +109,20 @@ def evaluate(
 @app.command()
 @takes(STREAM_OPTIONS)
 def serve(
-    host: Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")] = None,
-    port: Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free one.  [default: 8000]")] = None,
+    host: Host = None,
+    port: Port = None,
     state_dir: Annotated[Path | None, typer.Option(metavar="DIR", help="Record streams here.")] = None,
-    config: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")] = None,
-    tokens: Annotated[Path | None, typer.Option(metavar="FILE", help="Token file: who may do what.")] = None,
-    metrics_port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port of Prometheus metrics.")] = None,
-    insecure: Annotated[bool, typer.Option("--insecure", help="Allow a public address without tokens.")] = False,
+    config: Config = None,
+    tokens: Tokens = None,
+    metrics_port: MetricsPort = None,
+    insecure: Insecure = False,
     **options: Any,
 ) -> None:
     """Run the service: REST, live websocket and the viewer page. Without a source, streams come by REST."""
-    given = {
-        "host": host,
-        "port": port,
-        "state": state_dir,
-        "tokens": tokens,
-        "metrics_port": metrics_port,
-        "insecure": insecure or None,
-    }
-    chosen = {name: value for name, value in given.items() if value is not None}
-    loaded = _load("server.settings:load_settings")(config) if config is not None else None
-    settings = _load("server.settings:Settings")(**({} if loaded is None else loaded.model_dump()) | chosen)
+    settings = _settings(
+        config, host=host, port=port, state=state_dir, tokens=tokens, metrics_port=metrics_port,
+        insecure=insecure or None,
+    )  # fmt: skip
     streams = tuple(stream.spec for stream in settings.streams)
     if any(options[name] is not None for name in (*SOURCES, "play")):
         for name in ("data", "live"):
@@ -134,6 +133,25 @@ def serve(
             _call("server.cli.commands:check_cameras", stream.job)
         streams += (stream,)
     _call("server.cli.commands:serve", settings, streams)
+
+
+@app.command()
+def edge(
+    origin: Annotated[str, typer.Option(metavar="http://HOST:PORT", help="The server whose streams to serve.")],
+    streams: Annotated[str, typer.Option(metavar="ID[,ID...]", help="Which of them; all by default.")] = "",
+    host: Host = None,
+    port: Port = None,
+    config: Config = None,
+    tokens: Tokens = None,
+    metrics_port: MetricsPort = None,
+    insecure: Insecure = False,
+) -> None:
+    """Serve another server's streams to many viewers; each is pulled once. A token comes from STREAMLOD_TOKEN."""
+    settings = _settings(
+        config, host=host, port=port, tokens=tokens, metrics_port=metrics_port, insecure=insecure or None,
+        edge={"origin": origin, "streams": names_in(streams)},
+    )  # fmt: skip
+    _call("server.cli.commands:serve", settings, ())
 
 
 @app.command()
@@ -360,6 +378,15 @@ def _call(target: str, *arguments: Any) -> None:
     text = _load(target)(*arguments)
     if text:
         typer.echo(text)
+
+
+def _settings(config: Path | None, **given: Any) -> Any:
+    """The settings of a file, if there is one, with the options that were given in place of its own."""
+    loaded = {} if config is None else _load("server.settings:load_settings")(config).model_dump()
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if isinstance(chosen.get("edge"), dict):  # the rest of the file's table stays
+        chosen["edge"] = (loaded.get("edge") or {}) | chosen["edge"]
+    return _load("server.settings:Settings")(**loaded | chosen)
 
 
 def _require_folder(path: Path) -> None:

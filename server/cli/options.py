@@ -139,3 +139,9 @@ Downscale = Annotated[float, described(_JOB["downscale"])]
 SplitFile = Annotated[
     Path | None, typer.Option(help='JSON file {"train": [...], "test": [...]} that names cameras instead of views.')
 ]
+Host = Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")]
+Port = Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free one.  [default: 8000]")]
+Config = Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")]
+Tokens = Annotated[Path | None, typer.Option(metavar="FILE", help="Token file: who may do what.")]
+MetricsPort = Annotated[int | None, typer.Option(min=0, max=65535, help="Port of Prometheus metrics.")]
+Insecure = Annotated[bool, typer.Option("--insecure", help="Allow a public address without tokens.")]

@@ -46,7 +46,7 @@ TITLES = {
     400: "Bad request", 401: "Token missing or wrong", 403: "Not allowed", 404: "Not found", 405: "Method not allowed",
     409: "Conflict", 410: "Gone", 412: "Precondition failed", 415: "Unsupported media type",
     416: "Range not satisfiable", 421: "Misdirected request", 422: "Unusable content", 429: "Too many refusals",
-    500: "Fault in the server", 503: "Not ready", 507: "Disk full",
+    500: "Fault in the server", 502: "Origin lost", 503: "Not ready", 507: "Disk full",
 }  # fmt: skip
 
 
@@ -58,8 +58,8 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         410: "it has left the window", 412: "the stream is not as `If-Match` expects",
         413: "the request is too large", 415: "the body is not of type application/json",
         416: "the range lies outside", 421: "the server does not answer to this name",
-        422: "the request is malformed", 429: "too many wrong tokens", 503: "the server is stopping",
-        507: "the disk is full",
+        422: "the request is malformed", 429: "too many wrong tokens", 502: "the origin does not answer",
+        503: "the server is stopping", 507: "the disk is full",
     }.items()
 }  # fmt: skip
 

@@ -24,7 +24,7 @@ _MAX_INTEGER = 2**53  # the largest integers that every JSON reader keeps exactl
 class Hello:
     """A viewer's first message; None stands for "no limit", and `start` None for the live edge.
 
-    `pictures` asks for pictures instead of packets.
+    `pictures` asks for pictures instead of packets, `relay` for every packet as it was published, from `start` on.
     """
 
     client: str
@@ -32,6 +32,7 @@ class Hello:
     levels: int | None
     kilobytes_per_second: float | None
     pictures: bool = False
+    relay: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ def parse_hello(text: str) -> Hello:
     Raises:
         SessionError: 4400 malformed, 4415 no common version.
     """
-    message = _object(text)
+    message = read_object(text)
     if message.get("type") != "hello":
         raise SessionError(CloseCode.BAD_MESSAGE, "the first message must be a hello")
     versions = message.get("versions")
@@ -89,7 +90,7 @@ def parse_hello(text: str) -> Hello:
     if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # because it is logged
         raise SessionError(CloseCode.BAD_MESSAGE, "client must be a string of at most 200 printable characters")
     start, pictures = _target(message.get("start", LIVE), "start"), _flag(message, "pictures")
-    return Hello(client, start, _levels(message), _rate(message), pictures)
+    return Hello(client, start, _levels(message), _rate(message), pictures, _flag(message, "relay"))
 
 
 def parse_control(text: str) -> Control:
@@ -98,7 +99,7 @@ def parse_control(text: str) -> Control:
     Raises:
         SessionError: 4400, it is malformed or unknown.
     """
-    message = _object(text)
+    message = read_object(text)
     match message.get("type"):
         case "ack" if "picture" not in message:
             return Ack(_integer(message.get("bytes"), "bytes"))
@@ -130,7 +131,12 @@ def event(name: str, **fields: Any) -> dict[str, Any]:
     return {"type": "event", "event": name, **fields}
 
 
-def _object(text: str) -> dict[str, Any]:
+def read_object(text: str) -> dict[str, Any]:
+    """A control message.
+
+    Raises:
+        SessionError: 4400, it is not a JSON object.
+    """
     try:
         message = _READER.decode(text)
     except (ValueError, RecursionError) as error:

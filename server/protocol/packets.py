@@ -187,6 +187,11 @@ class PacketWindow:
         ends = [*starts[1:], len(self._packets)] if starts else []
         return [self._packets[a:b] for a, b in zip(starts, ends, strict=True)]
 
+    def drop_newest_group(self) -> None:
+        """Forget the newest group of pictures, the end of which will not come."""
+        start = max((i for i, packet in enumerate(self._packets) if packet.is_key), default=0)
+        del self._packets[start:], self._ends[start:]
+
     def _index(self, sequence: int) -> int:
         """Index at which packet `sequence` is or would be; below -1 if the packet after it is gone as well."""
         return sequence - self._packets[0].sequence if self._packets else -2

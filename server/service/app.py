@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -14,11 +15,12 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
-from server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
+from server.api import downloads, events, live, passing, poster, push, recordings, server_info, streams, viewers
 from server.api.access import grant_of, need, registry_of
 from server.api.openapi import describe, operation_id
 from server.api.schemas import Health
 from server.auth.gate import Right
+from server.edge.edge import Edge
 from server.http.head import HeadAsGet
 from server.http.problems import PROBLEMS, Problem, problem_page, problem_response
 from server.http.site_policy import SitePolicy
@@ -57,11 +59,14 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
         InputError: tokens, state folder or streams cannot be used.
     """
     registry = Registry(settings, specs)
+    edge = None if settings.edge is None else Edge(registry, settings.edge, os.environ.get("STREAMLOD_TOKEN"))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         async with webhooks(settings, registry.feed):
             registry.start()
+            if edge is not None:
+                registry.spawn(edge.run())
             yield
             await registry.drain()
 
@@ -73,11 +78,14 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     app.openapi = lambda: describe(app, needs_tokens=settings.has_tokens)  # type: ignore[method-assign]
     _add_errors(app)
     app.include_router(live.router)
-    app.include_router(push.router)
     app.include_router(streams.router)
-    app.include_router(streams.control)
-    for part in (downloads, viewers, recordings, events, server_info, poster):
+    for part in (downloads, viewers, events, server_info, poster):
         app.include_router(part.router)
+    if edge is None:
+        for router in (downloads.played, push.router, streams.control, recordings.router):
+            app.include_router(router)
+    else:  # its streams are made, controlled and recorded at the origin
+        app.include_router(passing.router)
     _add_health(app)
     add_docs(app)
     _add_page(app)
@@ -132,7 +140,7 @@ def _add_health(app: FastAPI) -> None:
     async def readyz(request: Request, response: Response) -> Health:
         """503 while stopping, and while the disk of the recordings is full. Streams have a readiness of their own."""
         registry = registry_of(request)
-        detail = ""
+        detail = registry.unready
         if registry.draining:
             detail = "the server is stopping"
         elif registry.store is not None and not registry.store.has_room:

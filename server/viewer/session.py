@@ -25,6 +25,7 @@ from server.viewer.delivery import Delivery, Transport
 from server.viewer.follower import Follower
 from server.viewer.pacing import Allowance, LevelControl
 from server.viewer.playhead import Playhead
+from server.viewer.relay_follower import RelayFollower
 from server.viewer.replay import Replay
 
 _LOG = logging.getLogger(__name__)
@@ -65,10 +66,15 @@ class ViewerSession:
         self._levels = LevelControl(wanted, wanted, quiet_since=now)
         rate = hello.kilobytes_per_second
         self._delivery = Delivery(transport, stream.hub, counters or stream.counters, limits, rate, self._notify)
-        self._follower = Follower(stream, self._delivery, self._levels, limits)
+        self._relays = hello.relay and not hello.pictures
+        self._follower = (
+            RelayFollower(stream, self._delivery, self._levels, limits, hello.start)
+            if self._relays
+            else Follower(stream, self._delivery, self._levels, limits)
+        )
         transport.on_blocked(self._follower.leave_broadcast)
         self._replay = Replay(stream.bus, self._delivery, self._levels)
-        self._playhead = Playhead(hello.start)
+        self._playhead = Playhead(None if self._relays else hello.start)
         self._tell_levels = False
         self._window_sent_at = now
         self._allowance = Allowance(limits.messages_per_second, now)
@@ -157,7 +163,9 @@ class ViewerSession:
             while True:
                 self.wake.clear()
                 while not events.empty():
-                    await self._delivery.send_event(events.get_nowait())
+                    message = events.get_nowait()
+                    if not (self._relays and message["event"] == "epoch"):  # sent between the right two packets
+                        await self._delivery.send_event(message)
                 if stream.deleted:
                     raise SessionError(CloseCode.DONE, "the stream was deleted")
                 if stream.replaced:

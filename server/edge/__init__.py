@@ -1,0 +1,1 @@
+"""Streams of another server, pulled once and served on."""

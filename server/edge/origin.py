@@ -1,0 +1,119 @@
+"""The server that an edge stands before: its address, and what it says about its streams."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+import re
+import urllib.request
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Literal
+from urllib.parse import quote, urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from core.errors import InputError
+
+_ADDRESS = re.compile(r"https?://[A-Za-z0-9.:\[\]-]+/?")
+_ANSWER_SECONDS = 5.0
+_MAX_LIST_BYTES = 4 << 20
+_MAX_PAGES = 100
+
+
+class OriginStream(BaseModel):
+    """What an edge takes over from STREAM of docs/protocol.md, checked."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
+    incarnation: str = Field(pattern=r"^[0-9a-f]{16}$")
+    source: Literal["cameras", "data", "recording"]
+    loop: bool = False
+    state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
+    detail: str = Field(default="", max_length=4096)
+    progress: dict[str, Any] | None = None
+    report: dict[str, Any] | None = None
+    ingest: dict[str, Any] | None = None
+    created_at: datetime
+
+
+class _Page(BaseModel):
+    items: list[OriginStream] = Field(max_length=1000)
+    next_cursor: str | None = Field(default=None, max_length=64)
+
+
+_PAGE = TypeAdapter(_Page)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """A server, an edge perhaps.
+
+    Args:
+        url: such as ``https://origin.example:8000``.
+        token: for reading its streams, where it wants one.
+
+    Raises:
+        InputError: not an address.
+    """
+
+    url: str
+    token: str | None = None
+
+    def __post_init__(self) -> None:
+        if not _ADDRESS.fullmatch(self.url):
+            raise InputError("--origin", f"{self.url!r:.200} is not an address; write https://origin.example:8000")
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """Of every request."""
+        return {"Authorization": f"Bearer {self.token}"} if self.token else {}
+
+    def live_url(self, stream: str) -> str:
+        """The live websocket of a stream."""
+        parts = urlsplit(self.url)
+        return f"{'wss' if parts.scheme == 'https' else 'ws'}://{parts.netloc}/v1/streams/{stream}/live"
+
+    async def streams(self) -> list[OriginStream]:
+        """All its streams that the token may read.
+
+        Raises:
+            OSError: it does not answer, refuses, or answers with something else.
+        """
+        return await asyncio.to_thread(self._streams)
+
+    def open(self, path: str, headers: dict[str, str], method: str = "GET") -> http.client.HTTPResponse:
+        """The answer to a request; from a thread. An answer above 399 is an `OSError` (`urllib.error.HTTPError`)."""
+        request = urllib.request.Request(self.url.rstrip("/") + path, headers=headers | self.headers, method=method)
+        answer: http.client.HTTPResponse = _OPENER.open(request, timeout=_ANSWER_SECONDS)
+        return answer
+
+    def _streams(self) -> list[OriginStream]:
+        found: list[OriginStream] = []
+        cursor = ""
+        for _ in range(_MAX_PAGES):
+            try:
+                with self.open(f"/v1/streams?limit=200{cursor}", {"Accept": "application/json"}) as answer:
+                    body = answer.read(_MAX_LIST_BYTES + 1)
+                if len(body) > _MAX_LIST_BYTES:
+                    raise OSError("its list of streams is too long")
+                page = _PAGE.validate_python(json.loads(body))
+            except (ValueError, RecursionError, ValidationError, http.client.HTTPException) as error:
+                raise OSError(f"its list of streams cannot be used ({str(error)[:200]})") from error
+            found += page.items
+            if page.next_cursor is None:
+                return found
+            cursor = "&cursor=" + quote(page.next_cursor, safe="")
+        raise OSError("its list of streams does not end")
+
+
+class _Stay(urllib.request.HTTPRedirectHandler):
+    """Follows no redirection: the token is for this server alone."""
+
+    def redirect_request(self, *_: Any) -> None:
+        return None
+
+
+_OPENER = urllib.request.build_opener(_Stay)

@@ -1,0 +1,141 @@
+"""The websocket to the origin: opened again whenever it breaks, acknowledged, its messages handed on in order."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import random
+import time
+from typing import Any, Protocol
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.typing import Subprotocol
+
+from core.close_codes import REFUSALS, CloseCode
+from core.errors import SessionError
+from server.edge.origin import Origin
+from server.protocol.messages import LIVE, PROTOCOL_VERSION, SUBPROTOCOL, read_object
+from server.protocol.packets import Position
+
+_LOG = logging.getLogger(__name__)
+_MIN_DELAY, _MAX_DELAY = 0.25, 2.0  # seconds between attempts to connect
+_REFUSED_DELAY = 15.0  # after the origin has said that another attempt ends in the same way
+_STEADY_SECONDS = 5.0  # of connection, after which the next break is a new one
+_OPEN_SECONDS = 5.0
+_CLOSE_SECONDS = 0.5
+_PING_SECONDS, _PONG_SECONDS = 5.0, 10.0  # a dead machine answers no ping
+_ACK_SECONDS = 0.5
+
+
+class Receiver(Protocol):
+    """Whoever takes what is pulled. Whatever these methods raise ends the pull."""
+
+    @property
+    def held(self) -> Position | None:
+        """Position of the newest packet that it has, from which to go on."""
+
+    def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
+        """The origin has taken us; the hello left at Unix time `sent_ns`."""
+
+    def on_event(self, message: dict[str, Any]) -> None:
+        """An event, in order with the packets."""
+
+    async def on_packet(self, data: bytes) -> None:
+        """A packet."""
+
+    def on_break(self, reason: str) -> None:
+        """The connection broke, or could not be opened; another attempt follows."""
+
+
+async def pull(origin: Origin, stream: str, packet_bytes: int, receiver: Receiver) -> None:
+    """Pull a stream until it is deleted there (then this returns) or the receiver raises."""
+    url, failures = origin.live_url(stream), 0
+    while True:
+        begun, refused = time.monotonic(), False
+        try:
+            async with connect(
+                url,
+                subprotocols=[Subprotocol(SUBPROTOCOL)],
+                additional_headers=origin.headers,
+                compression=None,
+                max_size=packet_bytes,
+                open_timeout=_OPEN_SECONDS,
+                close_timeout=_CLOSE_SECONDS,
+                ping_interval=_PING_SECONDS,
+                ping_timeout=_PONG_SECONDS,
+            ) as socket:
+                await _session(socket, receiver)
+        except ConnectionClosed as error:
+            code, reason = (error.rcvd.code, error.rcvd.reason) if error.rcvd else (0, "")
+            if code == CloseCode.DONE:
+                return
+            refused, reason = code in REFUSALS, reason or "the connection broke"
+        except (OSError, WebSocketException, SessionError) as error:
+            reason = str(error) or "no answer"
+        receiver.on_break(reason)
+        failures = 0 if time.monotonic() - begun > _STEADY_SECONDS else failures + 1
+        delay = _REFUSED_DELAY if refused else min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10))
+        delay *= random.uniform(0.5, 1.0)
+        _LOG.warning("stream %s: the origin is lost (%s); connecting again in %.1f s", stream, reason, delay)
+        await asyncio.sleep(delay)
+
+
+async def _session(socket: ClientConnection, receiver: Receiver) -> None:
+    """One connection, until it closes."""
+    held, sent_ns = receiver.held, time.time_ns()
+    hello = {"type": "hello", "versions": [PROTOCOL_VERSION], "client": "streamlod-edge/1", "relay": True}
+    await socket.send(json.dumps(hello | {"start": LIVE if held is None else held.to_json()}))
+    welcome = await _welcome(socket)
+    receiver.on_welcome(welcome, sent_ns)
+    every = welcome.get("ack_every")
+    acks = _Acknowledgements(every if type(every) is int else 1)
+    while True:
+        message = None
+        try:
+            async with asyncio.timeout(_ACK_SECONDS):
+                message = await socket.recv()
+        except TimeoutError:
+            pass
+        if isinstance(message, bytes):
+            await receiver.on_packet(message)
+            acks.count(len(message))
+        elif message is not None and (parsed := read_object(message)).get("type") == "event":
+            receiver.on_event(parsed)
+        if (ack := acks.due(time.monotonic(), receiver.held)) is not None:
+            await socket.send(ack)
+
+
+async def _welcome(socket: ClientConnection) -> dict[str, Any]:
+    async with asyncio.timeout(_OPEN_SECONDS):
+        text = await socket.recv()
+    message = read_object(text) if isinstance(text, str) else {}
+    if message.get("type") != "welcome":
+        raise SessionError(CloseCode.BAD_MESSAGE, "the origin's first message is no welcome")
+    return message
+
+
+class _Acknowledgements:
+    """When to tell the origin how much has arrived; see `ack` in docs/protocol.md.
+
+    Args:
+        every: packets after which one is due at once.
+    """
+
+    def __init__(self, every: int) -> None:
+        self._every = every
+        self._bytes = self._waiting = 0
+        self._told_at = 0.0
+
+    def count(self, size_bytes: int) -> None:
+        """A packet has been taken."""
+        self._bytes += size_bytes
+        self._waiting += 1
+
+    def due(self, now: float, held: Position | None) -> str | None:
+        """The message, if it is time for one."""
+        if not self._waiting or (self._waiting < self._every and now - self._told_at < _ACK_SECONDS):
+            return None
+        self._waiting, self._told_at = 0, now
+        return json.dumps({"type": "ack", "bytes": self._bytes} | (held.to_json() if held else {}))

@@ -1,0 +1,193 @@
+"""A stream of another server: pulled while somebody watches, and served on."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from core.errors import BitstreamError
+from server.edge.origin import Origin, OriginStream
+from server.edge.pull import pull
+from server.protocol.messages import event
+from server.protocol.packets import Position, stream_packet
+from server.settings import EdgeSettings, Settings
+from server.stream.feed import Feed
+from server.stream.stream import Stream
+
+_LOG = logging.getLogger(__name__)
+_STATES = {"idle", "starting", "live", "degraded", "ended", "failed"}
+_MAX_DETAIL = 4096
+_MAX_EPOCH = 2**32 - 1
+_MAX_CLOCK_AHEAD_NS = 86_400 * 10**9  # a day; a clock that is further away is none
+
+
+class EdgeStream(Stream):
+    """Packets are those of the origin, byte for byte, under the origin's positions and incarnation.
+
+    What makes them differ from the origin's (another incarnation, packets that do not fit) and what leaves them behind
+    (nobody watches any more) ends this object: it asks to be replaced by a new one.
+
+    Args:
+        origin: where it comes from.
+        described: what the origin says about it.
+        settings: of the server.
+        feed: where its states are told.
+        edge: how streams are pulled.
+        replace: called when this object is of no use any more.
+        remove: called when the origin has deleted the stream.
+    """
+
+    def __init__(
+        self,
+        origin: Origin,
+        described: OriginStream,
+        settings: Settings,
+        feed: Feed,
+        edge: EdgeSettings,
+        replace: Callable[[EdgeStream], None],
+        remove: Callable[[EdgeStream], None],
+    ) -> None:
+        super().__init__(described.id, described.incarnation, settings, feed=feed)
+        self.source, self.loop, self.created_at = described.source, described.loop, described.created_at
+        self.origin, self._edge, self._packet_bytes = origin, edge, settings.limits.packet_bytes
+        self._replace, self._remove = replace, remove
+        self._task: asyncio.Task[None] | None = None
+        self._parting: asyncio.TimerHandle | None = None  # runs while nobody watches a stream that is pulled
+        self._breaks = 0
+        self._clock_ahead_ns = 0  # of the origin's clock
+        self._coming_epoch = 0  # of the packets that arrive
+        self._joining = False  # until the first packet of a connection has been compared with what is held
+        self.update(described)
+
+    @property
+    def restarts(self) -> int:
+        """How often the connection to the origin broke."""
+        return self._breaks
+
+    @property
+    def is_pulled(self) -> bool:
+        """Whether there is a connection to the origin, or one is being opened."""
+        return self._task is not None
+
+    @property
+    def held(self) -> Position | None:
+        """See `pull.Receiver`."""
+        return self.newest
+
+    def now_ns(self) -> int:
+        """Unix time of the origin's clock."""
+        return time.time_ns() + self._clock_ahead_ns
+
+    def update(self, described: OriginStream) -> None:
+        """Take over what the origin says now; a stream that is pulled hears of its state sooner."""
+        self.report, self.ingest = described.report, described.ingest
+        if not self.is_pulled:
+            self.progress = described.progress
+            self._enter(described.state, described.detail)
+
+    def join(self) -> None:
+        """A viewer has come; the first one begins the pull."""
+        super().join()
+        if self._parting is not None:
+            self._parting.cancel()
+            self._parting = None
+        if self._task is None and not self.is_over:
+            self._task = asyncio.create_task(self._pull())
+
+    def leave(self) -> None:
+        """A viewer has gone; some time after the last one the pull ends."""
+        super().leave()
+        if not self.viewers and not self.is_over:
+            loop = asyncio.get_running_loop()
+            self._parting = loop.call_later(self._edge.linger_seconds, self._replace, self)
+
+    async def close(self) -> None:
+        """End the pull."""
+        if self._parting is not None:
+            self._parting.cancel()
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+
+    def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
+        """See `pull.Receiver`."""
+        if message.get("incarnation") != self.incarnation:
+            raise _OtherStream("the origin has another stream under this id")
+        now_ns, told_ns = time.time_ns(), message.get("server_time_ns")
+        if type(told_ns) is int and abs(told_ns - now_ns) < _MAX_CLOCK_AHEAD_NS:
+            self._clock_ahead_ns = told_ns - (sent_ns + now_ns) // 2
+        self._joining = True
+        self._on_state(message)
+
+    def on_event(self, message: dict[str, Any]) -> None:
+        """See `pull.Receiver`."""
+        match message.get("event"):
+            case "epoch" if type(epoch := message.get("epoch")) is int and 0 <= epoch <= _MAX_EPOCH:
+                self._coming_epoch = epoch
+            case "state":
+                self._on_state(message)
+            case "progress":
+                self._on_progress(message)
+            case "skipped":
+                self._joining = True
+
+    async def on_packet(self, data: bytes) -> None:
+        """See `pull.Receiver`."""
+        packet = stream_packet(self._sequence, self._coming_epoch, data)
+        joining, self._joining = self._joining, False
+        if self._has(packet.position, data):
+            return
+        if joining and self.newest is not None:  # packets are missing in between; a keyframe begins anew
+            self.bus.window.drop_newest_group()
+        before = self.newest
+
+        def announce() -> None:
+            if before is None or packet.position.epoch != before.epoch:
+                self._tell(event("epoch", epoch=packet.position.epoch))
+
+        await self.hub.accept(packet, self._window_message(), announce)
+        retained = self.bus.window.newest  # behind the hub's where a group of pictures was dropped
+        self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
+
+    def on_break(self, reason: str) -> None:
+        """See `pull.Receiver`."""
+        self._breaks += 1
+        self._enter("degraded", f"the connection to the origin is lost ({reason}); it is being restored"[:_MAX_DETAIL])
+
+    def _has(self, position: Position, data: bytes) -> bool:
+        return self.newest is not None and any(
+            packet.data == data for packet in self.hub.window.read(position, position)
+        )
+
+    def _on_progress(self, message: dict[str, Any]) -> None:
+        fraction, loss, text = message.get("fraction"), message.get("loss"), message.get("text")
+        if isinstance(fraction, int | float) and isinstance(loss, int | float | None) and isinstance(text, str):
+            self.progress = {"fraction": fraction, "loss": loss, "text": text[:_MAX_DETAIL]}
+            self._tell(event("progress", **self.progress))
+
+    def _on_state(self, message: dict[str, Any]) -> None:
+        state, detail = message.get("state"), message.get("detail")
+        if isinstance(state, str) and state in _STATES and isinstance(detail, str):
+            self._enter(state, detail[:_MAX_DETAIL])
+
+    async def _pull(self) -> None:
+        try:
+            await pull(self.origin, self.id, self._packet_bytes, self)
+        except _OtherStream as error:
+            _LOG.info("stream %s: %s", self.id, error)
+        except (BitstreamError, ValueError) as error:
+            _LOG.warning("stream %s: the origin sent something unusable (%s); it begins anew", self.id, error)
+        except Exception:
+            _LOG.exception("stream %s: the pull broke; it begins anew", self.id)
+        else:
+            self._remove(self)
+            return
+        self._replace(self)
+
+
+class _OtherStream(Exception):
+    """The origin's stream is not the one that is held."""

@@ -1,0 +1,95 @@
+"""Servers and edges as processes on loopback, from the command line."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+from websockets.sync.client import connect
+
+from tests.server.conftest import Viewer
+
+START_SECONDS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A process that listens at `port`, and what it has logged so far."""
+
+    process: subprocess.Popen[bytes]
+    port: int
+    log: Path
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def get(self, path: str, **headers: str) -> httpx.Response:
+        with httpx.Client(base_url=self.url, timeout=10, trust_env=False) as client:
+            return client.get(path, headers=headers)
+
+    def stream(self, name: str = "main") -> dict[str, Any]:
+        return self.get(f"/v1/streams/{name}").json()  # type: ignore[no-any-return]
+
+    @contextmanager
+    def viewing(self, name: str = "main", **options: Any) -> Iterator[Viewer]:
+        """A viewer that has not said hello yet."""
+        options = {"subprotocols": ["streamlod.v1"], "compression": None, "proxy": None, **options}
+        address = f"ws://127.0.0.1:{self.port}/v1/streams/{name}/live"
+        with connect(address, max_size=2**24, max_queue=None, **options) as connection:
+            yield Viewer(connection)
+
+    def kill(self) -> None:
+        """End it with SIGKILL, and the workers, which notice that their server is gone."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+
+@contextmanager
+def node(folder: Path, *arguments: object, port: int = 0, **environment: str) -> Iterator[Node]:
+    """`streamlod ARGUMENTS` on `port`, a free one by default."""
+    begun = begin(folder, *arguments, port=port, **environment)
+    try:
+        yield listening(begun)
+    finally:
+        begun[0].kill()
+        begun[0].wait()
+
+
+def begin(folder: Path, *arguments: object, port: int = 0, **environment: str) -> tuple[subprocess.Popen[bytes], Path]:
+    """Start a process; it and its log. For `listening`."""
+    log = folder / f"{time.monotonic_ns()}.log"
+    command = [sys.executable, "-m", "server.cli", *map(str, arguments), "--port", str(port)]
+    with log.open("wb") as file:
+        process = subprocess.Popen(command, stderr=file, stdout=file, env=os.environ | environment)
+    return process, log
+
+
+def listening(begun: tuple[subprocess.Popen[bytes], Path]) -> Node:
+    """The process once it listens."""
+    process, log = begun
+    limit = time.monotonic() + START_SECONDS
+    while (found := re.search(rb"listening at \w+://127\.0\.0\.1:(\d+)", log.read_bytes())) is None:
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < limit, log.read_text()
+        time.sleep(0.02)
+    return Node(process, int(found[1]), log)
+
+
+def wait(done: Any, seconds: float = 20) -> Any:
+    """What `done` returns once that is true."""
+    limit = time.monotonic() + seconds
+    while not (found := done()):
+        assert time.monotonic() < limit, found
+        time.sleep(0.05)
+    return found
