@@ -29,7 +29,7 @@ _PING_SECONDS, _PONG_SECONDS = 5.0, 10.0  # a dead machine answers no ping
 _ACK_SECONDS = 0.5
 
 
-class Receiver(Protocol):
+class PacketTaker(Protocol):
     """Whoever takes what is pulled. Whatever these methods raise ends the pull."""
 
     @property
@@ -49,8 +49,8 @@ class Receiver(Protocol):
         """The connection broke, or could not be opened; another attempt follows."""
 
 
-async def pull(origin: Origin, stream: str, packet_bytes: int, receiver: Receiver) -> None:
-    """Pull a stream until it is deleted there (then this returns) or the receiver raises."""
+async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTaker) -> None:
+    """Pull a stream until it is deleted there (then this returns) or the taker raises."""
     url, failures = origin.live_url(stream), 0
     while True:
         begun, refused = time.monotonic(), False
@@ -66,7 +66,7 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, receiver: Receive
                 ping_interval=_PING_SECONDS,
                 ping_timeout=_PONG_SECONDS,
             ) as socket:
-                await _session(socket, receiver)
+                await _session(socket, taker)
         except ConnectionClosed as error:
             code, reason = (error.rcvd.code, error.rcvd.reason) if error.rcvd else (0, "")
             if code == CloseCode.DONE:
@@ -74,7 +74,7 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, receiver: Receive
             refused, reason = code in REFUSALS, reason or "the connection broke"
         except (OSError, WebSocketException, SessionError) as error:
             reason = str(error) or "no answer"
-        receiver.on_break(reason)
+        taker.on_break(reason)
         failures = 0 if time.monotonic() - begun > _STEADY_SECONDS else failures + 1
         delay = _REFUSED_DELAY if refused else min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10))
         delay *= random.uniform(0.5, 1.0)
@@ -82,13 +82,13 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, receiver: Receive
         await asyncio.sleep(delay)
 
 
-async def _session(socket: ClientConnection, receiver: Receiver) -> None:
+async def _session(socket: ClientConnection, taker: PacketTaker) -> None:
     """One connection, until it closes."""
-    held, sent_ns = receiver.held, time.time_ns()
+    held, sent_ns = taker.held, time.time_ns()
     hello = {"type": "hello", "versions": [PROTOCOL_VERSION], "client": "streamlod-edge/1", "relay": True}
     await socket.send(json.dumps(hello | {"start": LIVE if held is None else held.to_json()}))
     welcome = await _welcome(socket)
-    receiver.on_welcome(welcome, sent_ns)
+    taker.on_welcome(welcome, sent_ns)
     every = welcome.get("ack_every")
     acks = _Acknowledgements(every if type(every) is int else 1)
     while True:
@@ -99,11 +99,11 @@ async def _session(socket: ClientConnection, receiver: Receiver) -> None:
         except TimeoutError:
             pass
         if isinstance(message, bytes):
-            await receiver.on_packet(message)
+            await taker.on_packet(message)
             acks.count(len(message))
         elif message is not None and (parsed := read_object(message)).get("type") == "event":
-            receiver.on_event(parsed)
-        if (ack := acks.due(time.monotonic(), receiver.held)) is not None:
+            taker.on_event(parsed)
+        if (ack := acks.due(time.monotonic(), taker.held)) is not None:
             await socket.send(ack)
 
 

@@ -75,7 +75,7 @@ class EdgeStream(Stream):
 
     @property
     def held(self) -> Position | None:
-        """See `pull.Receiver`."""
+        """See `pull.PacketTaker`."""
         return self.newest
 
     def now_ns(self) -> int:
@@ -114,7 +114,7 @@ class EdgeStream(Stream):
             await asyncio.gather(self._task, return_exceptions=True)
 
     def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
-        """See `pull.Receiver`."""
+        """See `pull.PacketTaker`."""
         if message.get("incarnation") != self.incarnation:
             raise _OtherStream("the origin has another stream under this id")
         now_ns, told_ns = time.time_ns(), message.get("server_time_ns")
@@ -124,7 +124,7 @@ class EdgeStream(Stream):
         self._on_state(message)
 
     def on_event(self, message: dict[str, Any]) -> None:
-        """See `pull.Receiver`."""
+        """See `pull.PacketTaker`."""
         match message.get("event"):
             case "epoch" if type(epoch := message.get("epoch")) is int and 0 <= epoch <= _MAX_EPOCH:
                 self._coming_epoch = epoch
@@ -136,7 +136,7 @@ class EdgeStream(Stream):
                 self._joining = True
 
     async def on_packet(self, data: bytes) -> None:
-        """See `pull.Receiver`."""
+        """See `pull.PacketTaker`."""
         packet = stream_packet(self._sequence, self._coming_epoch, data)
         joining, self._joining = self._joining, False
         if self._has(packet.position, data):
@@ -154,7 +154,7 @@ class EdgeStream(Stream):
         self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
 
     def on_break(self, reason: str) -> None:
-        """See `pull.Receiver`."""
+        """See `pull.PacketTaker`."""
         self._breaks += 1
         self._enter("degraded", f"the connection to the origin is lost ({reason}); it is being restored"[:_MAX_DETAIL])
 

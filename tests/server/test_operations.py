@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from server.pipeline.spec import StreamSpec
 from server.service.metrics import collector_registry
-from server.settings import Limits, Retention, Settings, Webhook, WorkerSettings, load_settings
+from server.settings import EdgeSettings, Limits, Retention, Settings, Webhook, WorkerSettings, load_settings
 from tests.server.conftest import Clip, running, viewing
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
