@@ -32,7 +32,7 @@ LAYERS = {
     ),
     "server": (
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer", "registry",
-        "edge", "api", "service", "cli",
+        "api", "edge", "service", "cli",
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead metrics", "rig", "live"),
     "client": (

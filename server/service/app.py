@@ -15,11 +15,12 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
-from server.api import downloads, events, live, passing, poster, push, recordings, server_info, streams, viewers
+from server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
 from server.api.access import grant_of, need, registry_of
 from server.api.openapi import describe, operation_id
 from server.api.schemas import Health
 from server.auth.gate import Right
+from server.edge import passing
 from server.edge.edge import Edge
 from server.http.head import HeadAsGet
 from server.http.problems import PROBLEMS, Problem, problem_page, problem_response

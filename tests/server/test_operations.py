@@ -22,7 +22,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
 def test_every_setting_is_documented_with_its_default() -> None:
     models: tuple[tuple[str, type[BaseModel]], ...] = (
         ("", Settings), ("limits.", Limits), ("retention.", Retention), ("worker.", WorkerSettings),
-        ("webhooks.", Webhook),
+        ("webhooks.", Webhook), ("edge.", EdgeSettings),
     )  # fmt: skip
     for prefix, model in models:
         for name, field in model.model_fields.items():
