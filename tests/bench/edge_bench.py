@@ -160,21 +160,24 @@ def main() -> None:
     if options.short:
         options.viewers, options.seconds, options.rounds = 30, 5.0, 2
     found: dict[str, Any] = {}
+
+    def note(name: str, value: Any) -> None:
+        found[name] = value
+        print(f"{name}: {value}", flush=True)
+
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         clip = make_clip(folder / "clip.slod", 1000, _COUNTS, key_every=100).path
         nodes = chain(stack, folder, clip, 2)
-        found["first picture, cold edge [s]"] = asyncio.run(first_picture(nodes[1]))
+        note("first picture, cold edge [s]", asyncio.run(first_picture(nodes[1])))
         for where, server in (("origin", nodes[0]), ("warm edge", nodes[1])):
             times = [asyncio.run(first_picture(server)) for _ in range(2 * options.rounds)]
-            found[f"first picture, {where} [s], median and worst"] = [float(np.median(times)), max(times)]
-        found["delay [ms]: p50, p99, packets"] = hop_delay(nodes, options.seconds)
-        found["traffic"] = traffic(nodes, options.viewers, options.seconds)
+            note(f"first picture, {where} [s], median and worst", [float(np.median(times)), max(times)])
+        note("delay behind each edge [ms]: p50, p99, packets", hop_delay(nodes, options.seconds))
+        note("traffic", traffic(nodes, options.viewers, options.seconds))
         for which, what in ((1, "edge"), (0, "origin")):
             times = [killed(stack, nodes, which, clip, folder) for _ in range(options.rounds)]
-            found[f"kill -9 of the {what}: pictures again after [s], of these after it listens"] = times
-    for name, value in found.items():
-        print(f"{name}: {value}")
+            note(f"kill -9 of the {what}: pictures again after [s], of these after it listens", times)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n")
 
