@@ -27,7 +27,7 @@ demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-ou
 	$(BIN)/streamlod demo
 
 test: install ## Run the tests
-	$(BIN)/pytest -n auto --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: install ## ruff and mypy
 	$(BIN)/ruff check .

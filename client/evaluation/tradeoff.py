@@ -76,8 +76,8 @@ class TradeoffOptions:
 def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, points: Sequence[Point] = ()) -> str:
     """Measure and write `tradeoff.json` (points and fronts), `tradeoff.md` and plots into `out`; returns a sentence.
 
-    All files are renewed after every run, all points with one seed before the next seed, so that a sweep that is
-    stopped leaves what it has measured. Runs that `out` holds already are not measured again.
+    The figures are written after every run, all points with one seed before the next seed, and the plots at the end, so
+    that a sweep that is stopped leaves what it has measured. Runs that `out` holds already are not measured again.
 
     Args:
         points: configurations to measure instead of the design's.
@@ -104,21 +104,24 @@ def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, points: Sequen
     facts = {key: value[key] for key in ("schema", "data", "machine", "split", "downscale", "frames")}
     known = _known_runs(earlier_report(out / "tradeoff.json", facts))
     entries = [_entry(point) for point in points]
-    for seed, (point, entry) in itertools.product(range(options.seeds), zip(points, entries, strict=True)):
-        found = known.get((_identity(entry), seed))
-        if found is None:
-            if point.shrink not in footages:
-                trained_at = options.downscale * point.shrink
-                footage = open_footage(
-                    data, split, frames=options.frames, downscale=trained_at, test_downscale=options.downscale
-                )
-                footages[point.shrink] = footage, FirstFrames(options.device)
-            found = _figures(run_system(replace(point.config, seed=seed), *footages[point.shrink]))
-            _log.info("%s, seed %d: %.2f dB", point.name, seed, found["psnr"])
-        entry["runs"].append(found)
-        value["points"] = [_means(measured) for measured in entries if measured["runs"]]
-        value["fronts"] = fronts(value["points"])
-        _write(out, value)
+    try:
+        for seed, (point, entry) in itertools.product(range(options.seeds), zip(points, entries, strict=True)):
+            found = known.get((_identity(entry), seed))
+            if found is None:
+                if point.shrink not in footages:
+                    trained_at = options.downscale * point.shrink
+                    footage = open_footage(
+                        data, split, frames=options.frames, downscale=trained_at, test_downscale=options.downscale
+                    )
+                    footages[point.shrink] = footage, FirstFrames(options.device)
+                found = _figures(run_system(replace(point.config, seed=seed), *footages[point.shrink]))
+                _log.info("%s, seed %d: %.2f dB", point.name, seed, found["psnr"])
+            entry["runs"].append(found)
+            value["points"] = [_means(measured) for measured in entries if measured["runs"]]
+            value["fronts"] = fronts(value["points"])
+            _write(out, value)
+    finally:
+        _draw(out, value)
     return f"{out / 'tradeoff.md'}: {len(points)} points, {len(value['fronts'][COSTS[0].key])} on the front of seconds"
 
 
@@ -154,8 +157,11 @@ def _identity(point: dict[str, Any]) -> str:
 def _write(out: Path, value: dict[str, Any]) -> None:
     write_json(out / "tradeoff.json", value)
     write_text(out / "tradeoff.md", tradeoff_report(value))
+
+
+def _draw(out: Path, value: dict[str, Any]) -> None:
     for cost in COSTS:
-        if value["fronts"][cost.key]:
+        if value["fronts"].get(cost.key):
             write_text(out / f"{cost.key}.svg", _plot(value, cost))
 
 

@@ -157,12 +157,12 @@ def bench(name: str | None, arguments: list[str]) -> str:
 
 def warm() -> str:
     """Compile all kernels now rather than at first use."""
-    from server.pipeline.warming import WARM_UPS
+    from server.pipeline.warming import WARM_UPS, warm_all
 
-    with tqdm(WARM_UPS.items(), unit="part") as bar:
-        for name, warm_up in bar:
-            bar.set_description(f"compiling: {name}")
-            warm_up()
+    with tqdm(total=len(WARM_UPS), unit="part", desc="compiling") as bar:
+        for name in warm_all():
+            bar.set_description(f"compiling; {name} ready")
+            bar.update()
     return "ready"
 
 

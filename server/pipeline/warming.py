@@ -6,8 +6,11 @@ inside the functions, as a server needs the codec alone and must not load what t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
+from multiprocessing import get_context
 
 from core.errors import StreamlodError
 
@@ -42,9 +45,18 @@ def _first_points() -> None:
         first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds, method="sweep")
 
 
-WARM_UPS: Mapping[str, Callable[[], None]] = {
+WARM_UPS: Mapping[str, Callable[[], None]] = {  # what takes longest comes first
+    "synthetic clip and first points": _first_points,
+    "codec": warm_codec,
     "rasteriser": _rasteriser,
     "trainer": _trainer,
-    "codec": warm_codec,
-    "synthetic clip and first points": _first_points,
 }
+
+
+def warm_all() -> Iterator[str]:
+    """Go through all parts, each in a process of its own, one for each core; gives the name of each that is ready."""
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn"), max_tasks_per_child=1) as pool:
+        parts = {pool.submit(warm_up): name for name, warm_up in WARM_UPS.items()}
+        for part in as_completed(parts):
+            part.result()
+            yield parts[part]

@@ -5,7 +5,6 @@ import sys
 import threading
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 import torch
@@ -16,6 +15,7 @@ from core.render.cpu import render
 from core.render.cpu.workspace import POOL
 from core.scene.gaussians import GaussianCloud
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, run
+from tests.threads import MAX_THREADS, kernel_threads
 
 SIZES = [(48, 40), (1, 1), (33, 17), (64, 32), (131, 5), (9, 50)]
 
@@ -51,13 +51,12 @@ def test_order_of_rows_is_no_order_of_depth() -> None:
 
 def test_same_bits_every_time_and_the_same_picture_for_any_threads() -> None:
     cloud, camera = make_cloud(2000, size=0.2), make_camera(160, 120)
-    first, second = run(cloud, camera), run(cloud, camera)
+    with kernel_threads(MAX_THREADS):
+        first, second = run(cloud, camera), run(cloud, camera)
     for name in NAMES:
         assert torch.equal(first.gradients[name], second.gradients[name])
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    alone = run(cloud, camera)
-    numba.set_num_threads(threads)
+    with kernel_threads(1):
+        alone = run(cloud, camera)
     assert torch.equal(alone.image, first.image)
     for name in NAMES:
         assert torch.allclose(alone.gradients[name], first.gradients[name], rtol=1e-3, atol=1e-4)

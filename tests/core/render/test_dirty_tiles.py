@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-import numba
 import numpy as np
 import pytest
 import torch
@@ -19,6 +18,7 @@ from core.train.optimise.losses import photometric_loss
 from core.train.residual.region import loss_boxes
 from core.train.residual.tile_cache import make_tile_cache
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
+from tests.threads import MAX_THREADS, kernel_threads
 
 CAMERA = make_camera(200, 150)
 BACKGROUND = torch.tensor([0.1, 0.2, 0.3])
@@ -57,10 +57,8 @@ def planned(dynamic: GaussianCloud, static: GaussianCloud, room: float) -> Backd
 @pytest.fixture
 def one_thread() -> Iterator[None]:
     """With more, sums over workers split differently."""
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    yield
-    numba.set_num_threads(threads)
+    with kernel_threads(1):
+        yield
 
 
 def differentiated(raster: Raster, leaves: list[torch.Tensor], region: tuple[Box, ...] | None) -> list[torch.Tensor]:
@@ -110,10 +108,8 @@ def test_gaussians_at_one_depth_are_drawn_in_the_full_order() -> None:
 def test_picture_is_that_of_any_number_of_threads(threads: int) -> None:
     dynamic, static = scene()
     backdrop, whole = planned(dynamic, static, 4.0), full(tensors(dynamic), static).image
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    found = rasterise_over(*tensors(dynamic), backdrop, BACKGROUND)
-    numba.set_num_threads(before)
+    with kernel_threads(min(threads, MAX_THREADS)):
+        found = rasterise_over(*tensors(dynamic), backdrop, BACKGROUND)
     assert found is not None
     assert torch.equal(found.image, whole)
 

@@ -2,7 +2,6 @@
 
 import math
 
-import numba
 import numpy as np
 import pytest
 import torch
@@ -13,6 +12,7 @@ from core.render.tiles import Box
 from core.train.optimise.losses import photometric_loss, photometric_planes, photometric_reference, ssim_map
 from core.train.residual.region import loss_boxes
 from tests.core.render.scenes import make_camera
+from tests.threads import MAX_THREADS, kernel_threads
 
 
 def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -122,12 +122,10 @@ def test_equal_pictures_cost_nothing() -> None:
 
 def test_gradient_is_the_same_for_any_number_of_threads() -> None:
     image, target = pictures(50, 60)
-    threads = numba.get_num_threads()
     found = []
-    for count in {1, threads}:
-        numba.set_num_threads(count)
-        found.append(value_and_gradient(image, target, None, 0.2)[1])
-    numba.set_num_threads(threads)
+    for count in (1, MAX_THREADS):
+        with kernel_threads(count):
+            found.append(value_and_gradient(image, target, None, 0.2)[1])
     assert all(torch.equal(found[0], other) for other in found)
 
 

@@ -38,6 +38,16 @@ def short_runs() -> Iterator[None]:
         yield
 
 
+def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> Scene:
+    """The state after all packets of `frames`."""
+    decoder = decoder or SceneDecoder()
+    for frame in frames:
+        for packet in frame.packets:
+            decoder.push(packet)
+    assert decoder.scene is not None
+    return decoder.scene
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
     """A folder with the clip as a file, and its frames as they were handed on."""
@@ -84,12 +94,7 @@ def test_controllers_keep_every_frame_and_the_decoders_state(tmp_path: Path) -> 
     train_clip(open_job(tight), tmp_path / "scene.slod", seen.append)
     assert [frame.version for frame in seen] == [0, 1, 2, 3]
     assert all("encode" in frame.report["seconds"] for frame in seen)
-    decoder = SceneDecoder()
-    for frame in seen:
-        for packet in frame.packets:
-            decoder.push(packet)
-    assert decoder.scene is not None
-    assert decoder.scene.version == 3
+    assert decoded(seen).version == 3
     assert max(len(frame.packets[0]) for frame in seen[1:]) < 2500  # of a bucket that holds a second of 20 kbit
 
 
@@ -155,12 +160,7 @@ def test_previews_come_first_and_the_chain_holds() -> None:
     assert len(previews) == 2  # one for each progress report of so short a run
     assert frames[: len(previews)] == previews
     assert [frame.version for frame in frames] == list(range(6))
-    decoder = SceneDecoder()
-    for frame in frames:
-        for packet in frame.packets:
-            decoder.push(packet)
-    assert decoder.scene is not None
-    assert decoder.scene.version == 5
+    assert decoded(frames).version == 5
 
 
 def test_the_seed_reaches_the_training(trained: tuple[Path, list[EncodedFrame]]) -> None:
@@ -170,16 +170,9 @@ def test_the_seed_reaches_the_training(trained: tuple[Path, list[EncodedFrame]])
     assert keyframes[1] != keyframes[0]
 
 
-def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state() -> None:
-    first: list[EncodedFrame] = []
-    for frame in train_stream(open_job(JOB)):
-        first.append(frame)
-        if frame.version == 1:
-            break
-    decoder = SceneDecoder()
-    for frame in first:
-        decoder.push(frame.packets[0])
-    assert decoder.scene is not None
+def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state(trained: tuple[Path, list[EncodedFrame]]) -> None:
+    first, decoder = trained[1][:2], SceneDecoder()
+    assert decoded(first, decoder).version == 1
     ours, theirs = multiprocessing.Pipe(duplex=False)
     with ours, theirs:
         scene = show_again(Resume(tuple(frame.packets[0] for frame in first), 2), Sender(theirs))
@@ -203,10 +196,7 @@ def test_keyframes_come_at_the_interval() -> None:
     kinds = [[peek(packet).kind for packet in frame.packets] for frame in frames]
     key, predicted = PacketKind.KEY, PacketKind.CHANGE
     assert kinds == [[key], [predicted], [predicted, key], [predicted]]
-    decoder = SceneDecoder()
-    for frame in frames:
-        for packet in frame.packets:
-            decoder.push(packet)
+    assert decoded(frames).version == 3
 
 
 def test_a_camera_that_does_not_exist_is_refused() -> None:

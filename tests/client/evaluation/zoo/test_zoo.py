@@ -15,6 +15,8 @@ from client.evaluation.zoo.run import ZooOptions, run_zoo
 from client.evaluation.zoo.scenes import SCENES, view_counts
 from client.evaluation.zoo.tables import zoo_report
 from core.errors import InputError
+from core.train import preset
+from tests.client.evaluation.conftest import shortened
 
 pytestmark = pytest.mark.timeout(600)  # one row is trained, however busy the machine
 QUICK = ZooOptions(("bright",), (3,), 1, ("ours", "plain"), "live", 7.5, 2)
@@ -22,9 +24,11 @@ QUICK = ZooOptions(("bright",), (3,), 1, ("ours", "plain"), "live", 7.5, 2)
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The zoo of one small row."""
+    """The zoo of one small row, trained in few steps."""
     folder = tmp_path_factory.mktemp("zoo") / "out"
-    run_zoo(None, folder, QUICK)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("client.evaluation.zoo.contenders.preset", lambda name: shortened(preset(name)))
+        run_zoo(None, folder, QUICK)
     return folder
 
 

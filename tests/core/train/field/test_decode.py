@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Callable
 
-import numba
 import numpy as np
 import pytest
 import torch
@@ -19,6 +18,7 @@ from core.train.field.convert import field_of, level_starts, scene_of
 from core.train.field.decode import Network, decode, decode_reference
 from core.train.kernels.compiling import Compiled
 from tests.core.train.fields import random_field
+from tests.threads import MAX_THREADS, kernel_threads
 
 
 @pytest.mark.parametrize("view_dependent", [False, True])
@@ -88,11 +88,10 @@ def test_a_broken_number_stays_broken_and_with_its_anchor() -> None:
 
 
 def test_gradients_are_the_same_for_any_number_of_threads() -> None:
-    threads, found = numba.get_num_threads(), []
-    for count in (1, threads):
-        numba.set_num_threads(count)
-        found.append(_outcome(_fused, _inputs(301, 4, False), torch.float32))
-    numba.set_num_threads(threads)
+    found = []
+    for count in (1, MAX_THREADS):
+        with kernel_threads(count):
+            found.append(_outcome(_fused, _inputs(301, 4, False), torch.float32))
     assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
 
 

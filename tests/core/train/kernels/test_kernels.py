@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import pytest
 import torch
 
@@ -14,6 +13,7 @@ from core.train.kernels.warming import warm
 from core.train.optimise.adam import update, update_reference
 from core.train.optimise.rate import residual_bits, residual_bits_reference
 from tests.core.train.fields import random_field
+from tests.threads import MAX_THREADS, kernel_threads
 
 
 @pytest.mark.parametrize("count", [1, 7, 4099])
@@ -35,13 +35,12 @@ def test_adam_equals_torch_step_by_step(count: int) -> None:
 
 
 def test_adam_is_the_same_for_any_number_of_threads() -> None:
-    threads, found = numba.get_num_threads(), []
-    for count in {1, threads}:
-        numba.set_num_threads(count)
+    found = []
+    for count in (1, MAX_THREADS):
         value, first, second = torch.ones(1001), torch.zeros(1001), torch.zeros(1001)
-        update(value, torch.linspace(-1, 1, 1001), first, second, 0.1, 0.001)
+        with kernel_threads(count):
+            update(value, torch.linspace(-1, 1, 1001), first, second, 0.1, 0.001)
         found.append(value)
-    numba.set_num_threads(threads)
     assert all(torch.equal(found[0], other) for other in found)
 
 

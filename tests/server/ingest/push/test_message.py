@@ -19,9 +19,7 @@ import cv2
 import msgpack
 import numpy as np
 import pytest
-import uvicorn
 import websockets.sync.client as websocket_client
-from fastapi import FastAPI
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.websockets import WebSocket
@@ -33,10 +31,10 @@ from server.ingest.live import LiveDataset, open_live
 from server.ingest.push.intake import Intake
 from server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push, parse_push
 from server.ingest.push.relay import RelayedIntake
-from server.ingest.push.router import push_router
 from server.ingest.sync.clock import ClockSource
 from server.ingest.sync.synchroniser import CameraState
-from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, free_ports, number_of, write_definition
+from tests.server.ingest.push.serving import serving_push
+from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, number_of, write_definition
 
 
 def encoded(number: int, suffix: str = ".png") -> bytes:
@@ -236,17 +234,8 @@ def serving(socket_path: Path) -> Iterator[int]:
             raise SessionError(4404, "there is no such stream")
         return await asyncio.to_thread(RelayedIntake, socket_path)
 
-    app = FastAPI()
-    app.include_router(push_router(open_intake))
-    (port,) = free_ports(1)
-    server = uvicorn.Server(uvicorn.Config(app, port=port, log_level="error", ws="websockets-sansio", lifespan="off"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    yield port
-    server.should_exit = True
-    thread.join(10)
+    with serving_push(open_intake) as port:
+        yield port
 
 
 def test_a_capture_node_over_the_websocket_and_the_workers_socket(live: Frames, tmp_path: Path) -> None:
