@@ -6,29 +6,20 @@ from dataclasses import dataclass
 
 from codec.packet.bytes import ENTRY, HEADER_BYTES, parse
 from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketKind
+from codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketHeader
 
 
 @dataclass(frozen=True, slots=True)
-class PacketInfo:
+class PacketInfo(PacketHeader):
     """Facts about a packet, from its header and directory.
 
     Attributes:
-        kind, profile, keyframe, from_version, to_version, time_ns, level_mask, identifier: as in the packet header.
         level_bytes: bytes of each level's chunks without header and weights, up to the finest level of the mask.
         chunk_bytes: bytes of each chunk kind, by lower-case name; extensions count as "extension".
         size_bytes: length of the packet.
         has_header: whether a key packet starts a new scene.
     """
 
-    kind: PacketKind
-    profile: int
-    keyframe: int
-    from_version: int
-    to_version: int
-    time_ns: int
-    level_mask: int
-    identifier: int
     level_bytes: tuple[int, ...]
     chunk_bytes: dict[str, int]
     size_bytes: int

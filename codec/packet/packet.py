@@ -55,8 +55,8 @@ def make_chunk(level: int, kind: int, data: bytes) -> Chunk:
 
 
 @dataclass(frozen=True, slots=True)
-class Packet:
-    """A packet taken apart; fields as in the packet header, chunks in directory order."""
+class PacketHeader:
+    """The fields of FORMAT.md section 2 that say what a packet does."""
 
     kind: PacketKind
     profile: int
@@ -66,12 +66,18 @@ class Packet:
     time_ns: int
     level_mask: int
     identifier: int
-    chunks: tuple[Chunk, ...]
 
     @property
     def levels(self) -> tuple[int, ...]:
         """Levels that the packet speaks for, coarse to fine."""
         return tuple(level for level in range(MAX_LEVELS) if self.level_mask >> level & 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Packet(PacketHeader):
+    """A packet taken apart: its header's fields, and its chunks in directory order."""
+
+    chunks: tuple[Chunk, ...]
 
     def chunk(self, level: int, kind: ChunkKind) -> bytes | None:
         """The bytes of chunk (level, kind), if the packet has it."""

@@ -8,12 +8,8 @@ on all threads by the wall too, which wants an idle machine. The part ``cuda`` n
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -25,8 +21,8 @@ from core.render import select
 from core.train import PredictConfig, TrainConfig
 from tests.bench.frame_gpu import gpu_report
 from tests.bench.frame_subjects import Naive, Streaming, make_case, trained_clip
-from tests.bench.growth_plot import growth_plot
 from tests.bench.kernel_time import KernelTime
+from tests.bench.parts import parts_parser, run_parts
 
 EPOCHS = 10
 CONFIG = TrainConfig(predict=PredictConfig(epochs=EPOCHS, minimum_steps=0, least_gain=0.0))
@@ -158,21 +154,9 @@ def run(report: Callable[[str], None], wanted: list[str] | None = None) -> dict[
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", help=f"of: {', '.join(REPORTS)}; all by default")
-    parser.add_argument("--json", type=Path, help="write every number to this file")
-    parser.add_argument("--svg", type=Path, help="draw the part growth to this file")
+    parser = parts_parser(__doc__, REPORTS)
     options = parser.parse_args()
-    if set(options.parts) - set(REPORTS):
-        parser.error(f"parts are: {', '.join(REPORTS)}")
-    try:
-        found = run(print, options.parts)
-    except BackendUnavailable as error:
-        sys.exit(str(error))
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
-    if options.svg and "growth" in found:
-        options.svg.write_text(growth_plot("A streaming frame", "seconds of CPU", found["growth"]))
+    run_parts(parser, options, REPORTS, run, ("A streaming frame", "seconds of CPU"))
 
 
 if __name__ == "__main__":

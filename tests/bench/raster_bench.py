@@ -31,7 +31,7 @@ from core.scene.gaussians import GaussianCloud
 from core.train.field.decode import Splats
 from core.train.optimise.losses import photometric_loss
 from core.train.residual.tile_cache import TileCache, make_tile_cache
-from tests.bench.growth_plot import growth_plot
+from tests.bench.parts import parts_parser, run_parts
 from tests.bench.raster_gpu import gpu_report
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles
 
@@ -279,25 +279,13 @@ def run(report: Callable[[str], None], wanted: list[str] | None = None) -> dict[
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", help=f"of: {', '.join(REPORTS)}; all by default")
-    parser.add_argument("--json", type=Path, help="write every number to this file")
-    parser.add_argument("--svg", type=Path, help="draw the part growth to this file")
+    parser = parts_parser(__doc__, REPORTS)
     parser.add_argument("--memory", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.memory:
         print(json.dumps(measure_memory()))
         return
-    if set(options.parts) - set(REPORTS):
-        parser.error(f"parts are: {', '.join(REPORTS)}")
-    try:
-        found = run(print, options.parts)
-    except BackendUnavailable as error:
-        sys.exit(str(error))
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
-    if options.svg and "growth" in found:
-        options.svg.write_text(growth_plot("Forward and backward", "milliseconds of CPU", found["growth"]))
+    run_parts(parser, options, REPORTS, run, ("Forward and backward", "milliseconds of CPU"))
 
 
 if __name__ == "__main__":
