@@ -10,12 +10,10 @@ import pytest
 import core  # noqa: F401  first of all: it sets what torch and numba read when they load
 from tests.device import pretend
 from tests.device.fixture import gpu
-from tests.threads import one_for_each_worker
 
 __all__ = ["gpu"]
 
 pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
-one_for_each_worker()
 
 
 def data_folder() -> Path | None:

@@ -20,7 +20,7 @@ from core.synthetic import (
     write_clip,
 )
 
-SPEC = SyntheticSpec(cameras=3, frames=5, width=320, height=180, fps=25.0)
+SPEC = SyntheticSpec(cameras=3, frames=5, width=192, height=108, fps=25.0)
 
 
 @pytest.fixture(scope="module")

@@ -73,9 +73,9 @@ def test_rate_and_adam_equal_the_cpu(gpu: str) -> None:
 
 
 def test_frames_train_as_well_as_on_the_cpu(gpu: str) -> None:
-    clip = open_synthetic(SyntheticSpec(cameras=4, frames=3, width=96, height=54, seed=2))
+    clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2))
     config = TrainConfig(
-        keyframe=KeyframeConfig(steps=60), predict=PredictConfig(epochs=6, minimum_steps=0, least_gain=0.0)
+        keyframe=KeyframeConfig(steps=40), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0)
     )
     filmed, scores = list(clip.frames()), list[float]()
     points = first_points(filmed[0], clip.cameras, depth_bounds=clip.depth_bounds)
