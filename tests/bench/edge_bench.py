@@ -1,0 +1,186 @@
+"""Edges: what they take from the origin, what a hop costs, and how long a picture stays away when something is killed.
+
+    streamlod bench edge [--viewers 100 --seconds 10 --rounds 5 --short]
+
+Starts an origin that plays a synthetic recording, an edge before it and an edge before that, each a process, as they
+are started from the command line. Viewers of the traffic and delay rounds decode nothing; those of the other rounds
+are the Python client. The clocks compared are one clock: everything runs on one machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import multiprocessing
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from client.connection import WatchOptions, watch
+from client.events import NewScene
+from tests.bench.fanout_viewers import watch as watch_many
+from tests.server.conftest import make_clip
+from tests.server.edge.processes import Node, node, wait
+
+_COUNTS = (100, 400, 1500)  # anchors by level
+_VIEWER_CORE = 1
+
+
+def chain(stack: ExitStack, folder: Path, clip: Path, hops: int) -> list[Node]:
+    """An origin with a state folder, and edges one behind the other."""
+    nodes = [stack.enter_context(node(folder, "serve", "--play", clip, "--state-dir", folder / "state"))]
+    wait(lambda: nodes[0].stream()["state"] == "live")
+    for _ in range(hops):
+        nodes.append(stack.enter_context(node(folder, "edge", "--origin", nodes[-1].url)))
+        wait(lambda: nodes[-1].get("/v1/streams/main").status_code == 200)
+    return nodes
+
+
+@contextmanager
+def crowd(port: int, viewers: int) -> Iterator[Connection]:
+    """A process of so many viewers, which decode nothing."""
+    context = multiprocessing.get_context("spawn")
+    pipe, theirs = context.Pipe()
+    process = context.Process(target=watch_many, args=(theirs, _VIEWER_CORE, port), daemon=True)
+    process.start()
+    try:
+        pipe.send((viewers, 0))
+        pipe.recv()
+        yield pipe
+    finally:
+        pipe.send(None)
+        process.join(10)
+        process.kill()
+
+
+def collect(pipe: Connection) -> tuple[dict[int, int], int]:
+    """First arrival [monotonic ns] by version, and bytes received since the crowd's begin."""
+    pipe.send("collect")
+    arrivals, received, _ = pipe.recv()
+    return dict(reversed(arrivals)), received
+
+
+def sent_bytes(server: Node) -> float:
+    """Bytes of packets that a server has sent to viewers, edges among them."""
+    lines = server.get("/metrics").text.splitlines()
+    return float(
+        next(line.split()[1] for line in lines if line.startswith('streamlod_sent_bytes_total{stream="main"}'))
+    )
+
+
+def traffic(nodes: list[Node], viewers: int, seconds: float) -> dict[str, float]:
+    """Bytes that leave the origin against bytes that reach the viewers of the last edge."""
+    with crowd(nodes[-1].port, viewers) as pipe:
+        time.sleep(2.0)
+        before, (_, reached_before) = sent_bytes(nodes[0]), collect(pipe)
+        time.sleep(seconds)
+        after, (_, reached_after) = sent_bytes(nodes[0]), collect(pipe)
+    origin, reached = after - before, reached_after - reached_before
+    return {"viewers": viewers, "origin_bytes": origin, "viewer_bytes": reached, "ratio": reached / origin}
+
+
+def hop_delay(nodes: list[Node], seconds: float) -> dict[str, list[float]]:
+    """Delay behind each edge [ms]: p50 and p99 of the same packets' arrival there and directly from the origin."""
+    with ExitStack() as stack:
+        pipes = [stack.enter_context(crowd(each.port, 1)) for each in nodes]
+        time.sleep(1.0)
+        for pipe in pipes:
+            collect(pipe)
+        time.sleep(seconds)
+        arrivals = [collect(pipe)[0] for pipe in pipes]
+    found = {}
+    for hops, those in enumerate(arrivals[1:], 1):
+        delays = np.array([(those[version] - at) / 1e6 for version, at in arrivals[0].items() if version in those])
+        found[f"{hops} hops"] = [float(value) for value in np.percentile(delays, (50, 99))] + [len(delays)]
+    return found
+
+
+async def first_picture(server: Node) -> float:
+    """Seconds from connecting to the first decoded scene."""
+    begin = time.monotonic()
+    async for event in watch(f"ws://127.0.0.1:{server.port}/v1/streams/main/live", WatchOptions()):
+        if isinstance(event, NewScene):
+            break
+    return time.monotonic() - begin
+
+
+def killed(stack: ExitStack, nodes: list[Node], which: int, clip: Path, folder: Path) -> tuple[float, float]:
+    """Kill a node with SIGKILL and start it again at once, as a service manager does.
+
+    Returns:
+        Seconds from the kill, and from when the new process listens, to the next new picture of a viewer at the
+        first edge.
+    """
+
+    async def run() -> tuple[float, float]:
+        pictures: list[float] = []
+
+        async def look() -> None:
+            async for event in watch(f"ws://127.0.0.1:{nodes[1].port}/v1/streams/main/live", attempts=100):
+                if isinstance(event, NewScene):
+                    pictures.append(time.monotonic())
+
+        task = asyncio.create_task(look())
+        while len(pictures) < 30:
+            await asyncio.sleep(0.01)
+        victim, begin = nodes[which], time.monotonic()
+        await asyncio.to_thread(victim.kill)
+        await asyncio.sleep(0.2)  # what was on its way has arrived
+        arguments: tuple[Any, ...] = ("edge", "--origin", nodes[which - 1].url)
+        if which == 0:
+            arguments = ("serve", "--play", clip, "--state-dir", folder / "state")
+        context = node(folder, *arguments, port=victim.port)
+        nodes[which] = await asyncio.to_thread(stack.enter_context, context)
+        listening, seen = time.monotonic(), len(pictures)
+        while len(pictures) == seen:
+            await asyncio.sleep(0.005)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        return pictures[seen] - begin, pictures[seen] - listening
+
+    return asyncio.run(run())
+
+
+def main() -> None:
+    """Run all rounds and print a line each."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--viewers", type=int, default=100)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--short", action="store_true", help="30 viewers, 5 seconds, 2 rounds")
+    options = parser.parse_args()
+    if options.short:
+        options.viewers, options.seconds, options.rounds = 30, 5.0, 2
+    found: dict[str, Any] = {}
+
+    def note(name: str, value: Any) -> None:
+        found[name] = value
+        print(f"{name}: {value}", flush=True)
+
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        clip = make_clip(folder / "clip.slod", 1000, _COUNTS, key_every=100).path
+        nodes = chain(stack, folder, clip, 2)
+        note("first picture, cold edge [s]", asyncio.run(first_picture(nodes[1])))
+        for where, server in (("origin", nodes[0]), ("warm edge", nodes[1])):
+            times = [asyncio.run(first_picture(server)) for _ in range(2 * options.rounds)]
+            note(f"first picture, {where} [s], median and worst", [float(np.median(times)), max(times)])
+        note("delay behind each edge [ms]: p50, p99, packets", hop_delay(nodes, options.seconds))
+        note("traffic", traffic(nodes, options.viewers, options.seconds))
+        for which, what in ((1, "edge"), (0, "origin")):
+            times = [killed(stack, nodes, which, clip, folder) for _ in range(options.rounds)]
+            note(f"kill -9 of the {what}: pictures again after [s], of these after it listens", times)
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
