@@ -44,7 +44,11 @@ class Trust:
 
 def consistent_points(views: WorkingViews, maps: Sequence[DepthMap], trust: Trust = Trust()) -> PointCloud:
     """The points of all pixels that can be trusted, coloured by the view whose depth they are."""
-    good = trusted_pixels(maps, trust)
+    return points_of(views, maps, trusted_pixels(maps, trust))
+
+
+def points_of(views: WorkingViews, maps: Sequence[DepthMap], good: Sequence[Bool]) -> PointCloud:
+    """The points of the `good` pixels [H,W] of every map, coloured by the view whose depth they are."""
     points = np.concatenate([depth_map.points()[mask.ravel()] for depth_map, mask in zip(maps, good, strict=True)])
     colours = np.concatenate([image[mask] for image, mask in zip(views.images, good, strict=True)])
     kept = np.arange(len(points))
@@ -66,6 +70,14 @@ def trusted_pixels(maps: Sequence[DepthMap], trust: Trust) -> list[Bool]:
     ]
     return [
         trusted(world[index], index, kept, trust).reshape(depth_map.depth.shape) for index, depth_map in enumerate(maps)
+    ]
+
+
+def confirmed(maps: Sequence[DepthMap], others: Sequence[DepthMap], trust: Trust) -> list[Bool]:
+    """[H,W] of each of `maps`: which pixels have the depth that a trusted pixel of `others`, of the same view, has."""
+    return [
+        good & (np.abs(depth_map.depth - other.depth) < trust.tolerance * other.depth)
+        for depth_map, other, good in zip(maps, others, trusted_pixels(others, trust), strict=True)
     ]
 
 

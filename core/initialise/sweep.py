@@ -62,7 +62,7 @@ def sweep_views(
     maps = []
     for index, camera in enumerate(views.cameras):
         sources = neighbours(views, index)
-        pairs = [_pair_geometry(camera, views.cameras[source]) for source in sources]
+        pairs = [pair_geometry(camera, views.cameras[source]) for source in sources]
         rays, shifts = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
         best = min(_BEST, len(sources))
         cost_volume(images[index], images[sources], rays, shifts, inverse, best, volume)
@@ -91,7 +91,7 @@ def neighbours(views: WorkingViews, index: int) -> list[int]:
     return [int(i) for i in np.argsort(distance, kind="stable") if i != index][:_NEIGHBOURS]
 
 
-def _pair_geometry(reference: Camera, source: Camera) -> tuple[Float64, Float64]:
+def pair_geometry(reference: Camera, source: Camera) -> tuple[Float64, Float64]:
     """([3,3], [3]): what takes a pixel of `reference`, and its inverse depth, to the homogeneous pixel of `source`."""
     relative = source.world_to_camera @ np.linalg.inv(reference.world_to_camera)
     rays = source.intrinsics @ relative[:3, :3] @ np.linalg.inv(reference.intrinsics)

@@ -70,6 +70,7 @@ class KeyframeConfig:
     growth_until: float = 0.65
     growth_threshold: float = 4e-4  # of the view-space gradient norm (paper: 2e-4)
     prune_opacity: float = 0.005
+    clearance: float = 0.6  # of the depth at which first points begin before a camera; nothing stays nearer. 0: it may
     extra_level_gain: float = 0.01
     rounding_from: float = 0.75  # from here on the parameters are rounded as they will be sent
     rounding_share: float = 0.03  # of the squared error there, which rounding may add: each anchor's steps follow

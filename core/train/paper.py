@@ -77,6 +77,7 @@ KEYFRAME = {
     "growth_from": _octree(0.0375, "refinement begins after 1,500 of its 40,000 steps"),
     "growth_until": _octree(0.625, "refinement ends after 25,000 of its 40,000 steps"),
     "growth_threshold": _octree(2e-4, "its threshold of the gradient norm"),
+    "clearance": _reading(0.0, "not mentioned: anchors may stand anywhere"),
     "prune_opacity": _given(0.05, "V-A", "an accumulated opacity below 0.05"),
     "extra_level_gain": _octree(0.01, "the size of Delta L"),
     "rounding_from": _reading(0.75, "how the first frame is stored is not said; it is rounded as ours is"),

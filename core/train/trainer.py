@@ -25,6 +25,7 @@ from core.train.field.exposure import fitted, neutral
 from core.train.field.field import Field
 from core.train.field.rendered import rendered
 from core.train.field.rounding import Precision
+from core.train.growth.near_space import near_space
 from core.train.keyframe.seeding import seed_field
 from core.train.keyframe.trainer import KeyframeTrainer
 from core.train.motion.cues import MotionCue, cue_of
@@ -110,7 +111,8 @@ class Trainer:
         with watch.stage("seed"):
             generator = torch.Generator().manual_seed(self._config.seed)
             field = seed_field(points, self._cameras, self._config.model, generator).to(self._device)
-            trainer = KeyframeTrainer(field, views, self._config, self._backend)
+            space = near_space(points, self._cameras, self._device)
+            trainer = KeyframeTrainer(field, views, self._config, self._backend, space=space)
 
         def preview() -> Scene:
             return self._scene_of(trainer.field, frames.index, trainer.precision)

@@ -8,26 +8,33 @@ from dataclasses import dataclass, field, replace
 from core.errors import InputError
 from core.frames import PointCloud
 from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed
-from core.initialise.consistency import Trust, consistent_points
+from core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
 from core.initialise.equalise import equalised, with_equal_means
 from core.initialise.method import PointSources
+from core.initialise.patches import Search, slanted
 from core.initialise.sweep import plane_count, sweep_views
 from core.initialise.views import WorkingViews
+
+_SWEEP_SHARE = 0.4  # of the time
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneSweep:
-    """Sweeps coarsely to learn how deep the scene is and how exposures differ, then finely.
+    """Sweeps coarsely to learn how deep the scene is and how exposures differ, then finely, then slants the windows.
 
     Attributes:
         rows: of the pictures in which depth is measured.
         most_planes: inverse depths tried; more only where neighbouring views are far apart and something is near.
-        trust: which pixels are believed.
+        search: for slanted windows.
+        trust: which pixels of the sweep are believed, where slanted windows come to the same depth.
+        trust_slanted: which pixels of slanted windows are believed in any case.
     """
 
     rows: int = 160
     most_planes: int = 384
+    search: Search = field(default_factory=Search)
     trust: Trust = field(default_factory=Trust)
+    trust_slanted: Trust = field(default_factory=lambda: Trust(0.02, 0.8, 1.0, 0.004))
 
     def find(self, sources: PointSources) -> PointCloud:
         """Points by plane sweep and cross-view consistency.
@@ -48,8 +55,19 @@ class PlaneSweep:
         first = sweep_views(with_equal_means(coarse), widest, COARSE_PLANES)
         bounds = depth_bounds or narrowed(widest, first)
         even = equalised(views, coarse, first)
-        maps = sweep_views(even, bounds, plane_count(even, bounds, self.most_planes), progress)
-        return consistent_points(replace(even, images=views.images), maps, self.trust)
+        facing = sweep_views(
+            even, bounds, plane_count(even, bounds, self.most_planes), lambda done: progress(_SWEEP_SHARE * done)
+        )
+        maps = slanted(
+            even, facing, bounds, self.search, lambda done: progress(_SWEEP_SHARE + (1 - _SWEEP_SHARE) * done)
+        )
+        good = [
+            alone | either
+            for alone, either in zip(
+                trusted_pixels(maps, self.trust_slanted), confirmed(maps, facing, self.trust), strict=True
+            )
+        ]
+        return points_of(replace(even, images=views.images), maps, good)
 
 
 METHODS = {"sweep": PlaneSweep()}

@@ -29,6 +29,7 @@ def refine(
     highest: int,
     most_anchors: int,
     generator: torch.Generator,
+    astray: Tensor | None = None,
 ) -> None:
     """Add and remove anchors of `learned` by `rule`.
 
@@ -36,11 +37,13 @@ def refine(
         statistics: of the steps since the last time.
         highest: finest level that may receive anchors.
         most_anchors: that there may be.
+        astray: [N] anchors to be removed whatever the rule says.
     """
     field = learned.settled
     extra = rule.extra_levels(field, statistics)
     new = rule.new_anchors(field, statistics, highest, max(most_anchors - len(field), 0))
-    kept = torch.nonzero(~rule.removed(statistics))[:, 0]
+    removed = rule.removed(statistics)
+    kept = torch.nonzero(~(removed if astray is None else removed | astray))[:, 0]
     if len(kept) + len(new) == 0:  # nothing would ever grow again
         return
     learned.keep(kept, first_values(field, new, generator), extra)

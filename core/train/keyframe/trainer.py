@@ -17,6 +17,7 @@ from core.train.field.field import Field, visible_levels
 from core.train.field.learned import ROW_PARAMETERS, LearnedField
 from core.train.field.rounding import Precision, usual_precision
 from core.train.growth.gradient import GrowthStatistics
+from core.train.growth.near_space import NearSpace
 from core.train.growth.refine import count, refine
 from core.train.growth.rules import growth_rule
 from core.train.keyframe.drawing import ViewLoss
@@ -41,6 +42,7 @@ class KeyframeTrainer:
         exposure: of the cameras, to begin with; neutral by default.
         course: says where the run stands; by default, a run of the configured steps.
         precision: how the field is rounded as long as no anchor grows or goes; measured by default.
+        space: before the cameras, where nothing may stay; None where it is not known.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class KeyframeTrainer:
         exposure: Exposure | None = None,
         course: RunProgress | None = None,
         precision: Precision | None = None,
+        space: NearSpace | None = None,
     ) -> None:
         self._config, self._model = config.keyframe, config.model
         device = field.feature.device
@@ -72,7 +75,7 @@ class KeyframeTrainer:
         self._growth = growth_rule(self._config)
         self._statistics = _no_statistics(field)
         self._highest = field.octree.levels - 1
-        self._precision = precision
+        self._precision, self._space = precision, space
         self._steps = 0
         keyframe = self._config
         marks = (keyframe.half_size_until, keyframe.growth_until, keyframe.rounding_from)
@@ -146,11 +149,17 @@ class KeyframeTrainer:
             self._learned.average()
         if self._steps % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             limits = self._highest, self._model.max_anchors
-            refine(self._learned, self._statistics, self._growth, *limits, self._generator)
+            refine(self._learned, self._statistics, self._growth, *limits, self._generator, self._astray())
             self._statistics = _no_statistics(self._learned.live)
         if progress < config.growth_until <= self._run.progress:
             self._drop_idle_levels()
         return loss.detach()
+
+    def _astray(self) -> Tensor | None:
+        """[N] anchors that are where the scene is not."""
+        if self._space is None or self._config.clearance == 0:
+            return None
+        return self._space.astray(self._learned.settled, self._config.clearance)
 
     def _random_cap(self) -> int | None:
         """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""

@@ -31,7 +31,7 @@ def flat_map(x: float, depth: float, cost: float = 0.0) -> DepthMap:
 
 @pytest.mark.parametrize(
     ("width", "free", "off"),
-    [(128, 15.0, 0.14), pytest.param(240, 1.0, 0.09, marks=pytest.mark.slow)],  # windows widen what is near, in pixels
+    [(128, 20.0, 0.09), pytest.param(240, 9.0, 0.06, marks=pytest.mark.slow)],  # windows widen what is near, in pixels
 )
 def test_hardly_any_point_of_a_plain_room_hangs_in_free_space(width: int, free: float, off: float) -> None:
     spec = SyntheticSpec(kind="bright", cameras=5, frames=1, width=width, height=width * 9 // 16)
@@ -43,7 +43,7 @@ def test_hardly_any_point_of_a_plain_room_hangs_in_free_space(width: int, free: 
     assert score.points > width**2
     assert score.free_in_10000 <= free
     assert score.off < off
-    assert score.covered > 0.7
+    assert score.covered > 0.8
 
 
 def test_views_vote_for_what_they_see_and_against_what_they_look_through() -> None:

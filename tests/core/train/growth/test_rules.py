@@ -47,7 +47,7 @@ def test_a_toy_rule_refines_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> 
         config = preset("live")
         keyframe = replace(
             config.keyframe,
-            **{"steps": 20, "growth_interval": 5, "growth_from": 0.1, "growth_until": growth_until},
+            **{"steps": 20, "growth_interval": 5, "growth_from": 0.1, "growth_until": growth_until, "clearance": 0.0},
             growth_rule="drop the first",
         )
         config = replace(config, keyframe=keyframe, model=replace(config.model, levels=2, finer_levels=0))

@@ -1,0 +1,122 @@
+"""Depth of every view by slanted windows, starting from a plane sweep (PatchMatch stereo; Bleyer et al. 2011).
+
+A sweep compares windows that face the camera. Seen by cameras far apart, floors, tables and walls do not, and have no
+depth at which such windows agree. Here every pixel has a plane of its own, and takes over a neighbour's plane where
+that fits better, or a random change of its own. Neighbours wait for one another as the two colours of a chessboard
+(Galliani et al. 2015). In later rounds a plane costs more where the sources' own surfaces lie elsewhere (Xu and Tao
+2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from core.arrays import Float32, Float64
+from core.initialise.patch_kernel import SAMPLES, UNSEEN, Pairs, improve, plane_costs, window_weights
+from core.initialise.sweep import DepthMap, neighbours, pair_geometry
+from core.initialise.views import WorkingViews
+
+_CHANGE = 0.1  # of the depth, tried in the first pass; half of it in each pass after it
+_AROUND = 1.02  # factor by which depths may lie outside the bounds
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How long slanted windows are looked for.
+
+    Attributes:
+        passes: of the first round, in which the pictures alone decide.
+        rounds: after it, in which views are asked to agree; passes_a_round: of each.
+        agreement: weight in them of two pixels between a view's surface and another's.
+        flat_pixels, flat_cost: a depth is ambiguous where so many pixels of parallax to either side do not cost so much
+            more: windows without texture match everywhere.
+    """
+
+    passes: int = 4
+    rounds: int = 2
+    passes_a_round: int = 2
+    agreement: float = 0.3
+    flat_pixels: float = 2.0
+    flat_cost: float = 0.02
+
+
+def slanted(
+    views: WorkingViews,
+    maps: Sequence[DepthMap],
+    bounds: tuple[float, float],
+    search: Search = Search(),
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[DepthMap]:
+    """`maps` of `views` with better depths, which cost `UNSEEN` where they are ambiguous.
+
+    Args:
+        bounds: (near, far) depth in world units.
+        progress: called with the fraction done.
+    """
+    limits = 1 / bounds[1] / _AROUND, 1 / bounds[0] * _AROUND
+    planes = [_facing(depth_map.depth, limits) for depth_map in maps]
+    weights = [_weights(image) for image in views.images]
+    for round_number in range(1 + search.rounds):
+        held = [plane[..., 0].copy() for plane in planes]
+        agreement = search.agreement if round_number else 0.0
+        passes = search.passes_a_round if round_number else search.passes
+        for index, plane in enumerate(planes):
+            pairs = _pairs(views, index, weights[index], held)
+            cost = np.empty(plane.shape[:2], np.float32)
+            plane_costs(pairs, agreement, plane, cost)
+            for turn in range(passes):
+                change = _CHANGE * 0.5 ** (turn + 2 * min(round_number, 1))
+                for parity in (0, 1):
+                    improve(pairs, agreement, *limits, change, parity, turn + 10 * round_number, plane, cost)
+            progress((round_number + (index + 1) / len(planes)) / (1 + search.rounds))
+    held = [plane[..., 0] for plane in planes]
+    return [
+        replace(
+            depth_map,
+            depth=np.asarray(1 / held[index], np.float32),
+            cost=_certain_cost(_pairs(views, index, weights[index], held), planes[index], search),
+        )
+        for index, depth_map in enumerate(maps)
+    ]
+
+
+def _facing(depth: Float32, limits: tuple[float, float]) -> Float64:
+    """[H,W,3] planes at `depth` [H,W] that face the camera."""
+    planes = np.zeros((*depth.shape, 3))
+    planes[..., 0] = np.clip(1 / depth.astype(np.float64), *limits)
+    return planes
+
+
+def _weights(image: Float32) -> Float32:
+    weights = np.empty((*image.shape[:2], SAMPLES), np.float32)
+    window_weights(image, weights)
+    return weights
+
+
+def _pairs(views: WorkingViews, index: int, weights: Float32, held: list[Float64]) -> Pairs:
+    """View `index` with its neighbours, which hold inverse depths `held` [H,W]."""
+    camera, sources = views.cameras[index], neighbours(views, index)
+    there = [pair_geometry(camera, views.cameras[source]) for source in sources]
+    back = [pair_geometry(views.cameras[source], camera) for source in sources]
+    (rays, shifts), (back_rays, back_shifts) = (
+        (np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])) for pairs in (there, back)
+    )
+    inverse = np.stack([held[source] for source in sources])
+    return Pairs(views.images[index], weights, views.images[sources], rays, shifts, back_rays, back_shifts, inverse)
+
+
+def _certain_cost(pairs: Pairs, planes: Float64, search: Search) -> Float32:
+    """[H,W] what `planes` cost by the pictures alone, `UNSEEN` where depths beside them cost no more."""
+    cost, beside = (np.empty(planes.shape[:2], np.float32) for _ in range(2))
+    plane_costs(pairs, 0.0, planes, cost)
+    shifts = np.sort(np.linalg.norm(pairs.shifts, axis=1))
+    step = search.flat_pixels / shifts[min(1, len(shifts) - 1)]
+    margin = np.full(cost.shape, np.inf, np.float32)
+    for side in (-step, step):
+        moved = planes + np.array([side, 0.0, 0.0])
+        plane_costs(pairs, 0.0, moved, beside)
+        margin = np.minimum(margin, beside - cost)
+    return np.where(margin < search.flat_cost, np.float32(UNSEEN), cost)

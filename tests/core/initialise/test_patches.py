@@ -1,0 +1,131 @@
+"""Slanted windows: their cost against a slow reference, and surfaces that windows facing the camera cannot measure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from core.arrays import Float32, Float64
+from core.camera import Camera, look_at, pinhole
+from core.initialise import patch_kernel
+from core.initialise.patch_kernel import COLOUR_CLAMP, COLOUR_SCALE, FLAT, LONE, RADIUS, SAMPLES, STRIDE, UNSEEN, Pairs
+from core.initialise.patches import slanted
+from core.initialise.sweep import pair_geometry, sweep_views
+from core.initialise.views import WorkingViews, pixel_centres, unproject
+
+WIDTH, HEIGHT = 64, 48
+BOUNDS = (0.8, 8.0)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def camera(x: float) -> Camera:
+    """Above the floor, looking down at it along y: the floor is seen at 10 to 50 degrees."""
+    eye = np.array([x, 0.0, 0.9])
+    pose = look_at(eye, np.array([0.0, 1.5, 0.0]), UP)
+    return pinhole(f"{x}", (60, 60), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT), pose)
+
+
+CAMERAS = (camera(-0.5), camera(0.0), camera(0.5))
+
+
+def floor_depth(of: Camera) -> Float64:
+    """[H,W] depth of the floor z = 0."""
+    origin = of.centre
+    direction = unproject(of, pixel_centres(of), np.ones(WIDTH * HEIGHT)) - origin
+    return (-origin[2] / direction[:, 2]).reshape(HEIGHT, WIDTH)
+
+
+def floor_picture(of: Camera, amplitude: float = 0.5) -> Float32:
+    """[H,W,3] the floor with a texture that has no two equal places."""
+    x, y, _ = unproject(of, pixel_centres(of), floor_depth(of).ravel()).T
+    waves = [np.sin(7 * x + 3 * y) * np.sin(5 * y - 2 * x), np.sin(9 * x - 4 * y), np.sin(6 * y + x * x + y * y)]
+    return np.asarray(0.5 + 0.5 * amplitude * np.stack(waves, axis=1).reshape(HEIGHT, WIDTH, 3), np.float32)
+
+
+def views(amplitude: float = 0.5) -> WorkingViews:
+    return WorkingViews(CAMERAS, np.stack([floor_picture(one, amplitude) for one in CAMERAS]))
+
+
+def reference_cost(reference: Float32, source: Float32, rays: Float64, shift: Float64, pixel: tuple[int, int],
+                   plane: Float64) -> float:  # fmt: skip
+    """The cost of one plane against one source, as the module's text says it."""
+    x, y = pixel
+    mine, theirs, weights = list[Float64](), list[Float64](), list[float]()
+    offsets = range(-RADIUS, RADIUS + 1, STRIDE)
+    total = 0.0
+    for dy, dx in ((dy, dx) for dy in offsets for dx in offsets):
+        if not (0 <= x + dx < WIDTH and 0 <= y + dy < HEIGHT):
+            continue
+        weight = np.exp(-np.abs(reference[y + dy, x + dx] - reference[y, x]).sum() / (3 * COLOUR_SCALE))
+        total += weight
+        u, v, w = rays @ [x + dx + 0.5, y + dy + 0.5, 1] + shift * (plane @ [1, dx, dy])
+        u, v = u / w, v / w
+        if not (0 < u < WIDTH and 0 < v < HEIGHT):
+            continue
+        u, v = np.clip(u - 0.5, 0, WIDTH - 1.001), np.clip(v - 0.5, 0, HEIGHT - 1.001)
+        (x0, fu), (y0, fv) = divmod(u, 1), divmod(v, 1)
+        corners = source[int(y0) : int(y0) + 2, int(x0) : int(x0) + 2].astype(np.float64)
+        theirs.append(np.einsum("ijc,i,j->c", corners, [1 - fv, fv], [1 - fu, fu]))
+        mine.append(reference[y + dy, x + dx].astype(np.float64))
+        weights.append(float(weight))
+    a, b, share = np.array(mine), np.array(theirs), np.array(weights) / np.sum(weights)
+    grey_a, grey_b = a.mean(axis=1), b.mean(axis=1)
+    off_a, off_b = grey_a - share @ grey_a, grey_b - share @ grey_b
+    correlation = share @ (off_a * off_b) / np.sqrt((share @ off_a**2 + FLAT) * (share @ off_b**2 + FLAT))
+    return float(0.5 * (1 - correlation) + min(share @ np.abs(a - b).mean(axis=1) / COLOUR_CLAMP, 1))
+
+
+def pairs_of(all_views: WorkingViews, index: int, sources: list[int], held: float) -> Pairs:
+    there = [pair_geometry(CAMERAS[index], CAMERAS[source]) for source in sources]
+    back = [pair_geometry(CAMERAS[source], CAMERAS[index]) for source in sources]
+    weights = np.empty((HEIGHT, WIDTH, SAMPLES), np.float32)
+    patch_kernel.window_weights(all_views.images[index], weights)
+    return Pairs(
+        all_views.images[index], weights, all_views.images[sources],
+        np.stack([rays for rays, _ in there]), np.stack([shift for _, shift in there]),
+        np.stack([rays for rays, _ in back]), np.stack([shift for _, shift in back]),
+        np.full((len(sources), HEIGHT, WIDTH), held),
+    )  # fmt: skip
+
+
+def test_costs_are_those_of_the_reference() -> None:
+    generator = np.random.default_rng(3)
+    images = generator.random((3, HEIGHT, WIDTH, 3)).astype(np.float32) * 0.3
+    pairs = pairs_of(WorkingViews(CAMERAS, images), 1, [2], 0.3)
+    planes = np.stack(
+        [generator.uniform(0.2, 0.5, (HEIGHT, WIDTH)), *generator.uniform(-0.004, 0.004, (2, HEIGHT, WIDTH))], axis=2
+    )
+    cost = np.empty((HEIGHT, WIDTH), np.float32)
+    patch_kernel.plane_costs(pairs, 0.0, planes, cost)
+    compared = 0
+    for y, x in generator.integers((HEIGHT, WIDTH), size=(200, 2)):
+        if cost[y, x] >= UNSEEN - 1e-3:
+            continue
+        expected = reference_cost(images[1], images[2], pairs.rays[0], pairs.shifts[0], (x, y), planes[y, x])
+        assert cost[y, x] == pytest.approx(min(expected + LONE, UNSEEN), abs=2e-3)
+        compared += 1
+    assert compared > 50
+
+
+def test_a_floor_seen_at_a_slant_is_measured() -> None:
+    """Windows that face the cameras find less than half of it."""
+    facing = sweep_views(views(), BOUNDS, 96)
+    maps = slanted(views(), facing, BOUNDS)
+    right = [
+        np.mean([np.mean(np.abs(one.depth / floor_depth(one.camera) - 1)[4:-4, 14:-14] < 0.01) for one in found])
+        for found in (facing, maps)
+    ]
+    assert right[1] > 0.85
+    assert right[1] > right[0] + 0.2
+
+
+def test_equal_inputs_give_equal_depths() -> None:
+    facing = sweep_views(views(), BOUNDS, 32)
+    first, second = (slanted(views(), facing, BOUNDS) for _ in range(2))
+    assert all((one.depth == other.depth).all() for one, other in zip(first, second, strict=True))
+
+
+def test_depths_of_what_has_no_texture_are_ambiguous() -> None:
+    plain = views(amplitude=0.0)
+    maps = slanted(plain, sweep_views(plain, BOUNDS, 32), BOUNDS)
+    assert all((one.cost == UNSEEN)[8:-8, 16:-16].all() for one in maps)
