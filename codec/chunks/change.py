@@ -11,7 +11,7 @@ from codec.coder.entropy import corrupt, decode_scales, encode_items, encode_sca
 from codec.coder.rans import VALUE_LIMIT, Array
 from core.arrays import Int16, Int32, Int64, UInt8
 from core.scene.anchors import LATENTS, AnchorLevel
-from core.scene.entropy_model import HIGHEST_SCALE, SCALES
+from core.scene.entropy_model import MAX_SCALE, SCALES
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ def decode(data: bytes, level: AnchorLevel, elapsed: Elapsed) -> tuple[Int64, In
     """Rows [n], position [n,3] and latent [n,24]; BitstreamError `corrupt_chunk`."""
     if len(data) < 2:
         raise corrupt("a change ends before its position scale")
-    if data[1] > HIGHEST_SCALE:
+    if data[1] > MAX_SCALE:
         raise corrupt("the position scale lies beyond the table")
     scale, at = decode_scales(data, 2, LATENTS)
     start = int(SCALES[data[1]])

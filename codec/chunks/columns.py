@@ -19,7 +19,7 @@ from core.scene.quantise import trailing_zeros
 
 _AS_IS, _CENTRED, _TREND = 0, 1, 2
 _COUNT = struct.Struct("<I")
-_FEWEST = 16  # rows that are worth a class of their own
+_MIN_CLASS_ROWS = 16  # rows that are worth a class of their own
 _INT32 = np.iinfo(np.int32)
 
 
@@ -75,7 +75,7 @@ def _shifts(matrix: Int64) -> Int64:
     shifts = trailing_zeros(matrix, class_model.MAX_CLASSES - 1)
     counts = np.bincount(shifts, minlength=class_model.MAX_CLASSES)
     for shift in range(class_model.MAX_CLASSES - 1, 0, -1):
-        if 0 < counts[shift] < _FEWEST:
+        if 0 < counts[shift] < _MIN_CLASS_ROWS:
             shifts[shifts == shift] -= 1
             counts[shift - 1] += counts[shift]
     return shifts

@@ -51,6 +51,7 @@ def rows_items(changed: Array, touched: Array, items: Array, n: int) -> int:
 
 @compiled
 def _take_rows(words: Array, x: Array, ctl: Array, touched: Array, changed: Array) -> int:
+    """Decode `changed` [N]; returns how many are 1."""
     blocks, models = np.ones((BLOCK_MODELS, 2), np.int64), np.ones((ROW_MODELS, 2), np.int64)
     block_context, row_context, count = 0, 0, 0
     for first in range(0, len(changed), BLOCK):
@@ -71,9 +72,13 @@ def _take_rows(words: Array, x: Array, ctl: Array, touched: Array, changed: Arra
 
 @compiled
 def steady_motion(position: Array, rows: Array, age: int, span: int) -> Array:
-    """[n,3] int64 how far `rows` would go in `span` frames, as they did in `age` since the keyframe, in 1/128 step."""
+    """[n,3] int64 motion of `rows` in the next `span` frames, in 1/128 step, at their mean speed since the keyframe.
+
+    Args:
+        position: [N,3] difference from the keyframe, `age` frames ago.
+    """
     motion = np.zeros((len(rows), 3), np.int64)
-    frames = min(span, age, MAX_SPAN)  # never further ahead than it was seen
+    frames = min(span, age, MAX_SPAN)  # no extrapolation over more frames than were seen
     if age > 0:
         for i in range(len(rows)):
             for axis in range(3):
@@ -83,18 +88,19 @@ def steady_motion(position: Array, rows: Array, age: int, span: int) -> Array:
 
 @compiled
 def _prediction(motion: int, trend: int) -> int:
-    """Half of the steady motion and a quarter of the running mean, whose unit is 1/64 step."""
+    """Steps to expect: half of the steady motion plus a quarter of the running mean `trend`, which is in 1/64 step."""
     return (motion + trend + 128) >> 8
 
 
 @compiled
 def _followed(trend: int, delta: int) -> int:
+    """The running mean after another difference."""
     return trend + 16 * delta - (trend >> 2)
 
 
 @compiled
 def position_errors(delta: Array, motion: Array) -> Array:
-    """[n,3] what prediction leaves of `delta` [n,3] of rows whose steady motion is `motion` [n,3], all int64."""
+    """[n,3] prediction errors of `delta` [n,3] for rows with steady motion `motion` [n,3]; all int64."""
     trend, errors = np.zeros(3, np.int64), np.zeros_like(delta)
     for i in range(len(delta)):
         for axis in range(3):
@@ -105,11 +111,13 @@ def position_errors(delta: Array, motion: Array) -> Array:
 
 @compiled
 def _size(row: Array) -> int:
+    """Sum of the magnitudes of three numbers."""
     return int(abs(row[0]) + abs(row[1]) + abs(row[2]))
 
 
 @compiled
 def _position_bin(average: int, before: int, mean: int, within: int, motion: int, axis: int) -> int:
+    """Bin of a position's error, by the errors of its axis, of the row before, of all rows so far and of its row."""
     return magnitude_bin((4 * (average + motion) + before + 3 * mean + 6 * within) // (18 + 6 * axis))
 
 
@@ -132,6 +140,7 @@ def positions_items(errors: Array, motion: Array, scale: int, items: Array, n: i
 
 @compiled
 def _take_positions(words: Array, x: Array, ctl: Array, motion: Array, delta: Array, scale: int) -> None:
+    """Decode `delta` [n,3] of rows with steady motion `motion` [n,3]."""
     average, trend = np.full(3, scale, np.int64), np.zeros(3, np.int64)
     before, mean = 3 * scale, 3 * scale
     for i in range(len(delta)):
@@ -153,7 +162,7 @@ def _take_positions(words: Array, x: Array, ctl: Array, motion: Array, delta: Ar
 
 @compiled
 def latents_items(latent: Array, before: Array, scale: Array, items: Array, n: int) -> int:
-    """Model pass over latent differences [n,C] of rows with latents `before` [n,C]: which have any, then those."""
+    """Model pass over latent differences [n,C] of rows with latents `before` [n,C]: which are not 0, then these."""
     models = np.ones((LATENT_MODELS, 2), np.int64)
     used, chosen = rows_with_any(before), np.zeros(len(latent), np.bool_)
     for i in range(len(latent)):
@@ -164,6 +173,7 @@ def latents_items(latent: Array, before: Array, scale: Array, items: Array, n: i
 
 @compiled
 def _take_latents(words: Array, x: Array, ctl: Array, before: Array, latent: Array, scale: Array) -> None:
+    """Decode `latent` [n,C] of rows with latents `before` [n,C]."""
     models = np.ones((LATENT_MODELS, 2), np.int64)
     used, chosen = rows_with_any(before), np.zeros(len(latent), np.bool_)
     for i in range(len(latent)):
@@ -190,12 +200,12 @@ def decode_change(
     age: int,
     span: int,
 ) -> tuple[bool, Array, Array, Array]:
-    """Whether the stream is sound; rows [n], position [n,3], latent [n,C], all int64.
+    """(whether the stream is sound, rows [n], position differences [n,3], latent differences [n,C]), all int64.
 
     Args:
         position_before, latent_before: [N,3] and [N,C] of the level before.
         touched: [N] 1 for rows where these are not all 0.
-        age, span: frames from the keyframe to before, and from there to after.
+        age: frames from the keyframe to the level before; span: from there to the level after.
     """
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
     changed = np.zeros(len(touched), np.uint8)

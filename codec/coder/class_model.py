@@ -25,6 +25,7 @@ def classes_items(classes: Array, count: int, items: Array, n: int) -> int:
 
 @compiled
 def _take_classes(words: Array, x: Array, ctl: Array, classes: Array, count: int) -> None:
+    """Decode the class [rows] of each row."""
     models = np.ones((MAX_CLASSES, 2), np.int64)
     for i in range(len(classes)):
         own = count - 1

@@ -8,13 +8,11 @@ import numpy as np
 
 from codec.coder.compiled import compiled
 from codec.coder.rans import (
-    LOWEST_STATE,
+    MIN_STATE,
     STARTS,
     SYMBOL_OF,
     TOP_BIN,
     Array,
-    begin,
-    finish,
     magnitude_bin,
     put_value,
     take_value,
@@ -44,7 +42,7 @@ def renews(c: int) -> bool:
 
 @compiled
 def row_gain(mean: int, total: int, energy: int, seen: int) -> int:
-    """Bins by which the row's channels so far, and the rows before, exceed what their scales expect."""
+    """Bins to add to a channel's own: how much the row's channels so far and the rows before exceed their scales."""
     return magnitude_bin(256 * (mean + 2 * energy) // (total + 2 * seen)) - 24
 
 
@@ -71,11 +69,12 @@ def columns_items(values: Array, scale: Array, items: Array, n: int) -> int:
 
 @compiled
 def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array) -> None:
+    """Decode `values` [rows, C]."""
     bins, weight, expected, total = channel_weights(scale)
     if total == 0:
         return
     mean, lanes = total, len(x) - 1
-    item, at = ctl[0], ctl[1]  # kept apart from `ctl` on the common path, which this loop spells out for speed
+    item, at = ctl[0], ctl[1]  # local copies: the common case of `take_value` is written out here for speed
     for i in range(len(values)):
         energy, seen, gain = 0, 0, 0
         for c in range(len(scale)):
@@ -88,7 +87,7 @@ def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array
                 z: Any = np.int64(SYMBOL_OF[min(b, TOP_BIN) * 4096 + slot])
                 if b <= TOP_BIN and z < ESCAPE:
                     state = FREQUENCIES[b, z] * (state >> 12) + slot - STARTS[b, z]
-                    if state < LOWEST_STATE:
+                    if state < MIN_STATE:
                         if at == len(words):
                             ctl[2] = 1
                             return
@@ -108,13 +107,3 @@ def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array
         if ctl[2]:
             return
     ctl[0], ctl[1] = item, at
-
-
-@compiled
-def decode_columns(words: Array, lanes: int, values: Array, scale: Array) -> bool:
-    """Fill `values` [rows, C]; False if the stream is corrupt."""
-    x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
-    begin(words, x, ctl)
-    if ctl[2] == 0:
-        take_columns(words, x, ctl, values, scale)
-    return finish(words, x, ctl)

@@ -9,7 +9,7 @@ import numpy as np
 from codec.coder.rans import Array, rans_encode
 from core.arrays import Float64, Int64
 from core.errors import BitstreamError
-from core.scene.entropy_model import HIGHEST_SCALE, MAGNITUDE_UNIT, SCALES
+from core.scene.entropy_model import MAGNITUDE_UNIT, MAX_SCALE, SCALES
 
 FEW_ITEMS = 8000  # below, one lane saves 12 bytes that matter more than speed
 _STEPS = 4  # of a scale, between neighbouring nibbles: half an octave
@@ -52,7 +52,7 @@ def scale_of(mean: float) -> int:
 
 def _scale_indices(means: Float64) -> Int64:
     index = np.round(8 * np.log2(np.maximum(means, 1e-9) * MAGNITUDE_UNIT))
-    return np.asarray(np.clip(index, 0, HIGHEST_SCALE), np.int64)
+    return np.asarray(np.clip(index, 0, MAX_SCALE), np.int64)
 
 
 def encode_scales(values: Array) -> tuple[bytes, Int64]:
@@ -62,9 +62,9 @@ def encode_scales(values: Array) -> tuple[bytes, Int64]:
     """
     means = np.abs(values).mean(axis=0) if len(values) else np.zeros(values.shape[1])
     wanted = _scale_indices(means)
-    base = int(wanted[means > 0].min(initial=HIGHEST_SCALE))
+    base = int(wanted[means > 0].min(initial=MAX_SCALE))
     base = max(base, int(wanted.max(initial=0)) - _STEPS * (_NIBBLES - 1), 0)
-    nibbles = np.minimum((np.maximum(wanted - base, 0) + _STEPS // 2) // _STEPS, (HIGHEST_SCALE - base) // _STEPS) + 1
+    nibbles = np.minimum((np.maximum(wanted - base, 0) + _STEPS // 2) // _STEPS, (MAX_SCALE - base) // _STEPS) + 1
     nibbles = np.where(means > 0, np.minimum(nibbles, _NIBBLES), 0)
     apart = _scales(base, nibbles)
     shared_index = int(np.clip(scale_of(float(means.mean())), _SHARED_FIRST, _SHARED_LAST))
@@ -87,7 +87,7 @@ def decode_scales(data: bytes, at: int, channels: int) -> tuple[Int64, int]:
     if nibbles[channels:].any():
         raise corrupt("an unused half byte of the scales is not zero")
     nibbles = nibbles[:channels]
-    if nibbles.any() and data[at] + _STEPS * (int(nibbles.max()) - 1) > HIGHEST_SCALE:
+    if nibbles.any() and data[at] + _STEPS * (int(nibbles.max()) - 1) > MAX_SCALE:
         raise corrupt("a scale lies beyond the table")
     return _scales(data[at], nibbles), end
 
@@ -100,5 +100,5 @@ def _row_bits(means: Array, scale: Int64) -> float:
 
 
 def _scales(base: int, nibbles: Int64) -> Int64:
-    index = np.minimum(base + _STEPS * np.maximum(nibbles - 1, 0), HIGHEST_SCALE)
+    index = np.minimum(base + _STEPS * np.maximum(nibbles - 1, 0), MAX_SCALE)
     return np.where(nibbles > 0, SCALES[index], 0).astype(np.int64)

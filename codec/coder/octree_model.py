@@ -12,11 +12,13 @@ OCTREE_MODELS = 16 * 256
 
 @compiled
 def _octree_model(depth: int, d: int, parent: int, prefix: int) -> int:
+    """Index of the model of an occupancy bit at depth `d`, by its parent's class and the node's bits before it."""
     return ((min(depth - 1 - d, 3) * 4 + parent) << 8) | prefix
 
 
 @compiled
 def _parent_class(children: int) -> int:
+    """Class of a node with so many children: 1, 2, 3 to 4, more."""
     return 0 if children <= 1 else 1 if children == 2 else 2 if children <= 4 else 3
 
 
@@ -54,7 +56,7 @@ def octree_items(keys: Array, depth: int, items: Array, n: int) -> int:
 
 @compiled
 def decode_octree(words: Array, lanes: int, depth: int, count: int) -> tuple[bool, Array]:
-    """Whether the stream is sound, and [count,3] int64 nodes."""
+    """(whether the stream is sound, [count,3] int64 nodes)."""
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
     models = np.ones((OCTREE_MODELS, 2), np.int64)
     nodes, parents = np.zeros((1, 3), np.int64), np.zeros(1, np.int64)

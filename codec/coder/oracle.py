@@ -14,7 +14,7 @@ from core.scene.entropy_model import BIN_LIMIT, BIN_THRESHOLDS, BINS, ESCAPE, FR
 
 _THRESHOLDS = [int(t) for t in BIN_THRESHOLDS]
 _ROWS = [[int(f) for f in row] for row in FREQUENCIES]
-_LOWEST = 1 << 16
+_MIN_STATE = 1 << 16
 Rows = list[list[int]]
 Voxel = tuple[int, int, int]
 
@@ -41,7 +41,7 @@ class Encoder:
 
     def words(self, lanes: int) -> list[int]:
         """The 16-bit words of all items so far."""
-        states, backwards = [_LOWEST] * lanes, []
+        states, backwards = [_MIN_STATE] * lanes, []
         for number in reversed(range(len(self._items))):
             start, freq = self._items[number]
             state = states[number % lanes]
@@ -61,7 +61,7 @@ class Decoder:
             raise _corrupt()
         self._states = [words[2 * k] | words[2 * k + 1] << 16 for k in range(lanes)]
         self._words, self._at, self._item = words, 2 * lanes, 0
-        if min(self._states) < _LOWEST:
+        if min(self._states) < _MIN_STATE:
             raise _corrupt()
 
     def interval(self, frequencies: Sequence[int], symbol: int | None = None) -> int:
@@ -73,7 +73,7 @@ class Decoder:
             start += frequencies[symbol]
             symbol += 1
         state = frequencies[symbol] * (self._states[lane] >> 12) + slot - start
-        if state < _LOWEST:
+        if state < _MIN_STATE:
             if self._at == len(self._words):
                 raise _corrupt()
             state = state << 16 | self._words[self._at]
@@ -83,7 +83,7 @@ class Decoder:
 
     def finish(self) -> None:
         """Refuse a stream that did not end as it must."""
-        if self._at != len(self._words) or any(state != _LOWEST for state in self._states):
+        if self._at != len(self._words) or any(state != _MIN_STATE for state in self._states):
             raise _corrupt()
 
 

@@ -12,12 +12,13 @@ _SHIFT = 3  # the mean of about 2^3 rows; its sum is kept, so that nothing is lo
 
 @compiled
 def _prediction(total: int, shift: int) -> int:
+    """The running mean, rounded to a multiple of 2^`shift`."""
     return (((total >> _SHIFT) + ((1 << shift) >> 1)) >> shift) << shift
 
 
 @compiled
 def trend_errors(values: Array, shifts: Array) -> Array:
-    """[n] what prediction leaves of `values` [n], in 2^`shifts` [n] of which these are multiples."""
+    """[n] prediction errors of `values` [n], in units of 2^`shifts` [n]; each value is a multiple of its unit."""
     errors, total = np.zeros(len(values), np.int64), 0
     for i in range(len(values)):
         errors[i] = (values[i] - _prediction(total, shifts[i])) >> shifts[i]

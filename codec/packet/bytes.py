@@ -12,7 +12,7 @@ from core.errors import BitstreamError
 
 MAGIC = b"SLPK"
 FORMAT_VERSION = 1
-HIGHEST_PROFILE = 1
+MAX_PROFILE = 1
 _FIXED = struct.Struct("<4sBBBBIIIQHHQ")
 _CHECKSUM = struct.Struct("<I")
 ENTRY = struct.Struct("<II")
@@ -64,7 +64,7 @@ def parse(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS, *, verify: bool
         raise BitstreamError(
             "unsupported_version", f"format version {version} is not known here, only {FORMAT_VERSION}"
         )
-    if profile > HIGHEST_PROFILE:
+    if profile > MAX_PROFILE:
         raise BitstreamError("unsupported_profile", f"profile {profile} is not known here")
     chunks_at = HEADER_BYTES + ENTRY.size * count
     if len(packet) < chunks_at:

@@ -64,8 +64,8 @@ BIN_THRESHOLDS: Int64 = np.array((
 ), np.int64)
 # fmt: on
 BIN_LIMIT = 790  # from here on a magnitude is halved, and four bins are added
-HIGHEST_SCALE = 191
-SCALES: Int64 = np.array([round(2 ** (q / 8)) for q in range(HIGHEST_SCALE + 1)], np.int64)  # in 1/256; as in FORMAT.md
+MAX_SCALE = 191
+SCALES: Int64 = np.array([round(2 ** (q / 8)) for q in range(MAX_SCALE + 1)], np.int64)  # in 1/256; as in FORMAT.md
 
 
 def bin_of(magnitude: float) -> int:

@@ -12,12 +12,11 @@ import numpy as np
 
 from core.arrays import Float32, Float64, Int64
 from core.scene.anchors import FEATURE_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
-from core.scene.gaussians import GaussianCloud, concatenate
+from core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud, concatenate
 from core.scene.octree import level_for_distance
 
 EXTRA_LEVEL_UNIT = 1 / 64
-LOG_SCALE_LIMIT = 20.0  # exp stays finite in float32 whatever the bitstream says
-_SHORTEST, _LONGEST = 1e-12, 1e12  # lengths of quaternions that say a rotation
+_MIN_LENGTH, _MAX_LENGTH = 1e-12, 1e12  # lengths of quaternions that say a rotation
 
 
 def expand(
@@ -57,7 +56,7 @@ def dequantise(
     latent = level.latent[rows].astype(np.float32)
     feature = level.feature[rows] * header.feature_steps + latent[:, :FEATURE_LATENTS] @ weights.feature_decoder
     offset = level.offset[rows] * header.offset_steps + latent[:, FEATURE_LATENTS:] @ weights.offset_decoder
-    scaling = np.clip(level.scaling[rows] * header.scaling_steps, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
+    scaling = np.clip(level.scaling[rows] * header.scaling_steps, -MAX_LOG_SCALE, MAX_LOG_SCALE)
     return feature, offset.reshape(len(rows), header.gaussians_per_anchor, 3), scaling
 
 
@@ -86,7 +85,7 @@ def expand_slots(
         cloud = _network_outputs(header, weights, number, level, rows, viewpoint)
         length = np.linalg.norm(cloud.quaternions.astype(np.float64), axis=1)
         sums = [part.sum(axis=1, dtype=np.float64) for part in (cloud.means, cloud.scales, cloud.colours)]
-    sound = np.isfinite(sum(sums)) & np.isfinite(cloud.opacities) & (length >= _SHORTEST) & (length <= _LONGEST)
+    sound = np.isfinite(sum(sums)) & np.isfinite(cloud.opacities) & (length >= _MIN_LENGTH) & (length <= _MAX_LENGTH)
     return cloud if sound.all() else replace(cloud, opacities=np.where(sound, cloud.opacities, np.float32(0)))
 
 

@@ -119,6 +119,7 @@ def _shade(
     visible: Float64,
     radiance: Float64,
 ) -> None:
+    """Light leaving one point: ambient, and diffuse and glossy reflection of each lamp. visible: as in `light`."""
     lamp_count = len(lamps.radius)
     open_share = visible[lamp_count]
     for c in range(3):
@@ -302,6 +303,12 @@ def _unhidden(
     low: float,
     high: float,
 ) -> float:
+    """Share of the lamp that one convex part leaves visible; see `_lamp_seen`.
+
+    Args:
+        o, d: start and direction of the cone's axis in the part's axes. width: radius of the cone at 1 m.
+        low, high: part of the axis to search, metres.
+    """
     golden = 0.6180339887498949
     least = 1.0
     a, b = high - golden * (high - low), low + golden * (high - low)

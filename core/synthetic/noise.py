@@ -1,8 +1,4 @@
-"""Building blocks of procedural textures: noise, softened edges, mixtures of colours.
-
-`textures` compiles these into its own code and keeps it in a cache on disk that is renewed when *its* file changes:
-after a change here, touch that one.
-"""
+"""Building blocks of procedural textures: noise, softened edges, mixtures of colours."""
 
 from __future__ import annotations
 
@@ -64,9 +60,11 @@ def line(x: float, half: float, footprint: float) -> float:
 
 @_jit
 def mix(a: Colour, b: Colour, t: float) -> Colour:
+    """Linear mixture: `a` at t = 0, `b` at 1."""
     return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t
 
 
 @_jit
 def scale(a: Colour, t: float) -> Colour:
+    """`a` times t."""
     return a[0] * t, a[1] * t, a[2] * t

@@ -1,8 +1,4 @@
-"""The analytic shapes of the synthetic scene as the compiled code sees them.
-
-`casting` and `lighting` compile these helpers into their own code and keep it in a cache on disk that is renewed when
-*their* file changes: after a change here, touch those two.
-"""
+"""The analytic shapes of the synthetic scene as the compiled code of `casting` and `lighting` sees them."""
 
 from __future__ import annotations
 
@@ -60,6 +56,7 @@ _jit = numba.njit(cache=True, nogil=True, fastmath=True)
 
 @_jit
 def to_local(parts: SolidParts, i: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A world direction in the axes of part `i`."""
     rotation = parts.rotation[i]
     return (
         rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,

@@ -12,6 +12,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from multiprocessing import get_context
 
+import numpy as np
+
 from core.errors import StreamlodError
 
 
@@ -35,11 +37,13 @@ def _trainer() -> None:
 
 
 def _first_points() -> None:
-    """Draw a tiny synthetic clip, and sweep planes through it."""
+    """Draw a tiny synthetic clip, ask what moves in it, and sweep planes through it."""
     from core.initialise import first_points
-    from core.synthetic import SyntheticSpec, open_synthetic
+    from core.synthetic import SyntheticSpec, is_dynamic, open_synthetic
 
-    clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=64, height=36))
+    spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36)
+    clip = open_synthetic(spec)
+    is_dynamic(spec, np.zeros((1, 3)), 1)
     frame = list(clip.frames())[-1]
     with suppress(StreamlodError):  # pictures this small show too little to find many points
         first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds, method="sweep")

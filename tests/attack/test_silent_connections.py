@@ -17,7 +17,7 @@ from tests.server.test_faults import HANDSHAKE, masked
 
 _STREAM = StreamSpec(play=Path("nothing.slod"))
 _LIMITS = Limits(request_seconds=0.6, hello_seconds=0.4, stuck_seconds=0.5, connections=4000)
-_LONGEST_LIFE = 16 + 4  # seconds: a kept-alive connection has 15, all other states less
+_MAX_LIFE_SECONDS = 16 + 4  # seconds: a kept-alive connection has 15, all other states less
 
 
 def connected(server: Running, data: bytes) -> socket.socket:
@@ -111,7 +111,7 @@ def none_left(seconds: float, per_second: int, seed: int) -> None:
         while time.monotonic() < begin + seconds:
             peers.append(connected(server, partial(chooser)))
             time.sleep(1 / per_second)
-        end = time.monotonic() + _LONGEST_LIFE
+        end = time.monotonic() + _MAX_LIFE_SECONDS
         left = [peer for peer in peers if not ends_within(peer, max(0.05, end - time.monotonic()))]
         assert not left, f"{len(left)} of {len(peers)} are open"
         with server.client() as client:

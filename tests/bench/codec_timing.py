@@ -15,6 +15,7 @@ from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from core.scene.anchors import LATENTS, Scene
 from core.scene.residual import Residual
+from tests.codec.columns import decode_columns
 
 _SYMBOLS_PER_ROW = LATENTS + 3
 _ROUNDS = 3  # the first compiles
@@ -52,7 +53,7 @@ def _coder_alone(residuals: list[Residual]) -> None:
         words = np.empty(count + 8, np.uint16)
         first = rans.rans_encode(items, count, 4, words)
         middle = time.process_time()
-        column_model.decode_columns(words[first:], 4, found, scale)
+        decode_columns(words[first:], 4, found, scale)
         encoding, decoding = min(encoding, middle - begin), min(decoding, time.process_time() - middle)
     print(f"Python, entropy coder alone: encoding {values.size / encoding / 1e6:.0f},", end=" ")
     print(f"decoding {values.size / decoding / 1e6:.0f} Msymbol/s")

@@ -31,7 +31,7 @@ _ACCEPT = (
     b"Sec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\nSec-WebSocket-Protocol: streamlod.v1\r\n\r\n"
 )
 
-_LONGEST_WAIT = 0.5  # s, where a viewer skipped a packet and will never have taken all bytes
+_MAX_WAIT_SECONDS = 0.5  # s, where a viewer skipped a packet and will never have taken all bytes
 
 
 class _Log(logging.Handler):
@@ -90,7 +90,7 @@ class _Feed:
             await self._one(packets)
             due += 1 / rate if rate else 0
             await asyncio.sleep(max(0.0, due - time.monotonic()) if rate else 0)
-            limit = time.monotonic() + _LONGEST_WAIT
+            limit = time.monotonic() + _MAX_WAIT_SECONDS
             while not rate and time.monotonic() < limit:
                 looked = time.thread_time()
                 busy = self._owing() or any(transport.get_write_buffer_size() for transport in self._transports())

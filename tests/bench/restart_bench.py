@@ -24,7 +24,7 @@ _TRAINING = """
 id = "main"
 synthetic = {{cameras = 4, frames = 100000, width = {0}, height = {1}}}
 """
-_LONGEST_SECONDS = 300.0
+_MAX_SECONDS = 300.0
 
 
 def resident_bytes(pid: int) -> int:
@@ -36,24 +36,24 @@ def watch(name: str, arguments: list[object], kills: int, pause_seconds: float) 
     """Kill the largest of the server's processes again and again, and print what its viewer saw."""
     with serving(*arguments) as (server, port), live(port) as connection:
         viewer = Viewer(connection).hello()
-        viewer.until("caught_up", _LONGEST_SECONDS)
+        viewer.until("caught_up", _MAX_SECONDS)
         for number in range(kills):
             at, ready = max(viewer.decoder.versions) + 5, time.monotonic() + pause_seconds
             while time.monotonic() < ready or not at <= min(viewer.decoder.versions) == max(viewer.decoder.versions):
-                viewer.step(_LONGEST_SECONDS)
+                viewer.step(_MAX_SECONDS)
             workers = sorted(family(server.pid)[1:], key=resident_bytes)
             sizes = ", ".join(f"{resident_bytes(pid) / 1e6:.0f}" for pid in [server.pid, *reversed(workers)])
             begin = time.monotonic()
             os.kill(workers[-1], signal.SIGKILL)
-            viewer.until("state", _LONGEST_SECONDS)
+            viewer.until("state", _MAX_SECONDS)
             told = time.monotonic() - begin
-            viewer.until("epoch", _LONGEST_SECONDS)
+            viewer.until("epoch", _MAX_SECONDS)
             viewer.next_packet()
             while len(set(viewer.decoder.versions)) > 1:
-                viewer.step(_LONGEST_SECONDS)
+                viewer.step(_MAX_SECONDS)
             shown, version = time.monotonic() - begin, viewer.decoder.versions[0]
             while min(viewer.decoder.versions) == version:
-                viewer.step(_LONGEST_SECONDS)
+                viewer.step(_MAX_SECONDS)
             going = time.monotonic() - begin
             print(f"{name} {number + 1}: told after {told:.2f} s, a picture after {shown:.2f} s, the next version "
                   f"after {going:.2f} s; server and its processes {sizes} MB")  # fmt: skip

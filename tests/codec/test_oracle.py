@@ -11,6 +11,7 @@ from codec.coder import change_model, class_model, column_model, octree_model, o
 from codec.coder.entropy import encode_items
 from core.arrays import Int64
 from core.scene.entropy_model import FREQUENCIES, SCALES
+from tests.codec.columns import decode_columns
 
 EXTREME = rans.VALUE_LIMIT - 1
 seeds = st.integers(0, 2**32 - 1)
@@ -42,7 +43,7 @@ def test_columns(seed: int, rows: int, channels: int) -> None:
     assert oracle.columns(decoder, rows, scale.tolist(), None) == values.tolist()
     decoder.finish()
     found = np.zeros(values.shape, np.int32)
-    assert column_model.decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, scale)
+    assert decode_columns(np.frombuffer(data, "<u2").astype(np.uint16), lanes, found, scale)
     np.testing.assert_array_equal(found, values)
 
 

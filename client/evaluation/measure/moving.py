@@ -25,9 +25,9 @@ MOVING_METRICS = (
 )
 MIN_PIXELS = 64  # a camera that sees less moving than this says nothing
 _REACH = 160  # masks are dilated by the picture's width over this: 3 pixels of 480
-_LEAST_CHANGE = 6.0  # grey values of 255 that count as change where the noise is lower
+_MIN_CHANGE = 6.0  # grey values of 255 that count as change where the noise is lower
 _NOISE = 6.0  # standard deviations of the noise that do not
-_LEAST_BOX = 64  # pixels: side of the smallest box that LPIPS is measured on
+_MIN_BOX = 64  # pixels: side of the smallest box that LPIPS is measured on
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def moving_figures(score: MovingScore | None) -> dict[str, float | None]:
 def _row(picture: UInt8, truth: UInt8, mask: Bool, distance: Distance | None) -> tuple[float, float, float]:
     similar = float(ssim_map(picture, truth)[mask].mean())
     quality = psnr(picture[mask][None], truth[mask][None])
-    if distance is None or min(mask.shape) < _LEAST_BOX:
+    if distance is None or min(mask.shape) < _MIN_BOX:
         return quality, similar, np.nan
     rows, columns = (_grown(np.flatnonzero(mask.any(axis=axis)), mask.shape[1 - axis]) for axis in (1, 0))
     shown = np.where(mask[..., None], picture, truth)
@@ -121,9 +121,9 @@ def _row(picture: UInt8, truth: UInt8, mask: Bool, distance: Distance | None) ->
 def _grown(places: Int64, size: int) -> slice:
     """The range from the first to the last of `places`, grown to at least the smallest box, inside `size`."""
     start, stop = int(places[0]), int(places[-1]) + 1
-    missing = max(min(_LEAST_BOX, size) - (stop - start), 0)
+    missing = max(min(_MIN_BOX, size) - (stop - start), 0)
     start = min(max(start - missing // 2, 0), max(size - (stop - start) - missing, 0))
-    return slice(start, max(stop, start + min(_LEAST_BOX, size)))
+    return slice(start, max(stop, start + min(_MIN_BOX, size)))
 
 
 def _changed(before: UInt8, now: UInt8) -> Bool:
@@ -131,7 +131,7 @@ def _changed(before: UInt8, now: UInt8) -> Bool:
     smooth = [cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0) for picture in (before, now)]
     difference = np.abs(smooth[1] - smooth[0]).max(axis=2)
     noise = 1.4826 * float(np.median(difference))
-    mask = (difference > max(_LEAST_CHANGE, _NOISE * noise)).astype(np.uint8)
+    mask = (difference > max(_MIN_CHANGE, _NOISE * noise)).astype(np.uint8)
     return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from client.evaluation.report.quoted import ABLATIONS, MEET_ROOM, Quoted, QuotedAblation
 from client.evaluation.report.tables import number, table
 
-_LEAST_DB, _LEAST_RATIO = 0.05, 0.02  # smaller differences count as none, whatever their spread
+_MIN_DB, _MIN_RATIO = 0.05, 0.02  # smaller differences count as none, whatever their spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def paired(base: Sequence[dict[str, Any]], other: Sequence[dict[str, Any]]) -> l
 
 def agrees(name: str, values: Sequence[float], published: float) -> bool | None:
     """Whether measured differences point where the published one does; None where either is too small to tell."""
-    neutral, least, alone = (0.0, _LEAST_DB, 0.3) if name == "psnr" else (1.0, _LEAST_RATIO, 0.1)
+    neutral, least, alone = (0.0, _MIN_DB, 0.3) if name == "psnr" else (1.0, _MIN_RATIO, 0.1)
     mean = sum(values) / len(values)
     error = alone
     if len(values) > 1:

@@ -11,7 +11,7 @@ import { bin } from "./tables.js";
 /** @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array }} Change */
 /** @typedef {{ age: number, span: number }} Elapsed - frames from the keyframe to before, and from there to after */
 
-const BLOCK = 64, LONGEST_SPAN = 255;
+const BLOCK = 64, MAX_SPAN = 255;
 
 /** @type {() => Change} */
 export const noChange = () => ({ rows: new Uint32Array(0), position: new Int32Array(0), latent: new Int32Array(0) });
@@ -145,7 +145,7 @@ function decodeLatents(coder, rows, used, scales) {
 function decodePositions(coder, rows, position, { age, span }, start) {
   const delta = new Int32Array(3 * rows.length);
   const average = [start, start, start], trend = [0, 0, 0], motion = [0, 0, 0];
-  const frames = Math.min(span, age, LONGEST_SPAN); // never further ahead than it was seen
+  const frames = Math.min(span, age, MAX_SPAN); // never further ahead than it was seen
   let before = 3 * start, mean = 3 * start;
   for (let i = 0; i < rows.length; i++) {
     let within = 0, steady = 0;

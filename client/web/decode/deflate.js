@@ -4,7 +4,7 @@ import { must } from "./packet.js";
 
 /** @typedef {import("./packet.js").Reader} Reader */
 
-const MOST_BITS = 15;
+const MAX_BITS = 15;
 const LENGTH_ORDER = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
 
 /** The number of rows that a chunk announces behind its coding. @type {(reader: Reader) => number} */
@@ -40,7 +40,7 @@ const DISTANCES = ranges(1, (i) => (i < 4 ? 0 : (i >> 1) - 1), 30);
 /** @type {(lengths: Uint8Array) => Codes} */
 function codesOf(lengths) {
   const bits = Math.max(1, ...lengths);
-  const counts = new Uint16Array(MOST_BITS + 1), next = new Uint16Array(MOST_BITS + 2);
+  const counts = new Uint16Array(MAX_BITS + 1), next = new Uint16Array(MAX_BITS + 2);
   for (const length of lengths) if (length) counts[length]++;
   let space = 1;
   for (let n = 1; n <= bits; n++) {

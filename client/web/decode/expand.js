@@ -13,10 +13,10 @@ import { FEATURE_LATENTS, HIDDEN, LATENTS } from "./scene.js";
 
 export const RECORD = 12;
 export const ROW_SPLATS = 512; // splats in one row of the renderer's texture
-export const LEAST_ALPHA = 1 / 255; // weaker splats are not drawn
+export const MIN_ALPHA = 1 / 255; // weaker splats are not drawn
 const VIEW_INPUTS = 4;
-const LOG_SCALE_LIMIT = 20;
-const SHORTEST = 1e-12, LONGEST = 1e12; // lengths of quaternions that say a rotation
+const MAX_LOG_SCALE = 20;
+const MIN_LENGTH = 1e-12, MAX_LENGTH = 1e12; // lengths of quaternions that say a rotation
 const BATCH = 256; // anchors in the kernel's memory at once
 
 /**
@@ -161,7 +161,7 @@ export class Expander {
       }
       for (let j = 0; j < 6; j++) {
         const log = level.scaling[6 * r + j] * header.scalingSteps[j];
-        const size = Math.exp(Math.min(Math.max(log, -LOG_SCALE_LIMIT), LOG_SCALE_LIMIT));
+        const size = Math.exp(Math.min(Math.max(log, -MAX_LOG_SCALE), MAX_LOG_SCALE));
         if (j >= 3) floats.size[3 * r + j - 3] = size;
         else for (let k = 0; k < slots; k++) floats.local[o + 3 * k + j] *= size;
       }
@@ -249,7 +249,7 @@ export class Expander {
       for (let k = 0; k < slots; k++) {
         const o = (first + k) * RECORD;
         const opacity = 2 * y[out + k] - 1;
-        if (!(opacity >= LEAST_ALPHA)) {
+        if (!(opacity >= MIN_ALPHA)) {
           numbers[o + 3] = 0;
           continue;
         }
@@ -274,7 +274,7 @@ export class Expander {
         numbers[o + 9] = m2 * m2 + m5 * m5 + m8 * m8;
         let sum = 0; // of finite float32 numbers it is finite, too
         for (let j = 0; j < 10; j++) sum += numbers[o + j];
-        if (!Number.isFinite(sum) || !(length >= SHORTEST && length <= LONGEST)) {
+        if (!Number.isFinite(sum) || !(length >= MIN_LENGTH && length <= MAX_LENGTH)) {
           numbers[o + 3] = 0;
           continue;
         }

@@ -1,7 +1,7 @@
 /** From packets and a view to splats in drawing order; everything between socket and screen that needs no browser. */
 
 import { SceneDecoder } from "../decode/decoder.js";
-import { Expander, LEAST_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";
+import { Expander, MIN_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";
 import { DepthSort, fillQuads } from "./sort.js";
 import { anchorCount, versionOf } from "../decode/scene.js";
 
@@ -163,7 +163,7 @@ export class Engine {
       const { base } = expander.levels[l];
       for (let r = 0; r < level.count; r++) {
         for (let s = base[r] * slots, end = s + slots; s < end; s++) {
-          if (numbers[s * RECORD + 3] >= LEAST_ALPHA) this.active[count++] = s;
+          if (numbers[s * RECORD + 3] >= MIN_ALPHA) this.active[count++] = s;
         }
       }
     });

@@ -14,7 +14,7 @@ from core.render.cpu.listing import check_pairs, list_gaussians, pack_camera, pr
 from core.render.cpu.workspace import POOL, Workspace
 from core.scene.gaussians import GaussianCloud
 
-_NEVER = np.iinfo(np.int32).max  # slot of a Gaussian that wants no gradients
+_NO_GRADIENTS = np.iinfo(np.int32).max  # in place of an index: a Gaussian that wants no gradients
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ def prepare(cloud: GaussianCloud, camera: Camera, tile_mask: Bool, stale: Bool, 
         stale=stale,
         base=base,
         records=listing.sorted_records.copy(),
-        depths=seen.depths[rows[listing.slots]],
+        depths=seen.depths[rows[listing.order]],
         offsets=listing.offsets.copy(),
         lists=listing.lists.copy(),
     )
@@ -90,7 +90,7 @@ def forward_over(workspace: Workspace, cloud: GaussianCloud, backdrop: Backdrop,
     check_pairs(int(offsets[-1]))
     lists = workspace.take("merged_lists", (int(offsets[-1]),), np.int32)
     tiles, bounds = share_tiles(drawn, counts)
-    front = (listing.offsets, listing.lists, seen.depths[rows[listing.slots]])
+    front = (listing.offsets, listing.lists, seen.depths[rows[listing.order]])
     back = (backdrop.offsets, backdrop.lists, backdrop.depths)
     merge_lists(tiles, bounds, *front, *back, still, offsets, lists)
     listing.sorted_records[:still] = backdrop.records
@@ -100,7 +100,7 @@ def forward_over(workspace: Workspace, cloud: GaussianCloud, backdrop: Backdrop,
         camera=pack_camera(camera),
         visible=rows,
         rows=rows,
-        slots=np.concatenate([np.full(still, _NEVER, np.int32), listing.slots]),
+        order=np.concatenate([np.full(still, _NO_GRADIENTS, np.int32), listing.order]),
         records=listing.records,
         sorted_records=listing.sorted_records,
         tiles=tiles,

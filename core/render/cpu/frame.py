@@ -27,7 +27,7 @@ class Frame:
         camera: [16] float32, see `pack_camera`.
         visible: [V] int32 ascending rows of the Gaussians in view, own memory.
         rows: [M] int32 those that reach a tile to be drawn, own memory.
-        slots: by depth rank, index into `rows`; beyond its end for Gaussians that never want gradients.
+        order: by depth rank, index into `rows`; beyond its end for Gaussians that never want gradients.
         records: [N,16] by row; sorted_records: [...,16] by depth rank.
         tiles, bounds: tiles rendered, and each worker's share of them. offsets, lists: the tile lists.
     """
@@ -37,7 +37,7 @@ class Frame:
     camera: Float32
     visible: Int32
     rows: Int32
-    slots: Int32
+    order: Int32
     records: Float32
     sorted_records: Float32
     tiles: Int32
@@ -100,7 +100,7 @@ def forward(
             camera=pack_camera(camera),
             visible=visible,
             rows=rows,
-            slots=listing.slots,
+            order=listing.order,
             records=listing.records,
             sorted_records=listing.sorted_records,
             tiles=tiles,
@@ -158,7 +158,7 @@ def backward(
         screen=np.zeros((len(wanted), 2), np.float32),
     )
     if len(wanted):
-        lists = (frame.sorted_records, frame.slots, frame.offsets, frame.lists)
+        lists = (frame.sorted_records, frame.order, frame.offsets, frame.lists)
         picture = (frame.image, frame.transmittance, image_gradient, light)
         differentiate_tiles(frame.tiles, frame.bounds, tiles_x, *lists, *picture, sums)
         parameters = (cloud.means, cloud.quaternions, cloud.scales, frame.camera, width, height)

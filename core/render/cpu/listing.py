@@ -37,13 +37,13 @@ class Listing:
 
     Attributes:
         rows: [M] int32 ascending rows of the Gaussians that may be drawn, own memory.
-        slots: [M] int32 depth rank -> index into `rows`, own memory.
+        order: [M] int32 depth rank -> index into `rows`, own memory.
         records: [N,16] by row. sorted_records: [room+M,16] by depth rank, behind `room` free ones.
         offsets: [T+1], lists: [pairs] depth ranks; tile t has lists[offsets[t]:offsets[t+1]].
     """
 
     rows: Int32
-    slots: Int32
+    order: Int32
     records: Float32
     sorted_records: Float32
     offsets: Int64
@@ -104,18 +104,18 @@ def list_gaussians(
         ModelError: the Gaussians are so large that their lists would not fit.
     """
     workers, tiles_x = numba.get_num_threads(), tile_grid(camera.width, camera.height)[1]
-    slots = _depth_order(seen.depths[rows])
+    order = _depth_order(seen.depths[rows])
     sorted_records = workspace.take("sorted_records", (room + len(rows), RECORD), np.float32)
     sorted_boxes = workspace.take("sorted_boxes", (len(rows), 4), np.int32)
     cursors = workspace.take("cursors", (workers, len(mask)), np.int64)
     offsets = workspace.take("offsets", (len(mask) + 1,), np.int64)
     own = sorted_records[room:]
-    count_pairs(workers, seen.records, seen.boxes, rows[slots], own, sorted_boxes, tiles_x, mask, cursors, offsets)
+    count_pairs(workers, seen.records, seen.boxes, rows[order], own, sorted_boxes, tiles_x, mask, cursors, offsets)
     pairs = int(offsets[-1])
     check_pairs(pairs, most_pairs)
     lists = workspace.take("lists", (pairs,), np.int32)
     fill_lists(workers, own, sorted_boxes, tiles_x, mask, cursors, lists)
-    return Listing(rows, slots, seen.records, sorted_records, offsets, lists)
+    return Listing(rows, order, seen.records, sorted_records, offsets, lists)
 
 
 def check_pairs(pairs: int, most: int = MAX_PAIRS) -> None:

@@ -9,8 +9,7 @@ import numba
 import torch
 from torch import Tensor
 
-from core.scene.expand import LOG_SCALE_LIMIT
-from core.scene.gaussians import GaussianCloud
+from core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud
 from core.train.kernels import decode as kernels
 from core.train.kernels.compiling import Compiled
 
@@ -116,7 +115,7 @@ def decode_reference(
     hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu()
     outputs = torch.addmm(output_bias, hidden, output_weight)
     opacity, colour, relative, rotation = torch.split(outputs, [slots, 3 * slots, 3 * slots, 4 * slots], dim=1)
-    size = scaling.clamp(-LOG_SCALE_LIMIT, LOG_SCALE_LIMIT).exp()
+    size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()
     turned = rotation.reshape(-1, 4)
     return (
         (position[:, None] + offset * size[:, None, :3]).reshape(-1, 3),

@@ -16,7 +16,7 @@ _LARGEST = np.finfo(np.float32).max
 
 @numba.njit(**SERIAL)
 def _update(value: Float32, gradient: Float32, first: Float32, second: Float32, numbers: Any) -> Any:
-    """One worker's share; from index zero on, since LLVM vectorises only what cannot count from the end."""
+    """Update one worker's slices, each indexed from 0: LLVM does not vectorise where an index may be negative."""
     rate, inverse, news1, news2, epsilon = numbers
     lost = np.int64(0)
     for i in range(value.shape[0]):

@@ -13,9 +13,9 @@ import numpy as np
 
 from core.arrays import Float32
 from core.render.cpu.kernels.inline.constants import INLINE, KERNEL, ONE, TWO, ZERO
-from core.scene.expand import LOG_SCALE_LIMIT
+from core.scene.gaussians import MAX_LOG_SCALE
 
-_LIMIT = np.float32(LOG_SCALE_LIMIT)
+_LIMIT = np.float32(MAX_LOG_SCALE)
 _LOWEST, _HIGHEST = np.float32(-87), np.float32(88)  # exponents whose exp is a normal float32
 _LOG2E, _LN2_HIGH, _LN2_LOW = np.float32(1.44269504), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _TAYLOR = tuple(np.float32(1 / f) for f in (720, 120, 24, 6, 2))
@@ -40,6 +40,7 @@ def _exp(x: Any) -> Any:
 
 @numba.njit(**INLINE)
 def _sigmoid(x: Any) -> Any:
+    """1 / (1 + exp(-x)), by `_exp`."""
     return ONE / (ONE + _exp(-x))
 
 
@@ -106,8 +107,8 @@ def differentiate(
     """The derivative of `activate`.
 
     Args:
-        offset, scaling: as it took them; size, scales, opacities, colours: as it gave them.
-        by_means, by_quaternions, by_scales, by_opacities, by_colours: the loss's derivatives, of the shapes there.
+        offset, scaling: its arguments; size, scales, opacities, colours: its results.
+        by_means, by_quaternions, by_scales, by_opacities, by_colours: derivatives of the loss by its results.
         to_outputs: out, [n,11K]. to_offset: out, [n,3K]. to_scaling: out, [n,6]. to_position: out, [n,3].
     """
     count, slots = opacities.shape

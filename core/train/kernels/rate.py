@@ -17,18 +17,20 @@ _OFFSET = np.float32(DEFAULT_OFFSET)
 
 @numba.njit(**SERIAL)
 def _size(value: Any, limit: Any) -> Any:
+    """Magnitude of a value, at most `limit`."""
     size = abs(value)
     return size if size < limit else limit  # NaN too
 
 
 @numba.njit(**SERIAL)
 def _rounded(value: Any, limit: Any) -> Any:
+    """Magnitude of a value after quantisation (`core.scene.quantise`)."""
     return np.floor(_size(value, limit) + _OFFSET)
 
 
 @numba.njit(**SERIAL)
 def _total(values: Float32, first: int, end: int, limit: Any, rows: Float32) -> float:
-    """Sum of what rows `first` to `end` round to, and that of each into `rows`."""
+    """Sum of the quantised magnitudes of rows [first, end); the sum of each row is written to `rows`."""
     total = 0.0
     for i in range(first, end):
         whole: Any = ZERO
@@ -41,7 +43,15 @@ def _total(values: Float32, first: int, end: int, limit: Any, rows: Float32) -> 
 
 @numba.njit(**SERIAL)
 def _bins(rounded: Float32, total: float, channels: int, typical: float) -> Int64:
-    """Bin of a value by what the other values of its row round to in all, from 0 to the largest of `rounded` [n]."""
+    """Bin under which a value is coded, by the sum of the other quantised magnitudes of its row.
+
+    Args:
+        rounded: [n] sum of the quantised magnitudes of each row; total: of all rows.
+        channels: values of a row. typical: weight of the average row against the row itself.
+
+    Returns:
+        [S+1] bin where the others of the row sum to 0 .. S, the largest of `rounded`.
+    """
     weight, rows = typical * channels, len(rounded)
     average = np.float32(weight * total / max(1, rows * channels))  # what the average row adds
     share = np.float32(1 / (weight + channels - 1))
@@ -58,11 +68,11 @@ def _bins(rounded: Float32, total: float, channels: int, typical: float) -> Int6
 
 @numba.njit(**SERIAL)
 def _row_bits(values: Float32, i: int, whole: Any, table: Float32, limit: Any, bins: Int64, gradient: Float32) -> Any:
-    """Bits of row `i`, which rounds to `whole` in all, and their derivatives into that of `gradient`."""
-    usual = bins[int(whole)]  # of the many values that round to zero
+    """Bits of row `i`, whose quantised magnitudes sum to `whole`; derivatives are written to row `i` of `gradient`."""
+    usual = bins[int(whole)]  # the bin of values that are quantised to zero, which most are
     start, slope = table[usual, 0], table[usual, 1] - table[usual, 0]
     sizes = ZERO
-    for c in range(values.shape[1]):  # as though all did: without branches, so that it vectorises
+    for c in range(values.shape[1]):  # as though all were: no branches, so that LLVM vectorises the loop
         value = values[i, c]
         sizes += _size(value, limit)
         gradient[i, c] = slope if value > ZERO else (-slope if value < ZERO else ZERO)
@@ -83,6 +93,7 @@ def _row_bits(values: Float32, i: int, whole: Any, table: Float32, limit: Any, b
 
 @numba.njit(**SERIAL)
 def _largest(values: Float32, i: int) -> Any:
+    """Largest magnitude of row `i`."""
     largest = ZERO
     for c in range(values.shape[1]):
         size = abs(values[i, c])
@@ -92,6 +103,7 @@ def _largest(values: Float32, i: int) -> Any:
 
 @numba.njit(**SERIAL)
 def _count(values: Float32, i: int, size: Any) -> Any:
+    """How many values of row `i` have magnitude `size`."""
     count = np.int32(0)
     for c in range(values.shape[1]):
         count += np.int32(1) if abs(values[i, c]) == size else np.int32(0)
@@ -100,6 +112,7 @@ def _count(values: Float32, i: int, size: Any) -> Any:
 
 @numba.njit(**SERIAL)
 def _add(values: Float32, i: int, size: Any, slope: Any, gradient: Float32) -> None:
+    """Add the derivative of `slope` times magnitude to `gradient` where a value of row `i` has magnitude `size`."""
     for c in range(values.shape[1]):
         value = values[i, c]
         gradient[i, c] += (slope if value == size else ZERO) - (slope if value == -size else ZERO)
@@ -107,7 +120,7 @@ def _add(values: Float32, i: int, size: Any, slope: Any, gradient: Float32) -> N
 
 @numba.njit(**SERIAL)
 def _set_bits(latent: Float32, position: Float32, i: int, price: Any, to_latent: Float32, to_position: Float32) -> Any:
-    """Bits for telling that row `i` changes; their derivatives are added."""
+    """Bits that say that row `i` changes, at most `price`; derivatives are added to `to_latent` and `to_position`."""
     size = max(_largest(latent, i), _largest(position, i))
     if ZERO < size <= ONE:  # shared among the largest, as torch shares the gradient of a maximum
         slope = price / np.float32(_count(latent, i, size) + _count(position, i, size))
@@ -127,12 +140,12 @@ def residual_bits(
     to_latent: Float32,
     to_position: Float32,
 ) -> float:
-    """Bits as `core.train.optimise.rate` says, and their derivatives.
+    """Bits of the residuals of n anchors (`core.train.optimise.rate`), and their derivatives.
 
     Args:
         sums: [workers,3] work memory.
-        latent: [n,24]. position: [n,3]. table: [BINS,H+1] bits of each magnitude.
-        typical: weight of the average anchor. set_bits: float32, of an anchor that changes.
+        latent: [n,24]. position: [n,3]. table: [BINS,H+1] bits of each magnitude 0 .. H.
+        typical: weight of the average anchor. set_bits: float32, bits that say that an anchor changes.
         to_latent, to_position: out, of the shapes of `latent` and `position`.
     """
     workers, count = sums.shape[0], latent.shape[0]

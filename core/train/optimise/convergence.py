@@ -7,7 +7,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-_WINDOW, _SHORTEST = 0.025, 25  # share of the run, and steps, over whose length losses are compared
+_WINDOW, _MIN_STEPS = 0.025, 25  # share of the run, and steps, over whose length losses are compared
 PLATEAU_STEP_FACTOR = 4  # steps of the schedule that one step counts for while the loss hardly falls
 
 
@@ -36,7 +36,7 @@ class PlateauProgress:
 
     def __init__(self, steps: int, least_gain: float, marks: tuple[float, ...]) -> None:
         self._steps, self._least_gain, self._marks = steps, least_gain, marks
-        self._length = max(round(_WINDOW * steps), _SHORTEST)
+        self._length = max(round(_WINDOW * steps), _MIN_STEPS)
         self._done, self._step_factor = 0, 1
         self._phase = -1
         self._window: list[tuple[int, Tensor]] = []

@@ -13,7 +13,7 @@ from torch import Tensor
 from core.arrays import UInt8
 from core.frames import FrameSet
 
-_MOST = 4  # frames on their way or waiting; a reader that is further ahead than that sends in vain
+_MAX_FRAMES = 4  # frames on their way or waiting; a reader that is further ahead than that sends in vain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class Uploader:
         self._device = device
         self._module: Any = torch.get_device_module(device)
         self._stream: Any = None if device == "cpu" else self._module.Stream(device)
-        self._waiting, self._lock = deque[_Sent](maxlen=_MOST), threading.Lock()
+        self._waiting, self._lock = deque[_Sent](maxlen=_MAX_FRAMES), threading.Lock()
 
     def begin(self, frames: FrameSet) -> None:
         """Send the pictures of `frames` now; does not wait for their arrival. The oldest not yet taken give way."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,6 +29,16 @@ def test_the_list_has_every_part_that_can_be_warmed() -> None:
 
 def test_the_codec_is_warmed() -> None:
     warming.WARM_UPS["codec"]()
+
+
+def test_warming_compiles_every_kernel_and_leaves_training_nothing_to_compile() -> None:
+    """In a process of its own, so that no other test has compiled anything there."""
+    command = [sys.executable, "-m", "tests.server.pipeline.warmed"]
+    answer = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT, timeout=110)
+    found = json.loads(answer.stdout.splitlines()[-1])
+    assert found["kernels"] > 100
+    assert found["cold"] == [], "have the warm-up of their package call them"
+    assert found["late"] == [], "are called with other types than their warm-up uses"
 
 
 def test_rehearsing_trains_and_refuses_what_training_would() -> None:

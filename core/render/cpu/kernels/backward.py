@@ -57,14 +57,14 @@ from core.render.cpu.kernels.inline.simd import (
 )
 from core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part
 
-_AHEAD = 8
-_CHECK = 32
+_AHEAD = 8  # list entries between asking for a record and using it
+_CHECK = 32  # Gaussians between looks at whether the tile is finished
 _BEHIND = 4 * TILE_PIXELS  # planes of `pixels`: transmittance, dL/d red, green, blue, rem
 
 
 @njit(**INLINE)
 def _absorb(pixels: Float32, at: Any, gaussian: Any, dx: Any, by: Any, cyy: Any) -> Any:
-    """Pass one Gaussian at eight pixels: its weight and dL/dsigma."""
+    """Blend one Gaussian into eight pixels; returns its weight and dL/dsigma there."""
     conic_a, opacity, cut, red, green, blue = gaussian
     exponent = (conic_a * dx + by) * dx + cyy
     transmittance = load(pixels, at)
@@ -107,6 +107,7 @@ def _accumulate(pixels: Float32, at: Any, gaussian: Any, dx: Any, dy: Any, by: A
 
 @njit(**INLINE)
 def _broadcast(record: Float32) -> Any:
+    """The fields of a record that `_absorb` needs, each spread over eight lanes."""
     return (
         splat(record[CONIC_A]),
         splat(record[OPACITY]),
@@ -137,7 +138,7 @@ def _sum_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) -
 
 @njit(**INLINE)
 def _pass_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) -> None:
-    """One Gaussian whose gradient nobody wants: the pixels advance, nothing is summed."""
+    """Blend a Gaussian that wants no gradients: the pixels are updated, its sums are not computed."""
     gaussian, conic_b, conic_c = _broadcast(record), record[CONIC_B], record[CONIC_C]
     top, bottom, left, right = reached_part(record, x, y, rows)
     for row in range(top, bottom + 1):
@@ -160,7 +161,7 @@ def _load_tile(
     light_gradient: Float32,
     pixels: Float32,
 ) -> None:
-    """Fill the five planes of a tile. light_gradient: [H,W] dL/dT, or [0,0] for none."""
+    """Initialise the five planes of a tile. light_gradient: [H,W] dL/dT, or [0,0] for none."""
     with_light = light_gradient.shape[0] > 0
     for p in range(TILE_PIXELS):
         pixels[p] = -ONE
@@ -179,9 +180,9 @@ def _load_tile(
 
 
 @njit(**INLINE)
-def _end_of_wanted(start: Any, stop: Any, slots: Int32, lists: Int32, wanted: Any) -> Any:
-    """Where to stop in the list [start, stop): behind its last Gaussian that wants a gradient, no sum changes."""
-    while stop > start and slots[lists[stop - 1]] >= wanted:
+def _end_of_wanted(start: Any, stop: Any, order: Int32, lists: Int32, wanted: Any) -> Any:
+    """End of the part of the list [start, stop) that matters: behind the last Gaussian that wants gradients."""
+    while stop > start and order[lists[stop - 1]] >= wanted:
         stop -= 1
     return stop
 
@@ -191,7 +192,7 @@ def _differentiate_tile(
     tile: int,
     tiles_x: int,
     records: Float32,
-    slots: Int32,
+    order: Int32,
     offsets: Int64,
     lists: Int32,
     image: Float32,
@@ -201,8 +202,9 @@ def _differentiate_tile(
     sums: Float32,
     pixels: Float32,
 ) -> None:
+    """Add the gradients of one tile to `sums` [G,9]. pixels: work memory, five planes of a tile."""
     start, wanted = offsets[tile], sums.shape[0]
-    stop = _end_of_wanted(start, offsets[tile + 1], slots, lists, wanted)
+    stop = _end_of_wanted(start, offsets[tile + 1], order, lists, wanted)
     if stop == start:
         return
     tile_y = tile // tiles_x
@@ -212,15 +214,15 @@ def _differentiate_tile(
     for entry in range(start, stop):
         ahead = lists[min(entry + _AHEAD, stop - 1)]
         prefetch(records, np.int64(ahead) * RECORD)
-        prefetch(sums, np.int64(min(slots[ahead], wanted - 1)) * SUMS)
+        prefetch(sums, np.int64(min(order[ahead], wanted - 1)) * SUMS)
         rank = lists[entry]
-        record, slot = records[rank], np.int64(slots[rank])
+        record, own_row = records[rank], np.int64(order[rank])
         x, y = record[MEAN_X] - (np.float32(x0) + HALF), record[MEAN_Y] - (np.float32(y0) + HALF)
-        if slot < wanted:
+        if own_row < wanted:
             red, green, blue, s1, sx, sy, sxx, sxy, syy = _sum_gaussian(pixels, record, x, y, rows)
-            at = slot * SUMS
+            at = own_row * SUMS
             store(sums, at, load(sums, at) + lane_sums(red, green, blue, s1, sx, sy, sxx, sxy))
-            sums[slot, SUMS - 1] += lane_sum(syy)
+            sums[own_row, SUMS - 1] += lane_sum(syy)
         else:
             _pass_gaussian(pixels, record, x, y, rows)
         if (entry - start) % _CHECK == _CHECK - 1 and not any_unfinished(pixels):
@@ -233,7 +235,7 @@ def differentiate_tiles(
     bounds: Int64,
     tiles_x: int,
     records: Float32,
-    slots: Int32,
+    order: Int32,
     offsets: Int64,
     lists: Int32,
     image: Float32,
@@ -246,7 +248,7 @@ def differentiate_tiles(
 
     Args:
         tiles, bounds, tiles_x, records, offsets, lists: as for `blend_tiles`.
-        slots: [M] row of `sums` of each depth rank; those beyond its rows get no gradient.
+        order: [M] row of `sums` for each depth rank; a number beyond its last row means no gradients.
         image [H,W,3], transmittance [H,W]: as rendered. image_gradient [H,W,3]; light_gradient [H,W] or [0,0].
         sums: out, [workers,G,9] see `constants`.
     """
@@ -259,7 +261,7 @@ def differentiate_tiles(
                 tiles[k],
                 tiles_x,
                 records,
-                slots,
+                order,
                 offsets,
                 lists,
                 image,

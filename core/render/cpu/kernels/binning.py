@@ -1,8 +1,8 @@
 """Tile lists: for each tile, the depth ranks of the Gaussians that reach it, near to far.
 
-A counting sort: every worker takes a slice of the depth order, counts, and then writes behind the workers before it.
-Lists come out in depth order, whatever the number of workers, and pairs are never sorted. Lists of still Gaussians,
-made once, and of moving ones, made at every step, are merged by depth.
+A counting sort: every worker takes a slice of the depth order and counts its entries of each list; then it writes them
+behind those of the workers before it. So lists are in depth order, whatever the number of workers, and nothing is
+sorted by tile. Lists of still Gaussians, made once, and of moving ones, made at every step, are merged by depth.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from core.render.cpu.kernels.inline.constants import KERNEL, RECORD, SERIAL
 from core.render.cpu.kernels.inline.simd import prefetch
 from core.render.cpu.kernels.inline.tile import tile_span
 
-_AHEAD = 16
+_AHEAD = 16  # records between asking for one and using it
 
 
 @njit(**SERIAL)
@@ -31,6 +31,7 @@ def _count_slice(
     tile_mask: UInt8,
     counts: Int64,
 ) -> None:
+    """Copy ranks [start, stop) into depth order and count, for each tile, how many of them its list gets."""
     counts[:] = 0
     last = rows.shape[0] - 1
     for rank in range(start, stop):
@@ -59,6 +60,7 @@ def _fill_slice(
     cursor: Int64,
     lists: Int32,
 ) -> None:
+    """Append ranks [start, stop) to the lists, each at its tile's `cursor`, which moves on."""
     for rank in range(start, stop):
         record, box = sorted_records[rank], sorted_boxes[rank]
         single = box[1] - box[0] == 1 or box[3] - box[2] == 1
@@ -89,7 +91,7 @@ def count_pairs(
         records [N,16], boxes [N,4]: from `project`. rows: [M] rows of the visible Gaussians, near to far.
         sorted_records [M,16], sorted_boxes [M,4]: out, in depth order.
         tile_mask: [T] 1 where a tile is wanted, 0 elsewhere.
-        cursors: out, [workers,T] where each worker writes first.
+        cursors: out, [workers,T] index into the lists at which each worker begins to write.
         offsets: out, [T+1] list t is [offsets[t], offsets[t+1]).
     """
     count = rows.shape[0]
@@ -116,7 +118,7 @@ def fill_lists(
     cursors: Int64,
     lists: Int32,
 ) -> None:
-    """Write the lists, [pairs] depth ranks, where `count_pairs` said; consumes `cursors`."""
+    """Write the lists, [pairs] depth ranks, at the places that `count_pairs` found; overwrites `cursors`."""
     count = sorted_records.shape[0]
     for w in prange(workers):
         start, stop = count * w // workers, count * (w + 1) // workers
@@ -127,6 +129,7 @@ def fill_lists(
 def _merge_tile(
     front: Int32, front_depths: Float32, back: Int32, back_depths: Float32, shift: int, merged: Int32
 ) -> None:
+    """Merge the lists `front` and `back` of one tile into `merged`; see `merge_lists`."""
     i, j = 0, 0
     for k in range(merged.shape[0]):
         if j == back.shape[0] or (i < front.shape[0] and front_depths[front[i]] <= back_depths[back[j]]):

@@ -26,7 +26,7 @@ from core.render.cpu.kernels.inline.tile import ellipse_span, tile_span
 
 @njit(**{**SERIAL, "cache": True})
 def mark_tiles(records: Float32, depths: Float32, padding: Any, dilation: Any, mask: UInt8) -> None:
-    """Mark in `mask` [tiles_y,tiles_x] what the visible Gaussians reach when each may move `dilation` pixels.
+    """Set `mask` [tiles_y,tiles_x] to 1 at tiles that a visible Gaussian reaches if it may move `dilation` pixels.
 
     padding: what was added to each side of the picture before projecting, float32 pixels.
     """
@@ -55,6 +55,7 @@ def mark_tiles(records: Float32, depths: Float32, padding: Any, dilation: Any, m
 
 @njit(**SERIAL)
 def _touches(record: Float32, box: Int32, mask: UInt8) -> bool:
+    """Whether a Gaussian reaches a tile of `mask` [tiles_y,tiles_x]."""
     single = box[1] - box[0] == 1 or box[3] - box[2] == 1
     for tile_y in range(box[2], box[3]):
         start, stop = tile_span(record, box[0], box[1], tile_y, single)

@@ -104,6 +104,7 @@ def _blend_tile(
     transmittance: Float32,
     pixels: Float32,
 ) -> None:
+    """Render one tile. pixels: work memory, four planes of a tile: transmittance, red, green, blue."""
     tile_y = tile // tiles_x
     x0, y0 = (tile - tile_y * tiles_x) * TILE_WIDTH, tile_y * TILE_HEIGHT
     rows, columns = min(TILE_HEIGHT, image.shape[0] - y0), min(TILE_WIDTH, image.shape[1] - x0)

@@ -42,8 +42,8 @@ def _add_taps(x: Float32, y: Float32, left: Any, right: Any, weight: Any, sums: 
 
 
 @njit(**SERIAL)
-def _blur_pictures(x: Float32, y: Float32, ring: Float32, slot: int) -> None:
-    """Horizontal blurs of x, y, x^2, y^2, xy of one row into `slot` of the ring [5,11,F]. x, y: rows with margins."""
+def _blur_pictures(x: Float32, y: Float32, ring: Float32, line: int) -> None:
+    """Horizontal blurs of x, y, x^2, y^2, xy of one row, into `line` of the ring [5,11,F]. x, y: rows with margins."""
     floats = ring.shape[2]
     plane = _TAPS * floats
     for j in range(0, floats, LANES):
@@ -54,7 +54,7 @@ def _blur_pictures(x: Float32, y: Float32, ring: Float32, slot: int) -> None:
         sums = _add_taps(x, y, at - 9, at + 9, _W3, sums)
         sums = _add_taps(x, y, at - 12, at + 12, _W4, sums)
         sums = _add_taps(x, y, at - 15, at + 15, _W5, sums)
-        at = slot * floats + j
+        at = line * floats + j
         store(ring, at, sums[0])
         store(ring, at + plane, sums[1])
         store(ring, at + 2 * plane, sums[2])
@@ -63,8 +63,8 @@ def _blur_pictures(x: Float32, y: Float32, ring: Float32, slot: int) -> None:
 
 
 @njit(**SERIAL)
-def _blur_slopes(slopes: Float32, ring: Float32, slot: int) -> None:
-    """Horizontal blurs of the three slope rows [3,F+2 margins] into `slot` of the ring [3,11,F]."""
+def _blur_slopes(slopes: Float32, ring: Float32, line: int) -> None:
+    """Horizontal blurs of the three slope rows [3,F+2 margins], into `line` of the ring [3,11,F]."""
     floats, length = ring.shape[2], slopes.shape[1]
     for k in range(_SLOPE_BLURS):
         for j in range(0, floats, LANES):
@@ -75,7 +75,7 @@ def _blur_slopes(slopes: Float32, ring: Float32, slot: int) -> None:
             total += _W3 * (load(slopes, at - 9) + load(slopes, at + 9))
             total += _W4 * (load(slopes, at - 12) + load(slopes, at + 12))
             total += _W5 * (load(slopes, at - 15) + load(slopes, at + 15))
-            store(ring, (k * _TAPS + slot) * floats + j, total)
+            store(ring, (k * _TAPS + line) * floats + j, total)
 
 
 @njit(**INLINE)
@@ -165,6 +165,7 @@ def _copy_row(picture: Float32, row: int, first: int, out: Float32) -> None:
 
 @njit(**SERIAL)
 def _sum_floats(values: Float32) -> Any:
+    """Sum of `values`, as a loop that LLVM vectorises."""
     total = ZERO
     for j in range(values.shape[0]):
         total += values[j]
@@ -197,28 +198,28 @@ def _band(
     inside_right = min(width, right + _EDGE) - (left - _EDGE)
     l1, dissimilarity = 0.0, 0.0
     for row in range(top - 2 * RADIUS, bottom + 2 * RADIUS):
-        slot = (row - top + 2 * RADIUS) % _TAPS
+        line = (row - top + 2 * RADIUS) % _TAPS
         if 0 <= row < height:
             _copy_row(x, row, left - 2 * _EDGE, x_row)
             _copy_row(y, row, left - 2 * _EDGE, y_row)
-            _blur_pictures(x_row, y_row, ring, slot)
+            _blur_pictures(x_row, y_row, ring, line)
         else:
-            ring[:, slot] = ZERO
+            ring[:, line] = ZERO
         middle = row - RADIUS
         if middle < top - RADIUS:
             continue
         if 0 <= middle < height:
-            _similarity_row(ring, slot, similarity, slopes)
+            _similarity_row(ring, line, similarity, slopes)
             slopes[:, :inside_left] = ZERO
             slopes[:, inside_right:] = ZERO
-            _blur_slopes(slopes, slope_ring, slot)
+            _blur_slopes(slopes, slope_ring, line)
             if top - above <= middle < bottom + below:
                 dissimilarity += inside_right - inside_left - _sum_floats(similarity[inside_left:inside_right])
         else:
-            slope_ring[:, slot] = ZERO
+            slope_ring[:, line] = ZERO
         done = middle - RADIUS
         if done >= top:
-            _blur_slopes_down(slope_ring, slot, blurred)
+            _blur_slopes_down(slope_ring, line, blurred)
             l1 += _gradient_row(
                 x[done, left:right],
                 y[done, left:right],

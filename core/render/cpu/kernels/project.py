@@ -40,7 +40,7 @@ from core.render.cpu.kernels.inline.geometry import (
 )
 
 _INVISIBLE = np.float32(-1)
-_SMALLEST = np.float32(1e-12)
+_MIN_DETERMINANT = np.float32(1e-12)  # pixels^4; flatter ellipses cannot be inverted
 _ALPHA_LEVELS = np.float32(255)
 
 
@@ -60,7 +60,7 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
     boxes: Int32,
     depths: Float32,
 ) -> None:
-    """Rows [start, stop) of `project`. Every cull is written so that a NaN fails it."""
+    """Rows [start, stop) of `project`. Every test is written such that a Gaussian with a NaN is left out."""
     wide, high = np.float32(width), np.float32(height)
     low_x, high_x, low_y, high_y = slope_limits(camera, wide, high)
     for i in range(start, stop):
@@ -94,7 +94,7 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
         colour = abs(colours[i, 0]) + abs(colours[i, 1]) + abs(colours[i, 2])
         if not (colour < COLOUR_MAX) or not (abs(mean_x) + abs(mean_y) + determinant < FINITE):
             continue
-        if not (determinant > _SMALLEST):
+        if not (determinant > _MIN_DETERMINANT):
             continue
 
         # Box of the ellipse where alpha falls to 1/255: sigma = cut.

@@ -89,6 +89,7 @@ def _differentiate_rows(  # noqa: PLR0915 - one formula, in one place
     to_colours: Float32,
     to_screen: Float32,
 ) -> None:
+    """Rows [start, stop) of `differentiate_projection`."""
     low_x, high_x, low_y, high_y = slope_limits(camera, np.float32(width), np.float32(height))
     fx, fy = camera[FOCAL_X], camera[FOCAL_Y]
     total = np.empty(SUMS, np.float32)
@@ -198,7 +199,7 @@ def differentiate_projection(
     to_colours: Float32,
     to_screen: Float32,
 ) -> None:
-    """Add up the slabs and go back through the projection.
+    """Add up the workers' slabs of sums, and differentiate the projection.
 
     Args:
         rows: [G] ascending rows of the visible Gaussians that want gradients; sums: [slabs,G,9] in their order.

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from core.frames import FrameSet
-from core.train.pictures.uploading import _MOST, Uploader
+from core.train.pictures.uploading import _MAX_FRAMES, Uploader
 
 
 @pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.cuda)])
@@ -38,10 +38,10 @@ def test_what_was_sent_ahead_is_taken_once(device: str) -> None:
 
 
 def test_only_a_few_wait(device: str) -> None:
-    uploader, frames = Uploader(device), filmed(_MOST + 3)
+    uploader, frames = Uploader(device), filmed(_MAX_FRAMES + 3)
     for frame in frames:
         uploader.begin(frame)
-    assert len(uploader._waiting) == _MOST
+    assert len(uploader._waiting) == _MAX_FRAMES
     for frame in frames:  # those that gave way are sent again
         assert torch.equal(uploader.take(frame).cpu(), Uploader("cpu").take(frame))
 

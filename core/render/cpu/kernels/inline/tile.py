@@ -1,4 +1,4 @@
-"""What binning, forward and backward do alike: which part of a tile a Gaussian can reach, and its falloff."""
+"""Shared by binning, forward and backward: which part of a tile a Gaussian can reach, and its falloff."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from core.render.cpu.kernels.inline.simd import above, higher_of, keep_where, la
 
 # exp(8 x) = p(x)^8: a polynomial of degree 5 on [-0.78, 0], squared three times; relative error 3e-6. That is range
 # enough, since alpha >= 1/255 means sigma <= ln(255 OPACITY_MAX) = 6.234.
-_LOWEST = np.float32(-0.78)
+_MIN_EXPONENT = np.float32(-0.78)
 _P0, _P1, _P2 = np.float32(0.999999848), np.float32(0.999987331), np.float32(0.499822211)
 _P3, _P4, _P5 = np.float32(0.165728661), np.float32(0.0393661515), np.float32(0.00561156715)
 _SLACK = np.float32(1e-3)  # of a tile, against rounding where an ellipse touches a tile's edge
@@ -43,7 +43,7 @@ _SLACK = np.float32(1e-3)  # of a tile, against rounding where an ellipse touche
 @njit(**INLINE)
 def exp_of_8(x: Any) -> Any:
     """exp(8 x), lane by lane; x below -0.78 counts as -0.78, above 0 as 0."""
-    x = lower_of(higher_of(x, _LOWEST), ZERO)
+    x = lower_of(higher_of(x, _MIN_EXPONENT), ZERO)
     p = x * _P5 + _P4
     p = p * x + _P3
     p = p * x + _P2
@@ -72,7 +72,7 @@ def ellipse_span(record: Float32, top: Any, bottom: Any) -> Any:
 def tile_span(record: Float32, first: Any, last: Any, tile_y: Any, single: Any) -> Any:
     """Tiles [start, stop) of row `tile_y` that the ellipse alpha = 1/255 touches, within its box's [first, last).
 
-    single: the box is one tile wide or high, so that the box says it all.
+    single: the box is one tile wide or high, so that all its tiles are touched.
     """
     start, stop = np.int64(first), np.int64(last)
     if not single:
@@ -93,7 +93,7 @@ def reached_part(record: Float32, x: Any, y: Any, rows: Any) -> Any:
     """
     top = max(0, math.ceil(max(y - record[EXTENT_Y], ZERO)))
     bottom = math.floor(min(y + record[EXTENT_Y], np.float32(rows - 1)))
-    # Both held inside the tile: by rounding, a list may name a Gaussian that ends a hair before the tile's edge.
+    # Clamped into the tile: after rounding, a list may name a Gaussian that ends just before the tile's edge.
     edge = np.float32(TILE_WIDTH - 1)
     left = int(min(max(x - record[EXTENT_X], ZERO), edge)) // LANES
     right = int(max(min(x + record[EXTENT_X], edge), ZERO)) // LANES
