@@ -24,7 +24,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from codec.packet.info import peek
-from core.errors import InputError, ModelError
+from core.errors import InputError, ModelError, SessionError
 from core.synthetic import SyntheticSpec, open_synthetic
 from server.ingest.metrics import ingest_families
 from server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
@@ -84,11 +84,12 @@ class Node:
             pass
         intake, begin = RelayedIntake(self._socket), time.time_ns()
         number = 0
-        while not self._stopping.wait(max(0.0, (begin + number * 1e9 / FPS - time.time_ns()) / 1e9)):
-            capture = begin + number * 1_000_000_000 // FPS
-            for name, picture in zip(names, pictures[number % len(pictures)], strict=True):
-                intake.accept(PushMessage(name, number, capture, Codec.PNG, picture))
-            number += 1
+        with contextlib.suppress(SessionError):  # training that has all its frames takes no more
+            while not self._stopping.wait(max(0.0, (begin + number * 1e9 / FPS - time.time_ns()) / 1e9)):
+                capture = begin + number * 1_000_000_000 // FPS
+                for name, picture in zip(names, pictures[number % len(pictures)], strict=True):
+                    intake.accept(PushMessage(name, number, capture, Codec.PNG, picture))
+                number += 1
             if number >= self._instants:
                 self._stopping.wait()
         intake.close()

@@ -31,6 +31,7 @@ VALUES: dict[str, tuple[str, Any]] = {
     "id": ("stage", "stage"),
     "play": ("a.slod", "a.slod"),
     "loop": ("", False),
+    "on_demand": ("", True),
     "data": ("clip", "clip"),
     "live": ("rig.json", "rig.json"),
     "synthetic": (
@@ -108,7 +109,9 @@ def from_file(folder: Path) -> Callable[[dict[str, Any]], StreamSpec]:
 
 def words_of(option: Option, text: str) -> list[str]:
     name = f"--{option.name.replace('_', '-')}"
-    return [f"--no-{option.name}"] if bool in (option.type, *get_args(option.type)) else [name, text]
+    if bool not in (option.type, *get_args(option.type)):
+        return [name, text]
+    return [name.replace("--", "--no-", 1) if option.default is True else name]
 
 
 def schemas() -> dict[str, dict[str, Any]]:
@@ -152,7 +155,7 @@ def test_help_default_and_bounds_are_the_same_everywhere(option: Option) -> None
         for word, bound in (("minimum", option.minimum), ("maximum", option.maximum)):
             assert (f"'{word}': {bound}" in text) == (bound is not None), (place, word)
         assert [choice for choice in option.choices if choice not in text] == []
-    default = {(): "[]", None: "none", True: "true"}.get(option.default, option.default)
+    default = {"()": "[]", "None": "none", "True": "true", "False": "false"}.get(str(option.default), option.default)
     assert f"| `{option.name}` | {default} | {option.help} |" in PAGE
 
 
