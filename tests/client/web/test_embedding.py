@@ -122,7 +122,9 @@ def test_the_wheel_is_the_pages_until_a_click(page: Any, site: Site) -> None:
     page.mouse.move(160, 120)
     page.mouse.wheel(0, 60)
     page.wait_for_function("scrollY === 60", **WAIT)  # it may scroll smoothly
+    page.wait_for_timeout(1000)  # a wheel that follows at once belongs to the same scroll, whatever the page says to it
     page.evaluate("scrollTo(0, 0)")
+    page.wait_for_function("scrollY === 0", **WAIT)
     assert page.evaluate("player.state()")["camera"] == before
     page.mouse.click(160, 120)
     page.mouse.wheel(0, 60)
