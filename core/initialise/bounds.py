@@ -52,9 +52,7 @@ def geometric_bounds(cameras: Sequence[Camera]) -> tuple[float, float]:
     """
     centres = np.stack([camera.centre for camera in cameras])
     between = np.linalg.norm(centres[:, None] - centres[None], axis=2)
-    width = float(between.max())
-    if width <= 0:
-        raise InputError("cameras", "at least two of them must stand at different places to find depth")
+    width = rig_width(cameras)
     depths = width * np.geomspace(*_SEARCH)
     shared = np.array([np.median([_shared(cameras, index, d) for index in range(len(cameras))]) for d in depths])
     if shared.max() <= 0:
@@ -64,6 +62,21 @@ def geometric_bounds(cameras: Sequence[Camera]) -> tuple[float, float]:
     focal = np.median([camera.intrinsics[1, 1] / camera.height for camera in cameras])
     far = float(np.median(between.min(axis=1)) * focal / _PARALLAX)
     return near, max(far, 4 * near)
+
+
+def rig_width(cameras: Sequence[Camera]) -> float:
+    """The largest distance between two cameras, in world units.
+
+    Raises:
+        InputError: all cameras stand at one place.
+    """
+    centres = np.stack([camera.centre for camera in cameras])
+    width = float(np.linalg.norm(centres[:, None] - centres[None], axis=2).max())
+    if width <= 0:
+        raise InputError(
+            "cameras", "at least two of them must stand at different places to find depth; use a points file or random"
+        )
+    return width
 
 
 def _shared(cameras: Sequence[Camera], index: int, depth: float) -> float:

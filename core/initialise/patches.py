@@ -20,6 +20,7 @@ from core.initialise.sweep import DepthMap, neighbours, pair_geometry
 from core.initialise.views import WorkingViews
 
 _CHANGE = 0.1  # of the depth, tried in the first pass; half of it in each pass after it
+_COUNTED = 2  # sources whose costs are averaged (patch_kernel.py)
 _AROUND = 1.02  # factor by which depths may lie outside the bounds
 
 
@@ -77,7 +78,7 @@ def slanted(
         replace(
             depth_map,
             depth=np.asarray(1 / held[index], np.float32),
-            cost=_certain_cost(_pairs(views, index, weights[index], held), planes[index], search),
+            cost=_certain_cost(_pairs(views, index, weights[index], held), planes[index], limits[1], search),
         )
         for index, depth_map in enumerate(maps)
     ]
@@ -108,12 +109,18 @@ def _pairs(views: WorkingViews, index: int, weights: Float32, held: list[Float64
     return Pairs(views.images[index], weights, views.images[sources], rays, shifts, back_rays, back_shifts, inverse)
 
 
-def _certain_cost(pairs: Pairs, planes: Float64, search: Search) -> Float32:
-    """[H,W] what `planes` cost by the pictures alone, `UNSEEN` where depths beside them cost no more."""
+def _certain_cost(pairs: Pairs, planes: Float64, nearest: float, search: Search) -> Float32:
+    """[H,W] what `planes` cost by the pictures alone, `UNSEEN` where depths beside them cost no more.
+
+    Args:
+        nearest: largest inverse depth of the search.
+    """
+    shift = np.sort(np.linalg.norm(pairs.shifts, axis=1))[:_COUNTED][-1]
+    if shift * nearest < search.flat_pixels:  # cameras in one place: no depth moves anything in the picture
+        return np.full(planes.shape[:2], UNSEEN, np.float32)
+    step = search.flat_pixels / shift
     cost, beside = (np.empty(planes.shape[:2], np.float32) for _ in range(2))
     plane_costs(pairs, 0.0, planes, cost)
-    shifts = np.sort(np.linalg.norm(pairs.shifts, axis=1))
-    step = search.flat_pixels / shifts[min(1, len(shifts) - 1)]
     margin = np.full(cost.shape, np.inf, np.float32)
     for side in (-step, step):
         moved = planes + np.array([side, 0.0, 0.0])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from core.errors import InputError
 from core.frames import PointCloud
-from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed
+from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed, rig_width
 from core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
 from core.initialise.equalise import equalised, with_equal_means
 from core.initialise.method import PointSources
@@ -34,7 +34,9 @@ class PlaneSweep:
     most_planes: int = 384
     search: Search = field(default_factory=Search)
     trust: Trust = field(default_factory=Trust)
-    trust_slanted: Trust = field(default_factory=lambda: Trust(0.02, 0.8, 1.0, 0.004))
+    trust_slanted: Trust = field(
+        default_factory=lambda: Trust(tolerance=0.02, cost_by_one=0.8, cost_by_more=1.0, smallest_piece=0.004)
+    )
 
     def find(self, sources: PointSources) -> PointCloud:
         """Points by plane sweep and cross-view consistency.
@@ -50,6 +52,7 @@ class PlaneSweep:
         """`find`, of pictures of the working size."""
         if len(views) < 2:
             raise InputError("plane sweep", "needs pictures of at least two cameras; use a points file or random")
+        rig_width(views.cameras)  # must not be zero
         widest = depth_bounds or geometric_bounds(views.cameras)
         coarse = views.resized(COARSE_HEIGHT)
         first = sweep_views(with_equal_means(coarse), widest, COARSE_PLANES)

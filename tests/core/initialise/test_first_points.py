@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,17 @@ def test_one_camera_has_no_depth(frame: FrameSet) -> None:
     present = np.array([True, False, False, False, False])
     with pytest.raises(InputError, match="one camera alone"):
         first_points(FrameSet(0, 0, frame.images, present), DATASET.cameras, depth_bounds=None)
+
+
+@pytest.mark.parametrize("bounds", [None, (1.0, 8.0)])
+def test_cameras_in_one_place_have_no_depth(frame: FrameSet, bounds: tuple[float, float] | None) -> None:
+    with pytest.raises(InputError, match="at different places"):
+        first_points(
+            FrameSet(0, 0, frame.images[[0, 0]], frame.present[[0, 0]]),
+            (DATASET.cameras[0], replace(DATASET.cameras[0], name="twin")),
+            depth_bounds=bounds,
+            method="sweep",
+        )
 
 
 def test_bounds_of_a_ring_hold_what_it_looks_at() -> None:

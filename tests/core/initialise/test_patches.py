@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -129,3 +131,13 @@ def test_depths_of_what_has_no_texture_are_ambiguous() -> None:
     plain = views(amplitude=0.0)
     maps = slanted(plain, sweep_views(plain, BOUNDS, 32), BOUNDS)
     assert all((one.cost == UNSEEN)[8:-8, 16:-16].all() for one in maps)
+
+
+def test_cameras_in_one_place_measure_no_depth() -> None:
+    """Without parallax every depth matches equally well."""
+    textured = floor_picture(CAMERAS[1])
+    turned = replace(CAMERAS[1], name="turned", world_to_camera=look_at(CAMERAS[1].centre, np.array([0.2, 1.5, 0.0]), UP))
+    for second, picture in ((CAMERAS[1], textured), (turned, floor_picture(turned))):
+        together = WorkingViews((CAMERAS[1], second), np.stack([textured, picture]))
+        maps = slanted(together, sweep_views(together, BOUNDS, 32), BOUNDS)
+        assert all((one.cost == UNSEEN).all() for one in maps)
