@@ -111,7 +111,7 @@ class Trainer:
         with watch.stage("seed"):
             generator = torch.Generator().manual_seed(self._config.seed)
             field = seed_field(points, self._cameras, self._config.model, generator).to(self._device)
-            space = near_space(points, self._cameras, self._device)
+            space = near_space(points, self._cameras) if self._config.keyframe.clearance > 0 else None
             trainer = KeyframeTrainer(field, views, self._config, self._backend, space=space)
 
         def preview() -> Scene:

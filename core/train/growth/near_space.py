@@ -13,8 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from core.arrays import Float64
 from core.camera import Camera
 from core.frames import PointCloud
+from core.initialise.views import inside, project
 from core.train.field.field import Field
 
 _NEAREST = 0.01  # quantile of the depths of the first points that a camera sees: single points may be wrong
@@ -25,36 +27,35 @@ class NearSpace:
     """How near the scene begins before each of C cameras.
 
     Attributes:
-        projection: [C,3,4] from world to homogeneous pixels, in units of the picture's width and height.
+        cameras: C pinhole cameras.
         nearest: C depths in world units, 0 where a camera sees no first point.
     """
 
-    projection: Tensor
+    cameras: tuple[Camera, ...]
     nearest: tuple[float, ...]
 
     @torch.no_grad()
     def astray(self, field: Field, clearance: float) -> Tensor:
         """[N] anchors all of whose Gaussians are unseen, or nearer to a camera than `clearance` of its nearest."""
-        means = (field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]).flatten(0, 1)
-        seen = torch.zeros(len(means), dtype=torch.bool, device=means.device)
-        near = torch.zeros_like(seen)
-        for projection, nearest in zip(self.projection, self.nearest, strict=True):
-            u, v, depth = (means @ projection[:, :3].T + projection[:, 3]).unbind(dim=1)
-            inside = (depth > 0) & (u >= 0) & (u < depth) & (v >= 0) & (v < depth)
-            seen |= inside
-            near |= inside & (depth < clearance * nearest)
-        return (near | ~seen).view(len(field), field.slots).all(dim=1)
+        means = field.position[:, None] + field.offset * field.scaling.exp()[:, None, :3]
+        points = means.flatten(0, 1).double().cpu().numpy()
+        seen, near = np.zeros((2, len(points)), np.bool_)
+        for camera, nearest in zip(self.cameras, self.nearest, strict=True):
+            pixels, depth = project(camera, points)
+            visible = inside(camera, pixels, depth)
+            seen |= visible
+            near |= visible & (depth < clearance * nearest)
+        wrong = (near | ~seen).reshape(len(field), field.slots).all(axis=1)
+        return torch.from_numpy(wrong).to(field.position.device)
 
 
-def near_space(points: PointCloud, cameras: tuple[Camera, ...], device: torch.device | str = "cpu") -> NearSpace:
+def near_space(points: PointCloud, cameras: tuple[Camera, ...]) -> NearSpace:
     """What first points say of the space before `cameras`."""
-    homogeneous = np.concatenate([points.positions, np.ones((len(points), 1), np.float32)], axis=1).astype(np.float64)
-    projections, nearest = [], []
-    for camera in cameras:
-        scale = np.diag([1 / camera.width, 1 / camera.height, 1.0])
-        projection = scale @ camera.intrinsics @ camera.world_to_camera[:3]
-        u, v, depth = projection @ homogeneous.T
-        seen = depth[(depth > 0) & (u >= 0) & (u < depth) & (v >= 0) & (v < depth)]
-        projections.append(torch.from_numpy(projection).float())
-        nearest.append(float(np.quantile(seen, _NEAREST)) if len(seen) else 0.0)
-    return NearSpace(torch.stack(projections).to(device), tuple(nearest))
+    return NearSpace(cameras, tuple(_nearest(points.positions.astype(np.float64), camera) for camera in cameras))
+
+
+def _nearest(points: Float64, camera: Camera) -> float:
+    """The depth at which `points` [N,3] begin before a camera, 0 where it sees none."""
+    pixels, depth = project(camera, points)
+    seen = depth[inside(camera, pixels, depth)]
+    return float(np.quantile(seen, _NEAREST)) if len(seen) else 0.0

@@ -157,9 +157,7 @@ class KeyframeTrainer:
 
     def _astray(self) -> Tensor | None:
         """[N] anchors that are where the scene is not."""
-        if self._space is None or self._config.clearance == 0:
-            return None
-        return self._space.astray(self._learned.settled, self._config.clearance)
+        return None if self._space is None else self._space.astray(self._learned.settled, self._config.clearance)
 
     def _random_cap(self) -> int | None:
         """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""
