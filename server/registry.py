@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Coroutine
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ class Registry:
 
     def __init__(self, settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> None:
         self.settings = settings
+        self.started_at = datetime.now(UTC)
         self.gate = Gate(settings)
         self.feed = Feed()
         self.configured = frozenset(spec.id for spec in specs)  # which only the settings can change

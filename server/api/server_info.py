@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -16,7 +15,6 @@ from server.http.problems import PROBLEMS
 from server.protocol.messages import PROTOCOL_VERSION
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 429)}
-_STARTED = time.time()
 router = APIRouter(tags=["server"], responses=_ANSWERS, dependencies=[need(Right.READ)])
 
 
@@ -28,7 +26,7 @@ async def get_server(request: Request) -> ServerBody:
     return ServerBody(
         version=_version(),
         protocol_versions=[PROTOCOL_VERSION],
-        started_at=datetime.fromtimestamp(_STARTED, UTC),
+        started_at=registry.started_at,
         server_time_ns=time.time_ns(),
         limits=settings.limits.model_dump(),
         retention=settings.retention.model_dump(),

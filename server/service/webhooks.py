@@ -12,6 +12,7 @@ import hashlib
 import hmac
 import json
 import logging
+import socket
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -140,7 +141,7 @@ async def _deliver(client: httpx.AsyncClient, hook: _Hook, event: ServerEvent, n
 async def _address(host: str, port: int, networks: tuple[str, ...]) -> str | None:
     """The address that a name leads to, where all that it leads to may be reached."""
     try:
-        found = await asyncio.get_running_loop().getaddrinfo(host, port, type=1)
+        found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except OSError:
         return None
     addresses = [str(each[4][0]) for each in found]
