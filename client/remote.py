@@ -8,14 +8,22 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from client.commands import TOKEN_VARIABLE
 from client.rest import ServerClient
 from core.errors import InputError
 
+_Value = TypeVar("_Value", bool, int)
 ALONE = ("list", "recordings", "server", "events")  # actions that need no stream
 ACTIONS = (*ALONE, "show", "create", "change", "start", "stop", "delete", "viewers", "disconnect", "download")
+_OPTIONS = {
+    "delete": {"erase"},
+    "disconnect": {"viewer"},
+    "download": {"from", "to", "epoch"},
+    "recordings": {"from", "to"},
+}
+_DESCRIBING = ("create", "change")  # actions whose options describe the stream; the server checks them
 
 
 def remote(
@@ -30,17 +38,24 @@ def remote(
 
     Args:
         name: of the stream.
-        options: fields of the stream to create or change; ``viewer`` to disconnect; ``from``, ``to``, ``epoch`` of a
-            download or a list of recordings.
+        options: fields of the stream to create or change; ``erase`` of its deletion; ``viewer`` to disconnect;
+            ``from`` and ``to`` of a download or a list of recordings, ``epoch`` of a download.
         out: the file of a download.
         ca: certificates to trust.
+
+    Raises:
+        InputError: an option that the action does not have or cannot use, or no usable answer.
+        RequestRefused: by the server.
     """
     if action not in ACTIONS:
         raise InputError("remote", f"{action} is none of {', '.join(ACTIONS)}")
     if name is None and action not in ALONE:
         raise InputError("remote", f"name the stream to {action}")
+    given = dict(options or {})
+    if action not in _DESCRIBING and (unknown := sorted(given.keys() - _OPTIONS.get(action, set()))):
+        raise InputError("--set", f"{action} has no {', '.join(unknown):.80}")
     with ServerClient(address, os.environ.get(TOKEN_VARIABLE), ca) as server:
-        yield from _lines(server, action, name or "", dict(options or {}), out)
+        yield from _lines(server, action, name or "", given, out)
 
 
 def _lines(server: ServerClient, action: str, name: str, options: dict[str, Any], out: Path | None) -> Iterator[str]:
@@ -61,13 +76,23 @@ def _lines(server: ServerClient, action: str, name: str, options: dict[str, Any]
     elif action in {"server", "show"}:
         yield json.dumps(server.server() if action == "server" else server.definition(name), indent=1)
     elif action == "delete":
-        server.delete(name, erase=bool(options.get("erase", False)))
+        server.delete(name, erase=_option(options, "erase", bool, "true or false") or False)
     elif action == "disconnect":
-        server.disconnect(name, str(options.get("viewer", "")))
+        if "viewer" not in options:
+            raise InputError("--set viewer", "say which viewer to disconnect, by the id that `viewers` lists")
+        server.disconnect(name, str(options["viewer"]))
     else:
         path = out or Path(f"{name}.slod")
-        size = server.download(name, path, begin, end, options.get("epoch"))
+        size = server.download(name, path, begin, end, _option(options, "epoch", int, "a number, such as 1"))
         yield f"{path}: {size / 1000:.1f} KB"
+
+
+def _option(options: dict[str, Any], name: str, kind: type[_Value], form: str) -> _Value | None:
+    """An option if it is given; never converted, as any text would be true."""
+    value = options.get(name)
+    if value is None or type(value) is kind:
+        return value
+    raise InputError(f"--set {name}", f"{value!r:.80} is not {form}")
 
 
 def _time(options: dict[str, Any], name: str) -> datetime | None:

@@ -2,80 +2,39 @@
 
 from __future__ import annotations
 
-import json
 import ssl
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 from urllib.parse import quote
 
 import httpx
 
+from client.rest_answers import (
+    FeedEvent,
+    RecordingInfo,
+    StreamInfo,
+    ViewerInfo,
+    items_in,
+    not_ours,
+    object_in,
+    read,
+)
 from core.errors import InputError, RequestRefused
 from core.files import put_in_place, temporary_beside
 
-_T = TypeVar("_T")
 _SECONDS = 30.0
 _MAX_ITEMS = 200  # of a page
-
-
-@dataclass(frozen=True, slots=True)
-class StreamInfo:
-    """A stream's state; see STREAM of docs/protocol.md. `etag` names what it is made from."""
-
-    id: str
-    state: str
-    detail: str
-    source: str
-    epoch: int | None
-    version: int | None
-    viewers: int
-    recording: str
-    etag: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class ViewerInfo:
-    """A viewer; see VIEWER of docs/protocol.md."""
-
-    id: str
-    address: str
-    client: str
-    seconds: float
-    mode: str
-    sent_bytes: int
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingInfo:
-    """What is recorded of one encoder run; see RECORDING of docs/protocol.md."""
-
-    stream: str
-    deleted: bool
-    epoch: int
-    begun_at: datetime
-    last_group_at: datetime
-    groups: int
-    packets: int
-    bytes: int
-
-
-@dataclass(frozen=True, slots=True)
-class FeedEvent:
-    """One event; see EVENT of docs/protocol.md."""
-
-    id: str
-    type: str
-    stream: str
-    at: datetime
-    data: Mapping[str, Any]
+_JSON, _FILE, _EVENTS = "application/json", "application/vnd.streamlod", "text/event-stream"
 
 
 class ServerClient:
-    """One server. All methods raise RequestRefused where the server refuses, InputError where it cannot be reached.
+    """One server.
+
+    All methods raise RequestRefused where the server refuses, and InputError where it cannot be reached or is another
+    program than streamlod.
 
     Args:
         address: such as ``https://stage.example``.
@@ -99,11 +58,14 @@ class ServerClient:
 
     def server(self) -> dict[str, Any]:
         """Version, limits and capabilities."""
-        return self._json("GET", "/v1/server")
+        found = self._json("GET", "/v1/server")
+        if "protocol_versions" not in found:
+            raise not_ours("does not say which versions of the protocol it knows")
+        return found
 
     def streams(self) -> tuple[StreamInfo, ...]:
         """All streams that the token may read."""
-        return tuple(_read(StreamInfo, item) for item in self._pages("/v1/streams", {}))
+        return tuple(read(StreamInfo, item) for item in self._pages("/v1/streams", {}))
 
     def stream(self, name: str) -> StreamInfo:
         """One stream."""
@@ -131,19 +93,19 @@ class ServerClient:
 
     def delete(self, name: str, *, erase: bool = False, etag: str | None = None) -> None:
         """Delete a stream, and what was recorded of it if wanted."""
-        self._send("DELETE", _path(name), {"erase": erase}, etag=etag)
+        self._delete(_path(name), {"erase": erase}, etag=etag)
 
     def viewers(self, name: str) -> tuple[ViewerInfo, ...]:
         """Who watches a stream."""
-        return tuple(_read(ViewerInfo, item) for item in self._json("GET", f"{_path(name)}/viewers")["items"])
+        return tuple(read(ViewerInfo, item) for item in items_in(self._json("GET", f"{_path(name)}/viewers")))
 
     def disconnect(self, name: str, viewer: str) -> None:
         """Close a viewer's connection."""
-        self._send("DELETE", f"{_path(name)}/viewers/{quote(viewer, safe='')}")
+        self._delete(f"{_path(name)}/viewers/{quote(viewer, safe='')}")
 
     def recordings(self, begin: datetime | None = None, end: datetime | None = None) -> tuple[RecordingInfo, ...]:
         """What was recorded between two times, of every stream that the token may read."""
-        return tuple(_read(RecordingInfo, item) for item in self._pages("/v1/recordings", _times(begin, end)))
+        return tuple(read(RecordingInfo, item) for item in self._pages("/v1/recordings", _times(begin, end)))
 
     def download(
         self,
@@ -158,7 +120,7 @@ class ServerClient:
         written, size = temporary_beside(path), 0
         try:
             place = f"/v1/recordings/{quote(name, safe='')}/bitstream"
-            with self._open("GET", place, params) as answer, written.open("wb") as file:
+            with self._open("GET", place, _FILE, params) as answer, written.open("wb") as file:
                 for chunk in answer.iter_bytes():
                     size += file.write(chunk)
             put_in_place(written, path)
@@ -172,67 +134,86 @@ class ServerClient:
 
     def erase(self, name: str, begin: datetime | None = None, end: datetime | None = None) -> None:
         """Delete what was recorded of a stream, or of it what lies between two times."""
-        self._send("DELETE", f"/v1/recordings/{quote(name, safe='')}", _times(begin, end))
+        self._delete(f"/v1/recordings/{quote(name, safe='')}", _times(begin, end))
 
     def events(self, name: str | None = None, last_id: str | None = None) -> Iterator[FeedEvent]:
         """Events as they happen, until the server ends the feed; those after `last_id` first."""
         headers = {} if last_id is None else {"Last-Event-ID": last_id}
         params = {} if name is None else {"stream": name}
-        with self._open("GET", "/v1/events", params, headers=headers, timeout=None) as answer:
+        with self._open("GET", "/v1/events", _EVENTS, params, headers=headers, timeout=None) as answer:
             try:
                 for line in answer.iter_lines():
                     if line.startswith("data: "):
-                        yield _read(FeedEvent, json.loads(line.removeprefix("data: ")))
+                        yield read(FeedEvent, object_in(line.removeprefix("data: ")))
             except httpx.HTTPError:
                 return
 
     def _stream(self, method: str, path: str, **options: Any) -> StreamInfo:
-        answer = self._send(method, path, **options)
-        return _read(StreamInfo, answer.json() | {"etag": answer.headers.get("etag")})
+        answer = self._send(method, path, _JSON, **options)
+        return read(StreamInfo, object_in(answer.content) | {"etag": answer.headers.get("etag")})
 
-    def _pages(self, path: str, params: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    def _pages(self, path: str, params: dict[str, Any]) -> Iterator[Any]:
         cursor = None
         while True:
             extra = {"limit": _MAX_ITEMS} | ({} if cursor is None else {"cursor": cursor})
             page = self._json("GET", path, params | extra)
-            yield from page["items"]
-            cursor = page["next_cursor"]
+            yield from items_in(page)
+            cursor = page.get("next_cursor")
             if cursor is None:
                 return
 
     def _json(self, method: str, path: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
-        found: dict[str, Any] = self._send(method, path, params).json()
-        return found
+        return object_in(self._send(method, path, _JSON, params).content)
+
+    def _delete(self, path: str, params: dict[str, Any] | None = None, etag: str | None = None) -> None:
+        self._send("DELETE", path, None, params, etag=etag)
 
     def _send(
-        self, method: str, path: str, params: dict[str, Any] | None = None, *, body: Any = None, etag: str | None = None
+        self,
+        method: str,
+        path: str,
+        kind: str | None,
+        params: dict[str, Any] | None = None,
+        *,
+        body: Any = None,
+        etag: str | None = None,
     ) -> httpx.Response:
         headers = {} if etag is None else {"If-Match": etag}
-        with self._open(method, path, params, headers=headers, json=body) as answer:
-            answer.read()
+        with self._open(method, path, kind, params, headers=headers, json=body) as answer:
+            try:
+                answer.read()
+            except httpx.HTTPError as error:
+                raise InputError(self._http.base_url, f"the answer broke off ({error})") from error
             return answer
 
     @contextmanager
     def _open(
-        self, method: str, path: str, params: dict[str, Any] | None = None, **options: Any
+        self, method: str, path: str, kind: str | None, params: dict[str, Any] | None = None, **options: Any
     ) -> Iterator[httpx.Response]:
-        """An answer whose body is not read yet."""
+        """An answer whose body is not read yet.
+
+        Args:
+            kind: media type that the answer must have; None where it must be empty.
+        """
         try:
             answer = self._http.send(self._http.build_request(method, path, params=params, **options), stream=True)
         except httpx.HTTPError as error:
             raise InputError(self._http.base_url, f"cannot be reached ({error}); is the server running?") from error
         with closing(answer):
             if not answer.is_success:
-                answer.read()
                 raise RequestRefused(answer.status_code, _detail(answer))
+            found = answer.headers.get("content-type", "").partition(";")[0]
+            if (answer.status_code != httpx.codes.NO_CONTENT) if kind is None else (found != kind):
+                raise not_ours(f"answers {answer.status_code} with {found or 'nothing'}")
             yield answer
 
 
 def _detail(answer: httpx.Response) -> str:
     """The sentence of a problem, or of an answer that is none."""
     try:
+        answer.read()
         return str(answer.json()["detail"])
-    except (ValueError, KeyError, TypeError):
+    except (httpx.HTTPError, ValueError, KeyError, TypeError):
         return answer.reason_phrase or "no reason given"
 
 
@@ -243,13 +224,3 @@ def _path(name: str) -> str:
 def _times(begin: datetime | None, end: datetime | None) -> dict[str, Any]:
     given = {"from": begin, "to": end}
     return {name: time.astimezone(UTC).isoformat() for name, time in given.items() if time is not None}
-
-
-def _read(kind: type[_T], values: Mapping[str, Any]) -> _T:
-    """The fields of a dataclass in JSON; others are ignored, as newer servers may send more."""
-    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    known = {name: values[name] for name in names if name in values}
-    for name in ("begun_at", "last_group_at", "at"):
-        if name in known:
-            known[name] = datetime.fromisoformat(known[name])
-    return kind(**known)

@@ -36,8 +36,8 @@ LAYERS = {
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead metrics", "rig", "live"),
     "client": (
-        "recording events viewpoints recorder rest", "playback", "connection", "inspection viewing", "evaluation",
-        "commands", "remote",
+        "recording events viewpoints recorder rest_answers", "rest playback", "connection", "inspection viewing",
+        "evaluation", "commands", "remote",
     ),
 }  # fmt: skip
 COMMAND_LINE = "server.cli"  # may import any package

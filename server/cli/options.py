@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-import json
+import re
 from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +14,9 @@ import typer
 from core.errors import InputError
 from server.pipeline.job import JOB_OPTIONS, SOURCES
 from server.pipeline.options import Option
+
+# As in JSON, but bounded, and the sign of an exponent is needed: 123456e12 is the id of a viewer.
+_NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,17})?([eE][-+][0-9]{1,2})?")
 
 
 class SnapshotFormat(StrEnum):
@@ -31,6 +34,8 @@ def names_in(text: str) -> tuple[str, ...]:
 def fields_in(text: str) -> dict[str, int | float | str | bool]:
     """Names and values of ``cameras=5,still=true,kind=room``.
 
+    Numbers are written as in JSON, exponents with their sign; what is neither a number, true nor false is text.
+
     Raises:
         BadParameter: a part without ``=``.
     """
@@ -39,12 +44,16 @@ def fields_in(text: str) -> dict[str, int | float | str | bool]:
         name, equals, value = part.partition("=")
         if not equals:
             raise typer.BadParameter(f"{part!r} is not NAME=VALUE")
-        try:
-            read = json.loads(value)
-        except ValueError:
-            read = value
-        found[name.strip()] = read if isinstance(read, int | float | bool) else value
+        found[name.strip()] = _value_in(value.strip())
     return found
+
+
+def _value_in(text: str) -> int | float | str | bool:
+    if text in {"true", "false"}:
+        return text == "true"
+    if _NUMBER.fullmatch(text) is None:
+        return text
+    return int(text) if text.lstrip("-").isdecimal() else float(text)
 
 
 def numbers_in(option: str, text: str) -> tuple[int, ...]:

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from client.remote import remote
-from client.rest import FeedEvent, ServerClient
+from client.rest import ServerClient
+from client.rest_answers import FeedEvent
 from codec.container import SlodReader
 from core.errors import InputError, RequestRefused
 from server.pipeline.spec import StreamSpec
@@ -81,12 +82,20 @@ def test_viewers_and_events(server: Running) -> None:
 
 
 def test_the_command_controls_a_server(server: Running, clip: Clip, tmp_path: Path) -> None:
-    assert json.loads(next(remote(server.url, "create", "told", {"play": str(clip.path)})))["id"] == "told"
+    fields = {"play": str(clip.path), "start": True}
+    assert json.loads(next(remote(server.url, "create", "told", fields)))["id"] == "told"
+    server.wait(lambda stream: stream["state"] == "live" and stream["version"] > 3, "told")
     assert [json.loads(line)["id"] for line in remote(server.url, "list")] == ["main", "told"]
     assert json.loads("".join(remote(server.url, "show", "told")))["play"] == str(clip.path)
     out = tmp_path / "main.slod"
     assert str(out) in "".join(remote(server.url, "download", "main", {"epoch": 1}, out))
+    assert list(remote(server.url, "delete", "told", {"erase": False})) == []
+    with ServerClient(server.url) as client:
+        assert "told" in [recording.stream for recording in client.recordings()]
+    assert json.loads(next(remote(server.url, "create", "told", fields)))["id"] == "told"
     assert list(remote(server.url, "delete", "told", {"erase": True})) == []
+    with ServerClient(server.url) as client:
+        assert "told" not in [recording.stream for recording in client.recordings()]
     for arguments in (("fly",), ("start",), ("recordings", None, {"from": "noon"})):
         with pytest.raises(InputError):
             list(remote(server.url, *arguments))  # type: ignore[arg-type]

@@ -136,7 +136,9 @@ def test_depths_of_what_has_no_texture_are_ambiguous() -> None:
 def test_cameras_in_one_place_measure_no_depth() -> None:
     """Without parallax every depth matches equally well."""
     textured = floor_picture(CAMERAS[1])
-    turned = replace(CAMERAS[1], name="turned", world_to_camera=look_at(CAMERAS[1].centre, np.array([0.2, 1.5, 0.0]), UP))
+    turned = replace(
+        CAMERAS[1], name="turned", world_to_camera=look_at(CAMERAS[1].centre, np.array([0.2, 1.5, 0.0]), UP)
+    )
     for second, picture in ((CAMERAS[1], textured), (turned, floor_picture(turned))):
         together = WorkingViews((CAMERAS[1], second), np.stack([textured, picture]))
         maps = slanted(together, sweep_views(together, BOUNDS, 32), BOUNDS)

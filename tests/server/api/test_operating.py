@@ -309,9 +309,7 @@ def test_the_server_says_what_it_is(client: httpx.Client) -> None:
 def test_a_server_says_when_it_started_and_not_when_its_code_was_loaded(client: httpx.Client, clip: Clip) -> None:
     between = datetime.now(UTC)
     with running(Settings(), _play(clip)) as second, second.client() as other:
-        first, later = (
-            datetime.fromisoformat(each.get("/v1/server").json()["started_at"]) for each in (client, other)
-        )
+        first, later = (datetime.fromisoformat(each.get("/v1/server").json()["started_at"]) for each in (client, other))
     assert first < between < later < datetime.now(UTC)
 
 

@@ -1,0 +1,134 @@
+"""What a server answers by REST, checked: at a wrong address another program answers, or a proxy with its own page.
+
+The fields are those of docs/protocol.md, section 3. Others are ignored, as newer servers may send more.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+
+from core.errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_Answer = TypeVar("_Answer", bound="DataclassInstance")
+
+
+@dataclass(frozen=True, slots=True)
+class StreamInfo:
+    """A stream's state; see STREAM of docs/protocol.md. `etag` names what it is made from."""
+
+    id: str
+    state: str
+    detail: str
+    source: str
+    epoch: int | None
+    version: int | None
+    viewers: int
+    recording: str
+    etag: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerInfo:
+    """A viewer; see VIEWER of docs/protocol.md."""
+
+    id: str
+    address: str
+    client: str
+    seconds: float
+    mode: str
+    sent_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """What is recorded of one encoder run; see RECORDING of docs/protocol.md."""
+
+    stream: str
+    deleted: bool
+    epoch: int
+    begun_at: datetime
+    last_group_at: datetime
+    groups: int
+    packets: int
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class FeedEvent:
+    """One event; see EVENT of docs/protocol.md."""
+
+    id: str
+    type: str
+    stream: str
+    at: datetime
+    data: Mapping[str, Any]
+
+
+def not_ours(fault: str) -> InputError:
+    """The error for an answer that no streamlod server gives."""
+    return InputError("the server", f"{fault}; this is no streamlod server: check the address and the port")
+
+
+def object_in(text: bytes | str) -> dict[str, Any]:
+    """The JSON object in an answer.
+
+    Raises:
+        InputError: there is none.
+    """
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise not_ours("answers with something else than JSON") from error
+    if not isinstance(found, dict):
+        raise not_ours("answers with other JSON than an object")
+    return found
+
+
+def items_in(page: dict[str, Any]) -> list[Any]:
+    """The list in an answer that is a list, or a page of one.
+
+    Raises:
+        InputError: there is none.
+    """
+    items = page.get("items")
+    if not isinstance(items, list):
+        raise not_ours("answers without a list of `items`")
+    return items
+
+
+def read(kind: type[_Answer], values: object) -> _Answer:
+    """One of the classes above from JSON.
+
+    Raises:
+        InputError: a field is missing or of another type.
+    """
+    if not isinstance(values, dict):
+        raise not_ours("lists something else than objects")
+    hints = get_type_hints(kind)
+    known = {}
+    for field in fields(kind):
+        if field.name in values:
+            known[field.name] = _value(field.name, hints[field.name], values[field.name])
+        elif field.default is MISSING:
+            raise not_ours(f"leaves out `{field.name}`")
+    return kind(**known)
+
+
+def _value(name: str, hint: Any, value: Any) -> Any:
+    """`value` as the type `hint`."""
+    try:
+        if hint is datetime:
+            return datetime.fromisoformat(value)
+    except (TypeError, ValueError) as error:
+        raise not_ours(f"sends a `{name}` that is no time") from error
+    expected = {float: int | float, Mapping[str, Any]: dict}.get(hint, hint)
+    if not isinstance(value, expected):
+        raise not_ours(f"sends a `{name}` of another type")
+    return value
