@@ -12,7 +12,7 @@ from core.data import linspace_split
 from core.synthetic import SyntheticSpec, write_clip
 from core.train import TrainConfig
 
-SPEC = SyntheticSpec(cameras=4, frames=3, width=128, height=72)
+SPEC = SyntheticSpec(cameras=4, frames=3, width=96, height=54)
 
 
 @pytest.fixture(scope="session")

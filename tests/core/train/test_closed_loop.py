@@ -13,7 +13,6 @@ from codec.encoder import encode_keyframe, encode_residual
 from core.arrays import UInt8
 from core.data import Dataset
 from core.frames import FrameSet, PointCloud
-from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
 from core.scene.anchors import AnchorLevel, Scene
@@ -21,6 +20,7 @@ from core.scene.expand import expand
 from core.scene.keyframe import as_keyframe
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
+from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=4, frames=12, width=96, height=54, fps=10.0)
 CAMERA = 2  # the one that things happen to
@@ -48,8 +48,7 @@ def images(clip: Dataset) -> list[UInt8]:
 @pytest.fixture(scope="module")
 def first(clip: Dataset, images: list[UInt8]) -> Scene:
     frame = frame_set(0, images[0])
-    points = first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds)
-    return Trainer(clip.cameras, config(), clip.fps, "cpu").keyframe(frame, points).scene
+    return Trainer(clip.cameras, config(), clip.fps, "cpu").keyframe(frame, true_points(SPEC)).scene
 
 
 def frame_set(index: int, images: UInt8, present: Iterable[bool] | None = None) -> FrameSet:
@@ -156,7 +155,7 @@ def test_states_at_the_end_of_their_integers_saturate(
 
 def test_two_views_and_fifty_points_make_a_first_frame(clip: Dataset, images: list[UInt8]) -> None:
     frame = frame_set(0, images[0][:2])
-    found = first_points(frame, clip.cameras[:2], depth_bounds=clip.depth_bounds)
+    found = true_points(SPEC, views=2)
     chosen = np.linspace(0, len(found.positions) - 1, 50).astype(int)
     few = PointCloud(found.positions[chosen], found.colours[chosen])
     trainer = Trainer(clip.cameras[:2], config(), clip.fps, "cpu")
@@ -187,13 +186,13 @@ def test_a_new_keyframe_changes_nothing_for_training(clip: Dataset, images: list
 @pytest.mark.timeout(600)
 def test_a_thousand_frames_do_not_drift() -> None:
     """A small picture to and fro, each round 22 frames: about two minutes."""
-    clip = open_synthetic(replace(SPEC, cameras=3, width=48, height=27))
+    spec = replace(SPEC, cameras=3, width=48, height=27)
+    clip = open_synthetic(spec)
     pictures = [frame.images for frame in clip.frames()]
     small = config(epochs=1, minimum_steps=4)
     small = replace(small, model=replace(small.model, max_anchors=600))
-    points = first_points(frame_set(0, pictures[0]), clip.cameras, depth_bounds=clip.depth_bounds)
     trainer = Trainer(clip.cameras, small, clip.fps, "cpu")
-    scene = trainer.keyframe(frame_set(0, pictures[0]), points).scene
+    scene = trainer.keyframe(frame_set(0, pictures[0]), true_points(spec)).scene
     there_and_back = [*pictures[1:], *pictures[-2::-1]]
     results = loop(trainer, scene, (there_and_back[index % len(there_and_back)] for index in range(1000)))
     rounds = [

@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
 from core.scene.anchors import LATENTS, OFFSET_LATENTS
@@ -21,6 +20,7 @@ from core.train.optimise.losses import photometric_loss, photometric_reference
 from core.train.optimise.rate import residual_bits, residual_bits_reference
 from core.train.residual.apply import UnitChange, applied
 from tests.core.train.fields import random_field
+from tests.core.true_points import true_points
 
 pytestmark = pytest.mark.cuda
 
@@ -73,12 +73,13 @@ def test_rate_and_adam_equal_the_cpu(gpu: str) -> None:
 
 
 def test_frames_train_as_well_as_on_the_cpu(gpu: str) -> None:
-    clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2))
+    spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2)
+    clip = open_synthetic(spec)
     config = TrainConfig(
-        keyframe=KeyframeConfig(steps=40), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0)
+        keyframe=KeyframeConfig(steps=20), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0)
     )
     filmed, scores = list(clip.frames()), list[float]()
-    points = first_points(filmed[0], clip.cameras, depth_bounds=clip.depth_bounds)
+    points = true_points(spec)
     for device in ("cpu", "cuda"):
         trainer = Trainer(clip.cameras, config, clip.fps, device)
         trainer.keyframe(filmed[0], points)

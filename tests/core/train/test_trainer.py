@@ -15,13 +15,13 @@ from core.camera import Camera
 from core.data import Dataset
 from core.errors import ModelError
 from core.frames import FrameSet
-from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
 from core.scene.anchors import AnchorLevel, Scene
 from core.scene.expand import expand
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import TrainConfig, TrainedFrame, Trainer, preset
+from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=112, height=64, seed=1)
 BLACK = np.zeros(3, np.float32)
@@ -49,8 +49,7 @@ def frames(clip: Dataset) -> list[FrameSet]:
 
 def train(clip: Dataset, frames: list[FrameSet], *, label_motion: bool = True) -> Iterator[TrainedFrame]:
     trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu", label_motion=label_motion)
-    points = first_points(frames[0], clip.cameras, depth_bounds=clip.depth_bounds)
-    yield trainer.keyframe(frames[0], points)
+    yield trainer.keyframe(frames[0], true_points(SPEC))
     for frame in frames[1:]:
         yield trainer.predict(frame)
 

@@ -11,15 +11,15 @@ from codec.encoder import encode_residual
 from core.arrays import UInt8
 from core.data import Dataset
 from core.frames import FrameSet
-from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
 from core.scene.anchors import Scene
 from core.scene.expand import expand
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import TrainConfig, Trainer, preset
+from tests.core.true_points import true_points
 
-SPEC = SyntheticSpec(cameras=4, frames=5, width=96, height=54, fps=4.0)  # a quarter of a second a frame: fast motion
+SPEC = SyntheticSpec(cameras=4, frames=5, width=64, height=36, fps=4.0)  # a quarter of a second a frame: fast motion
 FPS = 30.0
 PRESENT = np.ones(SPEC.cameras, np.bool_)
 
@@ -41,7 +41,7 @@ def config() -> TrainConfig:
         live,
         model=replace(live.model, max_anchors=2500),
         keyframe=replace(live.keyframe, steps=80, growth_interval=20),
-        predict=replace(live.predict, epochs=4, minimum_steps=20, least_gain=0.0),
+        predict=replace(live.predict, epochs=3, minimum_steps=12, least_gain=0.0),
     )
 
 
@@ -60,8 +60,7 @@ def pictures(clip: Dataset) -> list[UInt8]:
 @pytest.fixture(scope="module")
 def first(clip: Dataset, pictures: list[UInt8]) -> Scene:
     frame = FrameSet(0, 0, pictures[0], PRESENT)
-    points = first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds)
-    return Trainer(clip.cameras, config(), FPS, "cpu").keyframe(frame, points).scene
+    return Trainer(clip.cameras, config(), FPS, "cpu").keyframe(frame, true_points(SPEC)).scene
 
 
 def quality(scene: Scene, clip: Dataset, images: UInt8) -> float:

@@ -10,7 +10,6 @@ import torch
 
 from core.camera import Camera, look_at, pinhole
 from core.frames import PointCloud
-from core.initialise import first_points
 from core.initialise.methods.combined import merged
 from core.initialise.views import inside, project, unproject
 from core.scene.expand import anchor_positions
@@ -20,6 +19,7 @@ from core.train import Trainer, preset
 from core.train.field.field import Field
 from core.train.growth.near_space import near_space
 from core.train.keyframe.seeding import seed_field
+from tests.core.true_points import true_points
 
 
 def camera(x: float) -> Camera:
@@ -86,9 +86,10 @@ def test_one_wrong_point_does_not_tell_where_the_scene_begins() -> None:
 
 @pytest.mark.parametrize("clearance", [0.0, 0.6])
 def test_training_removes_what_hangs_before_a_lens(clearance: float) -> None:
-    clip = open_synthetic(SyntheticSpec(cameras=3, frames=1, width=96, height=56, seed=1))
+    spec = SyntheticSpec(cameras=3, frames=1, width=96, height=56, seed=1)
+    clip = open_synthetic(spec)
     (frame,) = clip.frames()
-    points = first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds)
+    points = true_points(spec)
     nearest = near_space(points, clip.cameras).nearest[0]
     lens = clip.cameras[0]
     middle = unproject(lens, np.array([[48.0, 28.0], [50.0, 30.0]]), np.full(2, 0.3 * nearest))

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from core.errors import InputError
-from core.initialise import first_points
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import KeyframeConfig, PredictConfig, Trainer, preset
 from core.train.field.field import Field
 from core.train.growth import rules
 from core.train.growth.gradient import GrowthStatistics, NewAnchors
+from tests.core.true_points import true_points
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,10 @@ class DropTheFirst:
 
 def test_a_toy_rule_refines_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(rules.GROWTH_RULES, "drop the first", DropTheFirst)
-    clip = open_synthetic(SyntheticSpec(cameras=3, frames=1, width=96, height=56, seed=1))
+    spec = SyntheticSpec(cameras=3, frames=1, width=96, height=56, seed=1)
+    clip = open_synthetic(spec)
     (frame,) = clip.frames()
-    points = first_points(frame, clip.cameras, depth_bounds=clip.depth_bounds)
+    points = true_points(spec)
     counts = []
     for growth_until in (0.0, 0.9):  # never, and after steps 5, 10 and 15 of 20
         config = preset("live")

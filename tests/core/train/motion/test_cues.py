@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from core.errors import InputError
-from core.initialise import first_points
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import PredictConfig, Trainer, preset
 from core.train.motion import cues
 from core.train.motion.partition import Observation, Partition
+from tests.core.true_points import true_points
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class EveryNth:
 
 def test_a_toy_cue_decides_what_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(cues.CUES, "every third", lambda config: EveryNth(3))
-    clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=96, height=56, seed=1))
+    spec = SyntheticSpec(cameras=3, frames=2, width=96, height=56, seed=1)
+    clip = open_synthetic(spec)
     first, second = clip.frames()
     config = preset("live")
     config = replace(
@@ -41,8 +42,7 @@ def test_a_toy_cue_decides_what_is_trained(monkeypatch: pytest.MonkeyPatch) -> N
         predict=replace(config.predict, cue="every third", epochs=1, minimum_steps=4),
     )
     trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
-    points = first_points(first, clip.cameras, depth_bounds=clip.depth_bounds)
-    anchors = trainer.keyframe(first, points).scene.anchor_count
+    anchors = trainer.keyframe(first, true_points(spec)).scene.anchor_count
     trained = trainer.predict(second)
     assert trained.report.steps == 4
     assert trained.dynamic is not None

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from core.errors import InputError
-from core.initialise import first_points
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import Trainer, preset
 from core.train.optimise import optimisers
+from tests.core.true_points import true_points
 
 
 @dataclass
@@ -47,7 +47,8 @@ class Lazy:
 def test_a_toy_optimiser_trains_both_kinds_of_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     lazy = Lazy()
     monkeypatch.setitem(optimisers.OPTIMISERS, "lazy", lambda memory: lazy)
-    clip = open_synthetic(SyntheticSpec(cameras=3, frames=2, width=96, height=56, seed=1))
+    spec = SyntheticSpec(cameras=3, frames=2, width=96, height=56, seed=1)
+    clip = open_synthetic(spec)
     first, second = clip.frames()
     config = preset("live")
     config = replace(
@@ -56,7 +57,7 @@ def test_a_toy_optimiser_trains_both_kinds_of_frame(monkeypatch: pytest.MonkeyPa
         predict=replace(config.predict, optimiser="lazy", epochs=1, minimum_steps=4, least_gain=0.0),
     )
     trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
-    trainer.keyframe(first, first_points(first, clip.cameras, depth_bounds=clip.depth_bounds))
+    trainer.keyframe(first, true_points(spec))
     assert len(lazy.made) == 20
     trained = trainer.predict(second)
     assert len(lazy.made) == 20 + trained.report.steps

@@ -12,7 +12,6 @@ from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from core.data import Dataset
 from core.frames import FrameSet
-from core.initialise import first_points
 from core.metrics import psnr
 from core.render.cpu import render
 from core.scene.anchors import AnchorLevel, Scene
@@ -23,8 +22,9 @@ from core.train import TrainConfig, Trainer, preset
 from core.train.field.convert import field_of, scene_of
 from core.train.refresh.background import FRAMES
 from tests.core.train.fields import random_field
+from tests.core.true_points import true_points
 
-SPEC = SyntheticSpec(cameras=4, frames=6, width=96, height=54, fps=10.0)
+SPEC = SyntheticSpec(cameras=4, frames=6, width=64, height=36, fps=10.0)
 
 
 def config() -> TrainConfig:
@@ -50,8 +50,7 @@ def frames(clip: Dataset) -> list[FrameSet]:
 
 @pytest.fixture(scope="module")
 def first(clip: Dataset, frames: list[FrameSet]) -> Scene:
-    points = first_points(frames[0], clip.cameras, depth_bounds=clip.depth_bounds)
-    return Trainer(clip.cameras, config(), clip.fps, "cpu").keyframe(frames[0], points).scene
+    return Trainer(clip.cameras, config(), clip.fps, "cpu").keyframe(frames[0], true_points(SPEC)).scene
 
 
 def trainer_at(
@@ -126,7 +125,7 @@ class Clock:
 
 def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
     """As many steps as without one, spread over frames in which things move; the frames after it lead on from it."""
-    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, refresh_steps=12 * FRAMES)
+    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, refresh_steps=8 * FRAMES)
     trainer.request_refresh()
     last = 1 + 1 + FRAMES  # it begins with a frame, and has the next ones
     for frame in pictures[2 : last + 1]:
@@ -135,7 +134,7 @@ def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: lis
     assert trainer.refresh_is_ready
     before = trainer.scene
     renewed = trainer.refresh(pictures[last])
-    assert renewed.report.steps == 12 * FRAMES
+    assert renewed.report.steps == 8 * FRAMES
     assert (renewed.scene.keyframe, renewed.scene.version) == (before.version, before.version)
     assert renewed.scene.anchor_count == before.anchor_count
     assert quality(renewed.scene, clip, pictures[last]) > quality(before, clip, pictures[last]) + 0.3
