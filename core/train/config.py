@@ -1,9 +1,14 @@
-"""Every choice of the method, with our value as the default; `core.train.presets` names other sets of values."""
+"""Every choice of the method: our value, which is the default, what it means, and the paper's value with its source.
+
+`core.train.presets` names other sets of values; the preset `paper` has the paper's (docs/preset-paper.md).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Literal
+
+from core.train.setting import given, octree_gs, reading, setting
 
 LevelSelection = Literal["all", "distance"]
 Heads = Literal["shared", "separate"]
@@ -11,129 +16,266 @@ Heads = Literal["shared", "separate"]
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """What a scene is made of.
+    """What a scene is made of."""
 
-    Attributes:
-        gaussians_per_anchor: K (paper: 10).
-        features: size F of an anchor's feature (paper: 32).
-        view_dependent: feed direction and distance to the network (paper: yes).
-        cell_pixels: width of a level-0 cell as seen from the reference distance, in pixels.
-        levels: number of octree levels, or None to derive it from the distances (paper section IV-A).
-        finer_levels: levels beyond those; pictures hold more detail than first points do.
-        max_anchors: most anchors of a keyframe.
-        selection: draw all levels, or per camera only those that its distance calls for (paper).
-        heads: one network for all of a Gaussian's parameters, or separate ones for opacity, colour and shape (F_seps).
-        exposure: fit a gain and an offset a channel for each training camera. Without, what cameras disagree on becomes
-            haze in front of them.
-    """
-
-    gaussians_per_anchor: int = 2
-    features: int = 16
-    view_dependent: bool = False
-    cell_pixels: float = 4.0
-    levels: int | None = None
-    finer_levels: int = 1
-    max_anchors: int = 40_000
-    selection: LevelSelection = "all"
-    heads: Heads = "shared"
-    exposure: bool = True
+    gaussians_per_anchor: int = setting(2, "K of each anchor", given(10, "V-A", "K is 10"))
+    features: int = setting(16, "size F of an anchor's feature", octree_gs(32, "its feature size"))
+    view_dependent: bool = setting(
+        False,
+        "feed direction and distance to the network",
+        given(True, "IV-A", "the network sees viewing distance and direction"),
+    )
+    cell_pixels: float = setting(
+        4.0,
+        "width of a level-0 cell as seen from the reference distance, in pixels",
+        reading(4.0, "0.001 is given without a unit (docs/method.md, reading 6)"),
+    )
+    levels: int | None = setting(
+        None,
+        "number of octree levels; None to derive it from the distances",
+        given(None, "IV-A", "L follows from d_max and d_min"),
+    )
+    finer_levels: int = setting(
+        1, "levels beyond those; pictures hold more detail than first points do", given(0, "IV-A", "none beyond L")
+    )
+    max_anchors: int = setting(
+        40_000, "most anchors of a keyframe", reading(40_000, "no limit is given; this one bounds memory")
+    )
+    selection: LevelSelection = setting(
+        "all",
+        "draw all levels, or per camera only those that its distance calls for",
+        given("distance", "IV-A", "a camera's distance selects the levels that are drawn"),
+    )
+    heads: Heads = setting(
+        "shared",
+        "one network for all of a Gaussian's parameters, or separate ones for opacity, colour and shape",
+        given("shared", "IV-A", "one shared network"),
+    )
+    exposure: bool = setting(
+        True,
+        "fit a gain and an offset a channel for each training camera; else their differences become haze before them",
+        reading(False, "not mentioned, so cameras are taken to agree"),
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class KeyframeConfig:
-    """Training of the first frame.
+    """Training of the first frame; moments and shares are fractions of the run."""
 
-    Rates are Adam's, per step; they decay to `final_rate` of themselves over the run (features and scalings to its
-    square root). Fractions are of the run.
-    """
-
-    steps: int = 1000  # or fewer:
-    least_gain: float = 0.0  # of the loss over a fortieth of the run; where it falls by less, the run moves on faster
-    half_size_until: float = 0.4  # until then pictures of half the width and height: a third of the time a step
-    feature_rate: float = 0.02
-    offset_rate: float = 0.04
-    scaling_rate: float = 0.03
-    network_rate: float = 0.005
-    final_rate: float = 0.1
-    dssim_weight: float = 0.2
-    scale_weight: float = 0.01
-    dropout_base: float = 0.05  # gamma = base + slope * level, ramped over the run (paper section IV-A)
-    dropout_slope: float = 0.025
-    dropout_cap: float = 0.5
-    progressive_until: float = 0.0  # levels unlock until this fraction of the run; 0: all from the start
-    level_cap_share: float = 0.15  # share of steps that draw only levels up to a random one
-    level_cap_weight: float = 0.2  # of their loss: large gradients of coarse pictures slow Adam down for the whole one
-    optimiser: str = "adam"  # a name in `core.train.optimise.optimisers`
-    growth_rule: str = "gradient"  # a name in `core.train.growth.rules`
-    growth_interval: int = 50
-    growth_from: float = 0.05
-    growth_until: float = 0.65
-    growth_threshold: float = 4e-4  # of the view-space gradient norm (paper: 2e-4)
-    prune_opacity: float = 0.005
-    clearance: float = 0.6  # of the depth at which first points begin before a camera; nothing stays nearer. 0: it may
-    extra_level_gain: float = 0.01
-    rounding_from: float = 0.75  # from here on the parameters are rounded as they will be sent
-    rounding_share: float = 0.03  # of the squared error there, which rounding may add: each anchor's steps follow
-    average_from: float = 0.8  # the result is the mean over the steps from here on; after `growth_until`
-    refresh_steps: int = 200  # of a keyframe in mid-stream, which goes on from the state; 0 sends that as it is
+    steps: int = setting(
+        1000,
+        "most steps of the run; `least_gain` makes it shorter",
+        reading(1500, "500 epochs (section V-A) of three views (docs/method.md, reading 10)"),
+    )
+    least_gain: float = setting(
+        0.0,
+        "fall of the loss over a fortieth of the run, below which the run moves on faster; 0: it never does",
+        given(0.0, "V-A", "the number of epochs is fixed"),
+    )
+    half_size_until: float = setting(
+        0.4,
+        "moment until which pictures have half the width and height: a third of the time a step",
+        reading(0.0, "not mentioned: pictures of full size from the start"),
+    )
+    feature_rate: float = setting(
+        0.02,
+        "Adam's rate of features",
+        reading(0.02, "none given; those of Octree-GS are for 40,000 steps (docs/method.md, reading 12)"),
+    )
+    offset_rate: float = setting(0.04, "Adam's rate of offsets, in cells", reading(0.04, "as feature_rate"))
+    scaling_rate: float = setting(0.03, "Adam's rate of log-scales", reading(0.03, "as feature_rate"))
+    network_rate: float = setting(0.005, "Adam's rate of the network", reading(0.005, "as feature_rate"))
+    final_rate: float = setting(
+        0.1,
+        "share of themselves to which rates decay; those of features and scalings to its square root",
+        reading(0.1, "as feature_rate"),
+    )
+    dssim_weight: float = setting(
+        0.2, "share of D-SSIM in the loss; the rest is L1", given(0.2, "IV-D", "lambda is 0.2")
+    )
+    scale_weight: float = setting(
+        0.01,
+        "weight of the mean volume of the Gaussians in the loss",
+        reading(0.01, "equation 10 has no such term, but Octree-GS does (docs/method.md, reading 20)"),
+    )
+    dropout_base: float = setting(
+        0.05,
+        "rate gamma = base + slope * level at which Gaussians are left out, ramped over the run",
+        given(0.1, "IV-A", "gamma is 0.1 + 0.05 l"),
+    )
+    dropout_slope: float = setting(0.025, "see `dropout_base`", given(0.05, "IV-A", "gamma is 0.1 + 0.05 l"))
+    dropout_cap: float = setting(
+        0.5, "largest rate gamma", reading(0.5, "a rate of 1 would draw nothing (docs/method.md, reading 14)")
+    )
+    progressive_until: float = setting(
+        0.0,
+        "moment until which levels unlock one after the other; 0: all are there from the start",
+        octree_gs(0.25, "levels unlock during 10,000 of its 40,000 steps"),
+    )
+    level_cap_share: float = setting(
+        0.15,
+        "share of steps that draw only levels up to a random one",
+        reading(0.0, "not mentioned: no step hides fine levels at random"),
+    )
+    level_cap_weight: float = setting(
+        0.2,
+        "weight of the loss of such steps: large gradients of coarse pictures slow Adam down for the whole one",
+        reading(1.0, "without effect, as no step hides fine levels"),
+    )
+    optimiser: str = setting("adam", "a name in `core.train.optimise.optimisers`", octree_gs("adam", "its optimiser"))
+    growth_rule: str = setting(
+        "gradient", "a name in `core.train.growth.rules`", octree_gs("gradient", "its refinement")
+    )
+    growth_interval: int = setting(
+        50, "steps between two refinements", given(200, "V-A", "gradients are averaged over 200 steps")
+    )
+    growth_from: float = setting(
+        0.05,
+        "moment from which anchors grow and are pruned",
+        octree_gs(0.0375, "refinement begins after 1,500 of its 40,000 steps"),
+    )
+    growth_until: float = setting(
+        0.65, "moment until which they do", octree_gs(0.625, "refinement ends after 25,000 of its 40,000 steps")
+    )
+    growth_threshold: float = setting(
+        4e-4,
+        "view-space gradient norm from which anchors are added",
+        octree_gs(2e-4, "its threshold of the gradient norm"),
+    )
+    prune_opacity: float = setting(
+        0.005,
+        "accumulated opacity below which an anchor is removed",
+        given(0.05, "V-A", "an accumulated opacity below 0.05"),
+    )
+    clearance: float = setting(
+        0.6,
+        "share of the depth at which first points begin before a camera, nearer than which nothing stays; 0: it may",
+        reading(0.0, "not mentioned: anchors may stand anywhere"),
+    )
+    extra_level_gain: float = setting(
+        0.01, "levels that an anchor with large gradients earns at a refinement", octree_gs(0.01, "the size of Delta L")
+    )
+    rounding_from: float = setting(
+        0.75,
+        "moment from which parameters are rounded as they will be sent",
+        reading(0.75, "how the first frame is stored is not said; it is rounded as ours is"),
+    )
+    rounding_share: float = setting(
+        0.03,
+        "share of the squared error that rounding may add; the steps of each anchor follow from it",
+        reading(0.03, "as rounding_from"),
+    )
+    average_from: float = setting(
+        0.8,
+        "moment from which steps are averaged for the result; later than `growth_until`",
+        reading(1.0, "not mentioned: the result is the last step"),
+    )
+    refresh_steps: int = setting(
+        200,
+        "steps of a keyframe in mid-stream, which goes on from the state; 0 sends that as it is",
+        reading(0, "not mentioned: no keyframe is trained in mid-stream"),
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class PredictConfig:
-    """Training of every later frame.
+    """Training of every later frame."""
 
-    Attributes:
-        epochs: passes over the training cameras (paper: 10).
-        minimum_steps: at least so many steps, however few the cameras; or fewer:
-        least_gain: where an epoch gains less than this share of what epochs did on average before, the frame moves on
-            faster (paper: 0).
-        latent_rate, position_rate: Adam rates in steps.
-        group_cells: width of the neighbourhoods whose anchors also move as one, in level-0 cells; 0 for none (paper).
-        optimiser: a name in `core.train.optimise.optimisers`.
-        memory: Adam's beta_1 (usual: 0.9). A few dozen steps are too few for a long one.
-        continuation: share of the latest change that an anchor's training begins with, where the one before it pointed
-            the same way (paper: 0): what moves mostly goes on.
-        final_rate: both decay to this share over the frame.
-        feature_step, offset_step: width of a latent's step in feature and offset units.
-        rate_weight: weight in the loss of the bits of the residual, divided by the numbers of a picture.
-        cue: motion cue, a name in `core.train.motion.cues` (paper: canonical).
-        posterior: of the mixture's dynamic component, from which an anchor is taken to move (paper: 0.8).
-        changed_posterior: the same, from which an anchor is trained because what it shows has changed, moving or not:
-            shadows, reflections, what was uncovered (paper: only what moves).
-        noise_floor: smallest change of grey value, in units of [0, 1], that counts as motion.
-        partition_interval: frames between partitions (paper's star variant: 4).
-        growth_rule: a name in `core.train.growth.rules`.
-        growth_at: share of the frame's steps after which anchors are added where Gaussians pull hard.
-        growth_threshold: view-space gradient norm from which that happens.
-        growth_share: added anchors a frame, at most this share of all; 0 adds none, which measured best.
-        everything: treat all anchors as dynamic, for studies.
-    """
-
-    epochs: int = 20
-    minimum_steps: int = 60
-    least_gain: float = 0.3
-    latent_rate: float = 0.3
-    position_rate: float = 1.4
-    group_cells: float = 4.0
-    optimiser: str = "adam"
-    memory: float = 0.6
-    continuation: float = 0.9
-    final_rate: float = 0.1
-    feature_step: float = 0.2
-    offset_step: float = 0.2
-    position_steps_per_cell: int = 32
-    rate_weight: float = 0.005
-    dssim_weight: float = 0.2
-    cue: str = "difference"
-    posterior: float = 0.2
-    changed_posterior: float = 0.05
-    noise_floor: float = 0.02
-    partition_interval: int = 1
-    growth_rule: str = "gradient"
-    growth_at: float = 0.3
-    growth_threshold: float = 1e-4
-    growth_share: float = 0.0
-    everything: bool = False
+    epochs: int = setting(20, "passes over the training cameras", given(10, "V-A", "10 epochs"))
+    minimum_steps: int = setting(
+        60, "fewest steps, however few the cameras", given(0, "V-A", "10 epochs, however few the cameras")
+    )
+    least_gain: float = setting(
+        0.3,
+        "share of the mean gain of earlier epochs; after an epoch that gains less, the frame moves on faster",
+        given(0.0, "V-A", "the number of epochs is fixed"),
+    )
+    latent_rate: float = setting(
+        0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
+    )
+    position_rate: float = setting(
+        1.4, "Adam's rate of positions, in steps", reading(1.0, "none given (docs/method.md, reading 12)")
+    )
+    group_cells: float = setting(
+        4.0,
+        "width of the neighbourhoods whose anchors also move as one, in level-0 cells; 0 for none",
+        reading(0.0, "not mentioned: every anchor moves by itself"),
+    )
+    optimiser: str = setting("adam", "a name in `core.train.optimise.optimisers`", octree_gs("adam", "its optimiser"))
+    memory: float = setting(
+        0.6,
+        "Adam's beta_1; a few dozen steps are too few for a long one",
+        reading(0.9, "none given; the usual one of Adam"),
+    )
+    continuation: float = setting(
+        0.9,
+        "share of the latest change that an anchor begins with, where the one before it pointed the same way",
+        reading(0.0, "not mentioned: training begins at the frame before"),
+    )
+    final_rate: float = setting(
+        0.1, "both rates decay to this share over the frame", reading(0.1, "none given; as in the first frame")
+    )
+    feature_step: float = setting(
+        0.2,
+        "width of a latent's step in feature units",
+        reading(0.2, "the paper learns its latent decoders; ours are fixed, of this step"),
+    )
+    offset_step: float = setting(0.2, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
+    position_steps_per_cell: int = setting(
+        32,
+        "steps in which anchors move, to a level-0 cell",
+        reading(16, "positions are float32 there; ours are integers, which must be sent"),
+    )
+    rate_weight: float = setting(
+        0.005,
+        "weight in the loss of the bits of the residual, divided by the numbers in a picture",
+        given(0.0, "IV-D", "the loss has no rate term"),
+    )
+    dssim_weight: float = setting(
+        0.2, "share of D-SSIM in the loss; the rest is L1", given(0.2, "IV-D", "lambda is 0.2")
+    )
+    cue: str = setting(
+        "difference",
+        "motion cue, a name in `core.train.motion.cues`",
+        given("canonical", "IV-B", "the frame is compared with a rendering of the first"),
+    )
+    posterior: float = setting(
+        0.2,
+        "probability of the mixture's dynamic component, from which an anchor is taken to move",
+        given(0.8, "IV-B", "rho is 80 %"),
+    )
+    changed_posterior: float = setting(
+        0.05,
+        "the same, from which an anchor is trained because what it shows has changed, moving or not",
+        given(1.0, "IV-B", "only what moves is trained"),
+    )
+    noise_floor: float = setting(
+        0.02,
+        "smallest change of grey value, in units of [0, 1], that counts as motion",
+        reading(0.02, "not mentioned; where no picture changes at all, nothing is trained"),
+    )
+    partition_interval: int = setting(
+        1, "frames between partitions; 4 in the paper's star variant", given(1, "IV-D", "every frame is partitioned")
+    )
+    growth_rule: str = setting(
+        "gradient", "a name in `core.train.growth.rules`", octree_gs("gradient", "its refinement")
+    )
+    growth_at: float = setting(
+        0.3,
+        "share of the frame's steps after which anchors are added where Gaussians pull hard",
+        reading(0.3, "after 30 steps (section V-A), a whole frame of three views, nothing added is trained"),
+    )
+    growth_threshold: float = setting(
+        1e-4, "view-space gradient norm from which that happens", octree_gs(2e-4, "its threshold of the gradient norm")
+    )
+    growth_share: float = setting(
+        0.0,
+        "added anchors a frame, at most this share of all; 0 adds none, which measured best",
+        reading(0.01, "no limit is given; this one bounds a packet"),
+    )
+    everything: bool = setting(
+        False, "treat all anchors as dynamic, for studies", given(False, "IV-B", "static anchors are frozen")
+    )
 
 
 @dataclass(frozen=True, slots=True)

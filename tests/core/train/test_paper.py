@@ -1,4 +1,4 @@
-"""The preset `paper` is spelled out: every setting has a source, and the documented table is the one in force."""
+"""The preset `paper`: every setting says what the paper takes and why, and the documented table is the one in force."""
 
 from __future__ import annotations
 
@@ -8,22 +8,27 @@ from pathlib import Path
 import pytest
 
 from core.train import KeyframeConfig, ModelConfig, PredictConfig, preset
-from core.train.paper import KEYFRAME, MODEL, PREDICT, Choice, paper_table
+from core.train.paper import paper_table
+from core.train.setting import Choice
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "preset-paper.md"
-TABLES = [(ModelConfig, MODEL), (KeyframeConfig, KEYFRAME), (PredictConfig, PREDICT)]
+PARTS = [ModelConfig, KeyframeConfig, PredictConfig]
 
 
-@pytest.mark.parametrize(("config", "table"), TABLES, ids=lambda value: getattr(value, "__name__", ""))
-def test_every_setting_is_given_and_has_a_source(config: type, table: dict[str, Choice]) -> None:
-    assert set(table) == {field.name for field in fields(config)}
-    assert all(choice.why for choice in table.values())
+@pytest.mark.parametrize("part", PARTS)
+def test_every_setting_has_a_meaning_and_a_source(part: type) -> None:
+    for field in fields(part):
+        choice = field.metadata["paper"]
+        assert isinstance(choice, Choice), field.name
+        assert choice.why, field.name
+        assert field.metadata["meaning"], field.name
 
 
-def test_the_preset_holds_the_values_of_the_tables() -> None:
+def test_the_preset_holds_the_papers_values() -> None:
     config = preset("paper")
-    for part, (_, table) in zip((config.model, config.keyframe, config.predict), TABLES, strict=True):
-        assert {name: getattr(part, name) for name in table} == {name: row.value for name, row in table.items()}
+    for part in (config.model, config.keyframe, config.predict):
+        expected = {field.name: field.metadata["paper"].value for field in fields(part)}
+        assert {name: getattr(part, name) for name in expected} == expected
 
 
 def test_the_document_shows_the_values_in_force() -> None:

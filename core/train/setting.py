@@ -1,0 +1,43 @@
+"""How a setting of the method is declared: its default, what it means, and what the paper takes for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+_Value = TypeVar("_Value")
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What the paper takes for a setting.
+
+    Attributes:
+        value: of the field.
+        section: of the paper that gives it, empty where we had to read it into the paper.
+        why: what the paper says, or why we read it so.
+    """
+
+    value: Any
+    section: str
+    why: str
+
+
+def setting(default: _Value, meaning: str, paper: Choice) -> _Value:
+    """A field of a configuration, with `meaning` and `paper` in its metadata."""
+    return field(default=default, metadata={"meaning": meaning, "paper": paper})
+
+
+def given(value: Any, section: str, what: str) -> Choice:
+    """A value that the paper gives."""
+    return Choice(value, section, what)
+
+
+def octree_gs(value: Any, what: str) -> Choice:
+    """A value of Octree-GS, which the paper takes for everything that it does not name (section V-A)."""
+    return Choice(value, "V-A", f"the rest is as in Octree-GS: {what}")
+
+
+def reading(value: Any, why: str) -> Choice:
+    """A value that we had to read into the paper."""
+    return Choice(value, "", why)
