@@ -19,7 +19,7 @@ def brief_training() -> Iterator[None]:
         config = preset(name)
         return replace(
             config,
-            keyframe=replace(config.keyframe, steps=60, growth_interval=20),
+            keyframe=replace(config.keyframe, steps=60, growth_interval=20, refresh_steps=20),
             predict=replace(config.predict, epochs=2, minimum_steps=8),
         )
 

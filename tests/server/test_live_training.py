@@ -112,7 +112,7 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
     node = Node(tmp_path / "s")
     with brief_training():
         sender = Sender(theirs)
-        train(TrainJob(live=definition(), preset="live", frames=4), None, 0, sender, tmp_path / "s")
+        train(TrainJob(live=definition(), preset="live", frames=4, points="random"), None, 0, sender, tmp_path / "s")
         node.stop()
         sender.send(Tag.END)
     listener.join(10)
@@ -135,7 +135,10 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
 def test_a_failing_encoder_ends_training_that_waits_for_cameras(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    node, opened = Node(tmp_path / "s"), open_job(TrainJob(live=definition(), preset="live"), tmp_path / "s")
+    node, opened = (
+        Node(tmp_path / "s"),
+        open_job(TrainJob(live=definition(), preset="live", points="random"), tmp_path / "s"),
+    )
 
     def broken(*_: object, **__: object) -> bytes:
         node.stop()  # no further picture will come

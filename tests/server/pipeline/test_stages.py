@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from codec.container import SlodReader
@@ -26,16 +27,25 @@ from server.pipeline.job import TrainJob
 from server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
 from server.pipeline.trace import Span
 from server.worker.process import Resume, Sender, Tag, show_again, train
+from tests.core.true_points import true_points
 from tests.server.brief import brief_training
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
-JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")
+JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")  # with points by a sweep, which takes seconds
 
 
 @pytest.fixture(autouse=True, scope="module")
 def short_runs() -> Iterator[None]:
     with brief_training():
         yield
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> TrainJob:
+    """`JOB` with points from a file."""
+    path, points = tmp_path_factory.mktemp("points") / "points.npz", true_points(SPEC)
+    np.savez(path, positions=points.positions, colours=points.colours)
+    return replace(JOB, points=str(path))
 
 
 def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> Scene:
@@ -49,10 +59,10 @@ def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> 
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
+def trained(job: TrainJob, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
     """A folder with the clip as a file, and its frames as they were handed on."""
     folder, seen = tmp_path_factory.mktemp("trained"), list[EncodedFrame]()
-    train_clip(open_job(JOB), folder / "scene.slod", seen.append)
+    train_clip(open_job(job), folder / "scene.slod", seen.append)
     return folder, seen
 
 
@@ -87,10 +97,10 @@ def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame
     assert set(figures["per_frame"][1]["seconds"]) >= {"partition", "round", "encode"}
 
 
-def test_controllers_keep_every_frame_and_the_decoders_state(tmp_path: Path) -> None:
+def test_controllers_keep_every_frame_and_the_decoders_state(job: TrainJob, tmp_path: Path) -> None:
     """A budget of a millisecond and next to no bytes: frames come all the same, and they decode."""
     seen = list[EncodedFrame]()
-    tight = replace(JOB, frame_budget_ms=1.0, target_kbps=20.0)
+    tight = replace(job, frame_budget_ms=1.0, target_kbps=20.0)
     train_clip(open_job(tight), tmp_path / "scene.slod", seen.append)
     assert [frame.version for frame in seen] == [0, 1, 2, 3]
     assert all("encode" in frame.report["seconds"] for frame in seen)
@@ -125,21 +135,21 @@ def test_the_stages_of_three_frames_run_side_by_side(trained: tuple[Path, list[E
     assert overlap(track("encode", frames), track("write", frames)) == 0
 
 
-def test_a_failing_encoder_ends_the_stream_and_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_encoder_ends_the_stream_and_the_training(job: TrainJob, monkeypatch: pytest.MonkeyPatch) -> None:
     def encode(before: Scene, *arguments: object, **options: object) -> bytes:
         if before.version == 1:
             raise ModelError("the encoder broke")
         return encode_residual(before, *arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr("server.pipeline.stages.encode_residual", encode)
-    frames = train_stream(open_job(JOB))
+    frames = train_stream(open_job(job))
     assert [next(frames).version, next(frames).version] == [0, 1]
     with pytest.raises(ModelError, match="the encoder broke"):
         next(frames)
     assert "training" not in [thread.name for thread in threading.enumerate()]
 
 
-def test_a_failing_trainer_ends_the_stream_after_what_it_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_trainer_ends_the_stream_after_what_it_made(job: TrainJob, monkeypatch: pytest.MonkeyPatch) -> None:
     predict = Trainer.predict
 
     def broken(self: Trainer, frames: FrameSet) -> TrainedFrame:
@@ -148,14 +158,14 @@ def test_a_failing_trainer_ends_the_stream_after_what_it_made(monkeypatch: pytes
         return predict(self, frames)
 
     monkeypatch.setattr(Trainer, "predict", broken)
-    frames = train_stream(open_job(JOB))
+    frames = train_stream(open_job(job))
     assert [next(frames).version, next(frames).version] == [0, 1]
     with pytest.raises(ModelError, match="the trainer broke"):
         next(frames)
 
 
-def test_previews_come_first_and_the_chain_holds() -> None:
-    frames = list(train_stream(open_job(JOB), previews=True))
+def test_previews_come_first_and_the_chain_holds(job: TrainJob) -> None:
+    frames = list(train_stream(open_job(job), previews=True))
     previews = [frame for frame in frames if frame.preview]
     assert len(previews) == 2  # one for each progress report of so short a run
     assert frames[: len(previews)] == previews
@@ -163,20 +173,22 @@ def test_previews_come_first_and_the_chain_holds() -> None:
     assert decoded(frames).version == 5
 
 
-def test_the_seed_reaches_the_training(trained: tuple[Path, list[EncodedFrame]]) -> None:
+def test_the_seed_reaches_the_training(job: TrainJob, trained: tuple[Path, list[EncodedFrame]]) -> None:
     """The same one gives the same keyframe to the byte, another one another."""
-    keyframes = [next(iter(train_stream(open_job(replace(JOB, seed=seed))))).packets[0] for seed in (0, 1)]
+    keyframes = [next(iter(train_stream(open_job(replace(job, seed=seed))))).packets[0] for seed in (0, 1)]
     assert keyframes[0] == trained[1][0].packets[0]
     assert keyframes[1] != keyframes[0]
 
 
-def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state(trained: tuple[Path, list[EncodedFrame]]) -> None:
+def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state(
+    job: TrainJob, trained: tuple[Path, list[EncodedFrame]]
+) -> None:
     first, decoder = trained[1][:2], SceneDecoder()
     assert decoded(first, decoder).version == 1
     ours, theirs = multiprocessing.Pipe(duplex=False)
     with ours, theirs:
         scene = show_again(Resume(tuple(frame.packets[0] for frame in first), 2), Sender(theirs))
-        train(JOB, scene, 2, Sender(theirs))
+        train(job, scene, 2, Sender(theirs))
         messages = []
         while ours.poll():
             data = ours.recv_bytes()
@@ -191,8 +203,8 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state(trained: tuple
     assert messages[:2] == [(Tag.PACKET, packets[0]), (Tag.REPORT, json.dumps(reports[0]).encode())]
 
 
-def test_keyframes_come_at_the_interval() -> None:
-    frames = list(train_stream(open_job(replace(JOB, keyframe_interval=2))))
+def test_keyframes_come_at_the_interval(job: TrainJob) -> None:
+    frames = list(train_stream(open_job(replace(job, keyframe_interval=2))))
     kinds = [[peek(packet).kind for packet in frame.packets] for frame in frames]
     key, predicted = PacketKind.KEY, PacketKind.CHANGE
     assert kinds == [[key], [predicted], [predicted, key], [predicted]]
@@ -204,11 +216,11 @@ def test_a_camera_that_does_not_exist_is_refused() -> None:
         open_job(replace(JOB, test=("cam99",)))
 
 
-def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
+def test_an_interrupted_run_leaves_nothing(job: TrainJob, tmp_path: Path) -> None:
     def interrupt(frame: EncodedFrame) -> None:
         if frame.version == 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_clip(open_job(JOB), tmp_path / "scene.slod", interrupt)
+        train_clip(open_job(job), tmp_path / "scene.slod", interrupt)
     assert list(tmp_path.iterdir()) == []
