@@ -54,7 +54,7 @@ def clip() -> Dataset:
 def pictures(clip: Dataset) -> list[UInt8]:
     """Still, a burst of motion, and still again."""
     images = [frame.images for frame in clip.frames()]
-    return [images[0], images[0], *images[1:], *[images[-1]] * 10]
+    return [images[0], images[0], *images[1:], *[images[-1]] * 8]
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_a_burst_holds_the_frame_budget_and_quality_returns(
     trainer = Trainer(clip.cameras, config(), FPS, "cpu", frame_budget_ms=1000 * budget, clock=clock)
     trainer.resume(first)
     steps, scores = list[int](), list[float]()
-    calm = [pictures[-1]] * 20  # with six steps a frame, what is left undone takes a while
+    calm = [pictures[-1]] * 14  # with six steps a frame, what is left undone takes a while
     for index, images in enumerate([*pictures, *calm], start=1):
         begin = clock.now
         result = trainer.predict(FrameSet(index, index, images, PRESENT))
@@ -117,7 +117,7 @@ def test_a_burst_stays_within_the_buffer_and_quality_returns(
     trainer = Trainer(clip.cameras, config(), FPS, "cpu", target_kbps=kbps)
     trainer.resume(first)
     held, scores, sizes = 0.3 * capacity, list[float](), list[int]()
-    for index, images in enumerate([*pictures, *[pictures[-1]] * 20], start=1):
+    for index, images in enumerate([*pictures, *[pictures[-1]] * 14], start=1):
         before, result = trainer.scene, trainer.predict(FrameSet(index, index, images, PRESENT))
         assert result.residual is not None
         size = len(encode_residual(before, result.residual, time_ns=0))
