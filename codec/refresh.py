@@ -18,15 +18,15 @@ class RefreshRule:
     """When to send a refresh keyframe.
 
     Attributes:
-        longest: most versions from one keyframe to the next.
-        shortest: fewest versions from one keyframe to the next.
+        max_age: most versions from one keyframe to the next.
+        min_age: fewest versions from one keyframe to the next.
         catch_up_share: a keyframe is due when the catch-up packet reaches this share of the old keyframe's bytes.
         churn_share: or when so many anchors were added and removed, as a share of those that the keyframe had.
         checked_every: versions between checks of the catch-up packet, which has to be encoded to know its size.
     """
 
-    longest: int = 100
-    shortest: int = 30
+    max_age: int = 100
+    min_age: int = 30
     catch_up_share: float = 0.35
     churn_share: float = 0.1
     checked_every: int = 10
@@ -43,9 +43,9 @@ class RefreshRule:
             ValueError: the states belong to different keyframes.
         """
         age = now.version - key.version
-        if age >= self.longest:
+        if age >= self.max_age:
             return "time"
-        if age < self.shortest:
+        if age < self.min_age:
             return None
         if churn(key, now) > self.churn_share * max(key.anchor_count, 1):
             return "churn"
@@ -63,8 +63,8 @@ class RefreshSchedule:
     """Follows a stream's states and says when a refresh keyframe is due.
 
     Args:
-        rule: when.
-        size_bytes: of a keyframe's packet, for those who have encoded it anyway.
+        rule: says when.
+        size_bytes: size of a keyframe's packet, for callers that have it already; by default it is encoded to know.
     """
 
     def __init__(self, rule: RefreshRule, size_bytes: Callable[[Scene], int] = keyframe_bytes) -> None:

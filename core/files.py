@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, whenever the process, or the machine, ends.
+"""Files that are written whole or not at all, even if the process or the machine stops in between.
 
 The bytes go to a temporary file in the same folder, are flushed to the disk, and only then take the name of the file,
 in one step of the file system. What is interrupted leaves the earlier file as it was.
@@ -19,7 +19,7 @@ def temporary_beside(path: Path) -> Path:
 
 
 def put_in_place(temporary: Path, path: Path) -> None:
-    """Let a complete file, flushed to the disk first, take the name `path` and the place of what had it.
+    """Flush a complete file to the disk and rename it to `path`, in place of what is there.
 
     Raises:
         OSError: it could not be flushed or renamed.

@@ -91,7 +91,7 @@ class _FirstFrame:
 
 @dataclass(slots=True)
 class FirstFrames:
-    """First frames of one split, trained once for all configurations that differ in later frames only."""
+    """Trained first frames of one split, shared by configurations that differ only in how later frames are trained."""
 
     device: str = "auto"
     _known: dict[tuple[ModelConfig, KeyframeConfig, int], _FirstFrame] = field(default_factory=dict)
@@ -154,8 +154,8 @@ def run_system(
     movers = MovingPixels(footage.testing.cameras, spec)
     scores: list[TrainedScore] = []
     peak, scene, truth = 0, None, None
-    for trained, before, testing, held, seconds in _trained_frames(config, footage, first_frames, frozen):
-        peak, scene = max(peak, held), trained.scene
+    for trained, before, testing, first_peak, seconds in _trained_frames(config, footage, first_frames, frozen):
+        peak, scene = max(peak, first_peak), trained.scene
         if not testing.present.all():
             _log.warning("frame %d is not measured: a held-out camera delivered nothing", testing.index)
             continue
@@ -190,7 +190,7 @@ def run_system(
 def _trained_frames(
     config: TrainConfig, footage: Footage, first_frames: FirstFrames, frozen: bool
 ) -> Iterator[tuple[TrainedFrame, Scene | None, FrameSet, int, float]]:
-    """(frame, state before, held-out pictures, peak memory of the first frame, processor seconds) in order."""
+    """(frame, state before, held-out pictures, peak memory of the first frame, processor seconds) of every frame."""
     trainer = _trainer(footage, config, first_frames.device)
     peak = 0
     for training, testing in footage.pairs():
@@ -199,8 +199,8 @@ def _trained_frames(
             forget_peak()
             trainer.resume(first.scene)
             if not frozen and footage.frames > 1:
-                # only a predicted frame makes pictures the reference of what moves next: predict the first frame from
-                # itself, keep the reference, and drop what it trained
+                # Motion is measured against the pictures of the frame predicted last. So the first frame is predicted
+                # from itself, which makes its pictures the reference; what that trained is dropped.
                 trainer.predict(training)
                 trainer.resume(first.scene, keep_references=True)
             yield first, None, testing, peak, seconds

@@ -19,7 +19,7 @@ _MAGIC = 0x5053474E  # "NGSP"
 _VERSION = 3
 _HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved
 _AXES = np.array([1, -1, -1], np.float32)  # a half turn about x
-_POSITION_LIMIT = (1 << 23) - 1
+_MAX_POSITION = (1 << 23) - 1
 _FINEST = 20  # fractional bits: a unit is a millionth
 _COLOUR_SCALE = 0.15
 _NINE_BITS = (1 << 9) - 1  # magnitude of a rotation component
@@ -51,7 +51,7 @@ def _fractional_bits(means: Float32) -> int:
     """As many bits behind the point as the farthest coordinate leaves."""
     farthest = float(np.abs(means).max(initial=0))
     for bits in range(_FINEST, -1, -1):
-        if farthest * 2.0**bits <= _POSITION_LIMIT - 1:
+        if farthest * 2.0**bits <= _MAX_POSITION - 1:
             return bits
     raise ValueError(f"a coordinate of {farthest:.3g} does not fit the 24 bits of SPZ")
 

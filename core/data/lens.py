@@ -17,7 +17,7 @@ from core.camera import Camera
 from core.errors import InputError
 
 _BORDER_SAMPLES = 65
-_ZOOM_LIMIT = 4.0  # a lens that needs more than this to fill a picture is not described by five coefficients
+_MAX_ZOOM = 4.0  # a lens that needs more than this to fill a picture is not described by five coefficients
 _ITERATIONS = 30
 _ROUND_TRIP = 1e-6  # on the plane z = 1, far below a pixel
 
@@ -71,7 +71,7 @@ def undistorted_camera(camera: Camera) -> Camera:
         if not np.isfinite(nearest) or wanted * nearest <= 0:
             raise InputError(f"camera {camera.name}", "its distortion cannot be undone; check the coefficients")
         factor = max(factor, wanted / nearest)
-    if not 1 / _ZOOM_LIMIT < factor < _ZOOM_LIMIT:
+    if not 1 / _MAX_ZOOM < factor < _MAX_ZOOM:
         raise InputError(f"camera {camera.name}", "its distortion is too strong to be undone; check the coefficients")
     intrinsics = camera.intrinsics.copy()
     intrinsics[[0, 1], [0, 1]] *= factor

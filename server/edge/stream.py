@@ -28,8 +28,8 @@ _MAX_CLOCK_AHEAD_NS = 86_400 * 10**9  # a day; a clock that is further away is n
 class EdgeStream(Stream):
     """Packets are those of the origin, byte for byte, under the origin's positions and incarnation.
 
-    What makes them differ from the origin's (another incarnation, packets that do not fit) and what leaves them behind
-    (nobody watches any more) ends this object: it asks to be replaced by a new one.
+    An object serves for one pull. When its packets could differ from the origin's (another incarnation, packets that do
+    not fit), or nobody watches any more, it asks to be replaced by a new one, which holds nothing.
 
     Args:
         origin: where it comes from.

@@ -250,7 +250,7 @@ class _Training:
             target_kbps=job.target_kbps,
             label_motion=False,
         )
-        self._refresh = RefreshSchedule(RefreshRule(longest=job.keyframe_interval), size.size_bytes)
+        self._refresh = RefreshSchedule(RefreshRule(max_age=job.keyframe_interval), size.size_bytes)
 
     def run(self, resume: Scene | None, start: int) -> None:
         """Train all frames from `start`, after the state to resume if there is one."""

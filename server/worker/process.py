@@ -147,7 +147,7 @@ def _load(job: TrainJob) -> None:
         from server.pipeline.rehearsal import rehearse
 
         rehearse(job.preset, job.device)
-    except Exception:  # if something is wrong, training reports it better
+    except Exception:  # whatever is wrong, training meets it too and reports it
         _LOG.warning("a spare worker could not rehearse", exc_info=True)
 
 

@@ -30,7 +30,7 @@ from tests.bench.abuse_bench import drain
 from tests.e2e.test_server_process import serving
 from tests.server.conftest import Clip, Viewer, make_clip
 
-_LONGEST_SECONDS = 120.0
+_MAX_SECONDS = 120.0
 _RUNNING, _STOPPED = ("first", "second"), "third"
 _PLAYED = 'roots = ["{1}"]\n[[streams]]\nid = "first"\nplay = "{0}"\n'
 _TRAINED = 'roots = ["{1}"]\n[[streams]]\nid = "first"\nsynthetic = {{cameras = 3, width = 96, height = 54}}\n'
@@ -45,9 +45,9 @@ def follow(port: int, name: str, got: Packets) -> None:
     with suppress(ConnectionClosed, OSError, TimeoutError), connect(address, **options) as peer:
         viewer = Viewer(peer).hello()
         epoch = viewer.welcome["epoch"] or 1
-        viewer.until("caught_up", _LONGEST_SECONDS)
+        viewer.until("caught_up", _MAX_SECONDS)
         while True:
-            message = viewer.step(_LONGEST_SECONDS)
+            message = viewer.step(_MAX_SECONDS)
             if isinstance(message, dict):
                 epoch = message["epoch"] if message["event"] == "epoch" else epoch
             elif (info := peek(message)).from_version + 1 == info.to_version:
@@ -61,7 +61,7 @@ def states(client: httpx.Client) -> dict[str, dict[str, Any]]:
 
 def until_live(client: httpx.Client, since: dict[str, dict[str, Any]]) -> None:
     """Wait until both running streams deliver, in a later epoch than before."""
-    limit = time.monotonic() + _LONGEST_SECONDS
+    limit = time.monotonic() + _MAX_SECONDS
     while True:
         now = states(client)
         if all(

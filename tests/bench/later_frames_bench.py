@@ -43,7 +43,7 @@ class Keyframes:
     """Sends keyframes when the service would; their `sizes` in bytes and CPU `seconds`."""
 
     def __init__(self, interval: int) -> None:
-        self._refresh = RefreshSchedule(RefreshRule(longest=interval))
+        self._refresh = RefreshSchedule(RefreshRule(max_age=interval))
         self.sizes, self.seconds = list[int](), 0.0
 
     def follow(self, trainer: Trainer, before: Scene, frame: FrameSet) -> None:
@@ -179,7 +179,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--size", default="240x136")
     parser.add_argument("--views", type=int, default=5)
     parser.add_argument("--steps", type=int, default=500)
-    parser.add_argument("--interval", type=int, default=RefreshRule().longest, help="most frames between keyframes")
+    parser.add_argument("--interval", type=int, default=RefreshRule().max_age, help="most frames between keyframes")
     parser.add_argument("--renewal-steps", type=int, help="training of a keyframe in mid-stream")
     parser.add_argument("--budget-ms", type=float, help="frame budget, of CPU time, so that other work does not count")
     parser.add_argument("--seed", type=int, default=0)

@@ -14,7 +14,7 @@ from tests.codec.scenes import grow, make_scene, move
 
 KEY = make_scene((100, 1500), slots=2, features=4)
 KEY_BYTES = len(encode_keyframe(KEY, time_ns=0))
-RULE = RefreshRule(longest=50, shortest=3, checked_every=1)
+RULE = RefreshRule(max_age=50, min_age=3, checked_every=1)
 
 
 def _still(version: int) -> Scene:
@@ -48,9 +48,9 @@ def test_a_catch_up_packet_that_outgrows_its_share_calls_for_a_keyframe() -> Non
         sizes.append(catch_up_bytes(KEY, now))
         reasons.append(RULE.reason(KEY, now, keyframe_bytes))
     first = reasons.index("catch-up")
-    assert first >= RULE.shortest - 1
+    assert first >= RULE.min_age - 1
     for size, reason, age in zip(sizes, reasons, range(1, 13), strict=True):
-        expected = age >= RULE.shortest and size > 0.35 * KEY_BYTES
+        expected = age >= RULE.min_age and size > 0.35 * KEY_BYTES
         assert reason == ("catch-up" if expected else None)
 
 
@@ -67,7 +67,7 @@ def test_states_of_another_keyframe_are_refused() -> None:
 
 
 def test_a_watch_follows_a_stream_over_its_keyframes() -> None:
-    watch, state, keyframes = RefreshSchedule(replace(RULE, longest=6)), KEY, list[tuple[int, str]]()
+    watch, state, keyframes = RefreshSchedule(replace(RULE, max_age=6)), KEY, list[tuple[int, str]]()
     for seed in range(12):
         before, state = state, move(state, seed, share=0.02 if seed < 6 else 0.7)
         reason = watch.due(before, state)
@@ -84,7 +84,7 @@ def test_a_keyframe_is_sized_only_for_a_check_of_the_catch_up_packet() -> None:
         asked.append(key.version)
         return 10**9
 
-    watch, state = RefreshSchedule(replace(RULE, shortest=5, checked_every=4), size_bytes), KEY
+    watch, state = RefreshSchedule(replace(RULE, min_age=5, checked_every=4), size_bytes), KEY
     for seed in range(9):
         before, state = state, move(state, seed, share=0.02)
         assert watch.due(before, state) is None

@@ -9,7 +9,7 @@ import { bin } from "./tables.js";
 /** @typedef {import("./scene.js").Level} Level */
 /** @typedef {import("./packet.js").Room} Room */
 /** @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array }} Change */
-/** @typedef {{ age: number, span: number }} Elapsed - frames from the keyframe to before, and from there to after */
+/** @typedef {{ age: number, span: number }} Elapsed - frames from the keyframe to the state before the change, and from that to the state after it */
 
 const BLOCK = 64, MAX_SPAN = 255;
 
@@ -113,10 +113,10 @@ function decodeRowSet(coder, { count, position }, used) {
 }
 
 /**
- * Which rows have any latents, then these.
+ * For each changed row whether it has latents, then the latents of those that have.
  * @param {RansDecoder} coder
  * @param {Uint32Array} rows
- * @param {Uint8Array} used - of all rows, which have latents other than 0 before
+ * @param {Uint8Array} used - 1 for each row of the level whose latents were not all 0 before
  * @param {import("./rans.js").Scales} scales
  * @returns {Int32Array}
  */
@@ -137,7 +137,7 @@ function decodeLatents(coder, rows, used, scales) {
 /**
  * @param {RansDecoder} coder
  * @param {Uint32Array} rows
- * @param {Int32Array} position - of all rows, before
+ * @param {Int32Array} position - of all rows of the level before the change
  * @param {Elapsed} elapsed
  * @param {number} start - expected magnitude
  * @returns {Int32Array}
@@ -145,7 +145,7 @@ function decodeLatents(coder, rows, used, scales) {
 function decodePositions(coder, rows, position, { age, span }, start) {
   const delta = new Int32Array(3 * rows.length);
   const average = [start, start, start], trend = [0, 0, 0], motion = [0, 0, 0];
-  const frames = Math.min(span, age, MAX_SPAN); // never further ahead than it was seen
+  const frames = Math.min(span, age, MAX_SPAN); // motion is not extrapolated for longer than it was observed
   let before = 3 * start, mean = 3 * start;
   for (let i = 0; i < rows.length; i++) {
     let within = 0, steady = 0;

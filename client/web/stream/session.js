@@ -7,7 +7,7 @@ import { phaseOf } from "./phase.js";
 export const PROTOCOL = "streamlod.v1";
 const VERSION = 1;
 const CLIENT = "streamlod-web/1.0";
-const FIRST_WAIT_MS = 500, LONGEST_WAIT_MS = 15_000;
+const FIRST_WAIT_MS = 500, MAX_WAIT_MS = 15_000;
 const MIN_STALL_MS = 2500; // without a frame
 const MAX_STALL_MS = 60_000;
 const USUAL_GAPS = 4; // so many times the usual time between two frames is a stall
@@ -231,7 +231,7 @@ export class Session {
     }
     if (status.mode === "live" || !status.position) this.start = "live";
     else this.start = status.position;
-    const step = Math.min(FIRST_WAIT_MS * 2 ** this.attempts, LONGEST_WAIT_MS);
+    const step = Math.min(FIRST_WAIT_MS * 2 ** this.attempts, MAX_WAIT_MS);
     const wait = own && this.refused === 1 ? 0 : step * (0.75 + 0.5 * random);
     this.attempts++;
     this.link = "broken";

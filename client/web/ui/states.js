@@ -9,7 +9,7 @@
  * @property {{ title: string, text: string, spinner: boolean, fraction?: number | null, button?: string } | null} card - null: nothing in the way
  */
 
-const LONGEST = 60; // characters of the server's words in the chip
+const MAX_CHARACTERS = 60; // characters of the server's words in the chip
 const WITHOUT_PICTURE = ["connecting", "reconnecting", "deleted", "failed", "version", "denied", "missing"]; // phases that say why there is none
 
 /** @type {(chip: string, tone: Words["tone"], title: string, text: string, more?: object) => Words} */
@@ -46,7 +46,7 @@ export function words(status, picture, waitMs) {
     case "preview":
       return small(`Preview${fraction === null ? "" : `, trained to ${Math.round(100 * fraction)} %`}`, "busy");
     case "live":
-      if (trouble) return small(`Live, but ${trouble.length > LONGEST ? `${trouble.slice(0, LONGEST)}…` : trouble}`, "busy");
+      if (trouble) return small(`Live, but ${trouble.length > MAX_CHARACTERS ? `${trouble.slice(0, MAX_CHARACTERS)}…` : trouble}`, "busy");
       return source === "cameras" ? small("Live", "live") : small("Newest frame", "good");
     case "behind":
       return small(source === "cameras" ? behind(status.lagSeconds) : "Playing", "good");

@@ -9,14 +9,14 @@ import { add, cross, dot, row, unit } from "./camera.js";
 /** @typedef {import("./viewer.js").Viewer} Viewer */
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 
-const REACH = 2; // metres to what the viewer orbits around, when the session begins
+const REACH = 2; // metres from the head to the centre of the page's orbit when the session begins: this sets the scale
 const PACE = 1.5; // metres a second with the left stick pushed
 const SNAP = Math.PI / 6; // radians of a turn with the right stick
-const DEAD = 0.2, PUSHED = 0.7; // of a stick's travel
+const DEAD = 0.2, PUSHED = 0.7; // shares of a stick's travel: less is ignored, more is a push
 
 /** Where XR space lies in the scene. @typedef {{ axes: [Vec3, Vec3, Vec3], origin: Vec3, scale: number }} Stand */
 
-/** The scene stands upright, the viewer where the page's is. @type {(viewer: Viewer) => Stand} */
+/** The scene upright, seen from where the page's viewer is. @type {(viewer: Viewer) => Stand} */
 function standing({ pose, up }) {
   const level = (/** @type {Vec3} */ v) => add(v, up, -dot(v, up));
   const ahead = level(row(pose.rotation, 2));

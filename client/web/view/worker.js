@@ -14,7 +14,7 @@ const kernel = fetch(new URL("../decode/kernel.wasm", import.meta.url))
   .then((answer) => (answer.ok ? answer.arrayBuffer() : Promise.reject(new Error("kernel.wasm is missing"))))
   .then(loadKernel);
 
-const LONGEST_HOLD_MS = 1500;
+const MAX_HOLD_MS = 1500;
 
 /** @type {Engine | null} */
 let engine = null;
@@ -111,7 +111,7 @@ function hold(version) {
   clearTimeout(holdTimer);
   held = version;
   if (version === null) schedule();
-  else holdTimer = self.setTimeout(() => hold(null), LONGEST_HOLD_MS);
+  else holdTimer = self.setTimeout(() => hold(null), MAX_HOLD_MS);
 }
 
 const handlers = { packet: decode, hold, status };

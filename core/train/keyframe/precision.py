@@ -25,7 +25,7 @@ _SEARCH = 30  # halvings of an interval of offsets in doublings
 _FINER = 0.002  # share of the anchors that would take less than the finest step
 _TRIALS = 2
 _FARTHEST = 8.0  # factor by which one trial corrects the next at most
-_LARGEST = 1 << 14  # steps that a parameter should stay below
+_MAX_STEPS = 1 << 14  # steps that a parameter should stay below
 _TINY = 1e-12
 
 
@@ -89,7 +89,7 @@ def measured_precision(field: Field, found: Sensitivity, budget: float) -> Preci
     finest = (budget / len(rows) / rows).sqrt().quantile(_FINER).to(basis.dtype)
     values = (field.feature @ basis, field.offset.flatten(1), field.scaling)
     widths = tuple(
-        torch.maximum(width * finest, value.abs().amax(dim=0) / _LARGEST)
+        torch.maximum(width * finest, value.abs().amax(dim=0) / _MAX_STEPS)
         for width, value in zip(widths, values, strict=True)
     )
     shift = row_shifts(_row_cost(parts, widths), budget)

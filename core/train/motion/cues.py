@@ -23,7 +23,7 @@ from core.train.motion.scores import change_scores, error_scores, shown_shares
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion
 _SHOWS = 0.1  # share of moved pixels from which an anchor that moves steadily is taken to move
-_MOST_CHANGED = 0.5  # share of changed pixels above which nothing stands still for the mixture to separate
+_MAX_CHANGED = 0.5  # share of changed pixels above which nothing stands still for the mixture to separate
 
 
 class MotionCue(Protocol):
@@ -63,7 +63,7 @@ class Difference:
         rows, lowest = torch.nonzero(seen.alive)[:, 0], self.changed_posterior
         scores = change_scores(seen, rows, rows[:0], seen.masks)
         changed = dynamic_anchors(scores, seen.previous.trained, lowest, lowest * _HYSTERESIS)
-        if seen.masks[seen.views.usable].float().mean() > _MOST_CHANGED:
+        if seen.masks[seen.views.usable].float().mean() > _MAX_CHANGED:
             changed = scores > 0
         if not changed.any():
             return all_static(len(seen.field))

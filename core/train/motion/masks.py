@@ -20,13 +20,13 @@ from core.arrays import Bool, Float32, Float64
 
 _BLUR = (5, 5)  # pixels; averages the noise, keeps edges of moving things
 _NOISE_FACTOR = 5.0  # standard deviations of the blurred difference
-_LARGEST_FLOOR = 4.0  # floors; no camera worth using is noisier after the blur
+_MAX_FLOOR = 4.0  # floors; no camera worth using is noisier after the blur
 _SEED_FACTOR = 1.6  # a region of change needs a seed this much above the threshold
 _SMALLEST_REGION = 12  # pixels
 _GROW = 5  # pixels that a region is widened by: the blur and the object's edge
 _SHARP = (3, 3)  # pixels; as `_BLUR`, where a region's edge matters
 _LIGHT = (9, 9)  # pixels; neighbourhood that one light falls on
-_FEWEST = 16  # below so many scored anchors a mixture means nothing
+_MIN_SCORED = 16  # below so many scored anchors a mixture means nothing
 _POWER = 0.25
 
 
@@ -75,7 +75,7 @@ def _threshold(difference: Float32, floor: float) -> float:
     # most of a picture is still, so its median difference measures the noise (0.6745 sigma of a folded normal); where
     # most of it changes, in a flash, the median is no noise, hence the limit
     noise = float(np.median(difference)) / 0.6745
-    return min(max(floor, _NOISE_FACTOR * noise), _LARGEST_FLOOR * floor)
+    return min(max(floor, _NOISE_FACTOR * noise), _MAX_FLOOR * floor)
 
 
 def mixture_threshold(scores: Float64, posterior: float) -> float:
@@ -94,7 +94,7 @@ def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
     Returns:
         The thresholds; 0 where there are too few scores or they are all alike, so that all are dynamic.
     """
-    if len(scores) < _FEWEST:
+    if len(scores) < _MIN_SCORED:
         return [0.0] * len(posteriors)
     limited = np.minimum(scores, 10 * np.quantile(scores, 0.98))  # one wild score must not bend the mixture
     values = (limited / limited.mean()) ** _POWER

@@ -1,9 +1,9 @@
 """The run of a refresh keyframe: everything in a state is trained further, against the pictures of its instant.
 
 Later frames change features and offsets along fixed directions, where pictures change; sizes of Gaussians and the
-network stay, and changes that are not worth their bytes are never sent. That adds up to a decibel and more in
-fifty frames. A keyframe carries everything anyway, so it can catch up; starting from the state takes a fraction of a
-first frame's run.
+network stay, and changes that are not worth their bytes are never sent. In fifty frames this costs a decibel or more.
+A keyframe carries everything anyway, so all of it can be trained; as training goes on from the state, that takes a
+fraction of a first frame's run.
 """
 
 from __future__ import annotations

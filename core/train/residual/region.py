@@ -12,7 +12,7 @@ from core.camera import Camera
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
 
 _REACH = 10  # pixels around a box that its loss reads: the windows of pixels whose windows touch it
-_MOST = 64  # boxes that are worth looking at one by one
+_MAX_BOXES = 64  # boxes that are worth looking at one by one
 
 
 def loss_boxes(tile_mask: Bool, camera: Camera) -> tuple[Box, ...]:
@@ -22,7 +22,7 @@ def loss_boxes(tile_mask: Bool, camera: Camera) -> tuple[Box, ...]:
     """
     count, _, statistics, _ = cv2.connectedComponentsWithStats(tile_mask.astype(np.uint8), connectivity=8)
     boxes = [_box(row) for row in statistics[1:count, : cv2.CC_STAT_AREA].tolist()]
-    if len(boxes) > _MOST:
+    if len(boxes) > _MAX_BOXES:
         boxes = [_around(*boxes)]
     while (pair := next((p for p in combinations(boxes, 2) if _belong_together(*p)), None)) is not None:
         boxes = [box for box in boxes if box not in pair] + [_around(*pair)]

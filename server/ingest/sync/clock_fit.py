@@ -8,18 +8,18 @@ from statistics import median
 _PAIRS = 60
 _DRIFT_SPAN_NS = 20_000_000_000  # over less, jitter would look like drift
 _MAX_DRIFT = 500e-6  # crystals are within 100 ppm; more is damage
-_STEP_NS = 250_000_000
-_AGREE_NS = 50_000_000
+_STEP_NS = 250_000_000  # off the line, from which a pair is set aside
+_AGREE_NS = 50_000_000  # between offsets that agree
 
 
 class Line:
     """y = x + offset + drift (x - x0), fitted to the latest pairs (x, y), all in nanoseconds.
 
-    The drift is the median of the slopes between far pairs (Theil 1950, Sen 1968), the offset the median of what is
-    left; or the least of it for the `lower` envelope, where y can be late but never early.
+    The drift is the median of the slopes between pairs far apart (Theil 1950, Sen 1968). The offset is the median of
+    the residuals, or their minimum with `lower`, for a y that can be late but never early.
 
-    A pair far off the line is set aside; when `patience` in a row agree about another offset, a clock was stepped, and
-    the line begins anew with them.
+    A pair far off the line is set aside. When `patience` of them in a row agree on another offset, one of the clocks
+    was set, and the line begins anew with them.
     """
 
     def __init__(self, *, lower: bool = False, patience: int = 2) -> None:

@@ -27,8 +27,8 @@ __all__ = ["clip", "page"]
 pytestmark = pytest.mark.browser
 
 ROOT = WEB.parents[1]
-MOST_BYTES = 52_000  # of all that a live viewer loads
-MOST_BYTES_IN_ALL = 60_000  # with what plays files, thin viewers, headsets and other pages load
+MAX_BYTES = 52_000  # of all that a live viewer loads
+MAX_BYTES_IN_ALL = 60_000  # with what plays files, thin viewers, headsets and other pages load
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory, kernel: bytes) -> Path:
     assert b"/**" not in script
     assert gzip.decompress((folder / "ui" / "main.js.gz").read_bytes()) == script
     assert (folder / "decode" / "kernel.wasm").read_bytes() == kernel
-    assert sum(path.stat().st_size for path in folder.rglob("*.br")) < MOST_BYTES_IN_ALL
+    assert sum(path.stat().st_size for path in folder.rglob("*.br")) < MAX_BYTES_IN_ALL
     return folder
 
 
@@ -69,7 +69,7 @@ def test_works_compressed_and_is_small(page: Any, clip: Clip, packed: Path) -> N
         shows(page, "s.version === 4")
     assert {"main.js", "worker.js", "kernel.wasm"} <= set(sizes)
     assert not {"recording.js", "file.js", "clip.js", "thin.js", "webxr.js"} & set(sizes)
-    assert sum(sizes.values()) < MOST_BYTES, sizes
+    assert sum(sizes.values()) < MAX_BYTES, sizes
 
 
 class SlowLink:

@@ -35,7 +35,7 @@ def test_a_stream_pays_for_its_keyframes() -> None:
     packets = [6000 + 20] + [20] * 99
     assert stream_bytes(6000, 20, interval=100) == pytest.approx(np.mean(packets * 3))
     assert stream_bytes(KEYFRAME_INTERVAL, 0) == 1
-    defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RefreshRule().longest
+    defaults = TrainJob.__dataclass_fields__["keyframe_interval"].default, RefreshRule().max_age
     assert defaults == (KEYFRAME_INTERVAL, KEYFRAME_INTERVAL)
 
 
