@@ -9,8 +9,8 @@ from prometheus_client.core import CollectorRegistry, CounterMetricFamily, Gauge
 from prometheus_client.registry import Collector
 
 from server.auth.gate import EVERYTHING, Grant, Right
-from server.ingest.metrics import ingest_families
 from server.registry import Registry
+from server.service.ingest_metrics import ingest_families
 
 _GAUGES = {
     "viewers": "viewers connected",

@@ -98,6 +98,10 @@ def hop_delay(nodes: list[Node], seconds: float) -> dict[str, list[float]]:
     found = {}
     for hops, those in enumerate(arrivals[1:], 1):
         delays = np.array([(those[version] - at) / 1e6 for version, at in arrivals[0].items() if version in those])
+        if not len(delays):
+            raise SystemExit(
+                f"no packet arrived both at the origin and behind {hops} edges: measure for more --seconds"
+            )
         found[f"{hops} hops"] = [float(value) for value in np.percentile(delays, (50, 99))] + [len(delays)]
     return found
 

@@ -26,7 +26,6 @@ from websockets.sync.client import connect
 from codec.packet.info import peek
 from core.errors import InputError, ModelError, SessionError
 from core.synthetic import SyntheticSpec, open_synthetic
-from server.ingest.metrics import ingest_families
 from server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from server.ingest.push.relay import RelayedIntake
 from server.ingest.statistics import CameraStatistics, Statistics
@@ -35,6 +34,7 @@ from server.ingest.sync.synchroniser import CameraState, Counts
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 from server.pipeline.stages import open_job, train_stream
+from server.service.ingest_metrics import ingest_families
 from server.settings import Settings, load_settings
 from server.stream.worker_stream import WorkerStream
 from server.worker.process import Sender, Tag, train
