@@ -12,6 +12,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGE = Path("client/web")
+SHADER = re.compile(r"#version.*?`", re.DOTALL)  # GLSL in a script
 SERVED = {".js", ".css", ".html", ".svg", ".wasm"}
 
 
@@ -52,7 +53,7 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
     for path in sorted(path for path in folder.rglob("*") if path.suffix in SERVED):
         content = path.read_bytes()
         if path.suffix == ".js":
-            content = rjsmin.jsmin(content.decode()).encode()
+            content = rjsmin.jsmin(SHADER.sub(_without_comments, content.decode())).encode()
         elif path.suffix == ".css":
             content = re.sub(rb"\s*([{};])\s*", rb"\1", content)
         elif path.suffix == ".html":
@@ -60,3 +61,7 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
         name = path.relative_to(folder).as_posix()
         yield f"{name}.br", brotli.compress(content)
         yield f"{name}.gz", gzip.compress(content, mtime=0)
+
+
+def _without_comments(shader: re.Match[str]) -> str:
+    return re.sub(r" *//.*|(?<=\n) +", "", shader[0])

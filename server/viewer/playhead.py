@@ -19,6 +19,11 @@ class Playhead:
     def __init__(self, start: Position | None) -> None:
         self.seek(start)
 
+    @property
+    def is_leaving(self) -> bool:
+        """Whether another place was asked for than the one that the viewer was told last."""
+        return self.changed and self.mode != "paused"
+
     def seek(self, to: Position | None) -> None:
         """Jump; None is the live edge."""
         self._target, self.mode, self.changed = to, "replay" if to else "live", True

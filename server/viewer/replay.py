@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 
 from server.protocol.packets import Position, StreamPacket, binary_frame
 from server.stream.bus import Bus
@@ -41,8 +42,9 @@ class Replay:
         """Time until the next packet is due, if one was read ahead."""
         return max(0.0, self._due(self._ahead[0]) - now) if self._ahead else None
 
-    async def load(self, place: Position) -> None:
-        """Send from the last keyframe before `place`; packets up to `place` are due at once."""
+    async def load(self, place: Position, is_wanted: Callable[[], bool] = lambda: True) -> None:
+        """Send from the last keyframe before `place`, as long as that is wanted; packets up to `place` are due at once.
+        """
         here, last = self._bus.key_before(place), None
         while here is not None and here <= place:
             chunk = Position(here.epoch, here.version + _CHUNK_VERSIONS - 1)
@@ -50,6 +52,8 @@ class Replay:
             while packets and not (packets[0].is_key if last is None else packets[0].follows(last.position)):
                 packets.pop(0)  # some may have left the window meanwhile
             for packet in packets:
+                if not is_wanted():
+                    return
                 await self._send(packet)
             last = packets[-1] if packets else last
             here = Position(packets[-1].position.epoch, packets[-1].position.version + 1) if packets else None

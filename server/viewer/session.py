@@ -42,7 +42,8 @@ class ViewerSession:
         transport: its connection.
         limits: of the server.
         counters: where what is sent is counted; those of the stream by default.
-        on_arrival: called when everything up to a position of the past, which the viewer asked for, has been sent.
+        on_arrival: called with the mode when the viewer is where it asked to be last: it has been told so, and
+            everything up to a position of the past has been sent.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class ViewerSession:
         limits: Limits,
         *,
         counters: Counters | None = None,
-        on_arrival: Callable[[], None] = lambda: None,
+        on_arrival: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._stream, self._limits = stream, limits
         self.id = secrets.token_hex(6)
@@ -239,5 +240,6 @@ class ViewerSession:
             self._replay.clear()
         await self._delivery.send_event(event("position", mode=mode, **place.to_json(), clamped=clamped))
         if mode == "replay":
-            await self._replay.load(place)
-            self._on_arrival()
+            await self._replay.load(place, lambda: not self._playhead.is_leaving)
+        if not self._playhead.is_leaving:
+            self._on_arrival(mode)

@@ -92,7 +92,8 @@ class ThinSession:
         self._number = self._shown = 0
         self._keyframe: Scene | None = None  # whose scene event the viewer has got
         self._picks: list[Pick] = []
-        self._stop = False  # pause as soon as the position of a seek is reached
+        self._seeking: Seek | None = None  # on the way to its position nothing is drawn
+        self._arrival: tuple[Scene, int] | None = None  # its state, which is shown before what follows
         self._frozen: tuple[Scene, int] | None = None  # paused: the state on screen, whatever has arrived since
         self._drawn: tuple[Scene, int, Camera] | None = None
 
@@ -120,12 +121,14 @@ class ThinSession:
         Raises:
             SessionError: as of `ViewerSession`.
         """
+        if isinstance(message, Pause) and self._seeking is not None and self._seeking.to is not None:
+            message = Seek(self._seeking.to, True)  # pause there
         self._session.on_control(message)
         match message:
             case Pause():
-                self._frozen = self._drawn[:2] if self._drawn else None
-            case Seek(_, stop):
-                self._stop, self._frozen = stop, None
+                self._frozen = self._arrival or (self._drawn[:2] if self._drawn else None)
+            case Seek():
+                self._seeking, self._frozen, self._arrival = message, None, None
             case Play():
                 self._frozen = None
             case ViewMessage(camera):
@@ -162,23 +165,31 @@ class ThinSession:
         for task in done:
             task.result()
 
-    def _arrived(self) -> None:
-        """The position of a seek has been reached."""
-        if self._stop:
-            self._stop = False
-            self._session.pause()
+    def _arrived(self, mode: str) -> None:
+        """The session is where the viewer asked to be."""
+        seek, self._seeking = self._seeking, None
+        if mode == "replay" and self._decoding.scene is not None and self._decoding.levels:
+            self._arrival = self._decoding.scene, self._decoding.levels
+            if seek is not None and seek.stop:
+                self._session.pause()
+        self._changed.set()
+
+    @property
+    def _state(self) -> tuple[Scene | None, int]:
+        """The scene to draw, and how many levels of it."""
+        return self._frozen or self._arrival or (self._decoding.scene, self._decoding.levels)
 
     async def _draw(self) -> None:
         """Draw picture after picture: at once when something changes, then a better one when nothing does."""
         shown = 0  # index of the newest picture's grade
         while True:
             self._changed.clear()
-            scene, levels = self._frozen or (self._decoding.scene, self._decoding.levels)
-            camera = self._camera
+            scene, levels = self._state
             if scene is not None and levels:
                 await self._introduce(scene)
                 await self._answer(scene, levels)
-            if scene is None or not levels or camera is None:
+            (scene, levels), camera = self._state, self._camera  # that took time
+            if scene is None or not levels or camera is None or self._seeking is not None:
                 await self._changed.wait()
                 continue
             index = self._grades.moving
@@ -189,7 +200,7 @@ class ThinSession:
                     continue
                 if not await self._rests():
                     continue
-            self._drawn = scene, levels, camera
+            self._drawn, self._arrival = (scene, levels, camera), None
             await self._picture(scene, camera, levels, index)
             shown = index
 

@@ -12,7 +12,7 @@ import { PROTOCOL, Session } from "../stream/session.js";
 
 const HEADER_BYTES = 24;
 const VIEW_MS = 50; // between two views that are told
-const TICK_MS = 250, HOLD_MS = 1500, PLAYING_HOLD_MS = 500;
+const TICK_MS = 250, HOLD_MS = 1500;
 
 /** @param {HTMLCanvasElement} canvas @throws {Error} where not even a flat canvas can be had */
 export function createThin(canvas) {
@@ -74,7 +74,6 @@ export class ThinLink {
     /** @type {number | null} */
     this.held = null;
     this.heldUntil = 0;
-    this.left = 0; // version that was shown when a seek began
     /** @type {Map<number, "pick" | "depth">} */
     this.asked = new Map();
   }
@@ -170,7 +169,9 @@ export class ThinLink {
       if (this.session.status.phase === "version") this.#close();
       if (told?.mode === "paused") this.stopAt = null;
       if (told?.clamped && this.stopAt !== null) this.stopAt = told.version;
-      if (told) this.#hold(told.mode === "replay" ? told.version : null);
+      // Where a replay begins that was not clamped is what is held, or was held before a later seek.
+      if (told && told.mode !== "replay") this.#hold(null);
+      else if (told?.clamped) this.#hold(told.version);
       this.#status();
     }
   }
@@ -178,7 +179,7 @@ export class ThinLink {
   /** Show no other version for a while. @param {number | null} version */
   #hold(version) {
     this.held = version;
-    this.heldUntil = performance.now() + (this.stopAt === null ? PLAYING_HOLD_MS : HOLD_MS);
+    this.heldUntil = performance.now() + HOLD_MS;
   }
 
   /** A picture came. @param {ArrayBuffer} data @param {WebSocket} socket */
@@ -189,10 +190,8 @@ export class ThinLink {
     const start = performance.now();
     const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" }));
     if (socket !== this.socket) return bitmap.close();
-    const { held } = this; // what plays is past it by the time it is drawn; what is still on its way is near to where we were
-    const isNear = held !== null && this.stopAt === null && version > held && version - held < Math.abs(version - this.left);
-    const wanted = held === null || held === version || isNear || start > this.heldUntil;
-    if (wanted) {
+    const { held } = this; // after a seek the server draws nothing before that version
+    if (held === null || held === version || start > this.heldUntil) {
       this.held = null;
       this.bitmap?.close();
       this.bitmap = bitmap;
@@ -217,7 +216,6 @@ export class ThinLink {
     const message = wanted.type === "play" && position ? { type: "seek", to: position } : wanted;
     if (message.type === "seek") {
       this.stopAt = message.stop ? message.to.version : null;
-      this.left = position?.version ?? 0;
       this.#hold(message.to === "live" ? (range?.newest.version ?? null) : message.to.version);
     } else if (message.type === "pause") this.stopAt = null;
     this.#transmit(message);

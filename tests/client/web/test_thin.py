@@ -116,6 +116,27 @@ def test_the_server_draws_the_same_picture_and_obeys(page: Any, server: Running,
     shows(page, f"s.version === {FRAMES - 1} && s.mode === 'live'")
 
 
+TIMED_SEEK = """async (version) => {
+  const begin = performance.now();
+  const shown = new Promise((resolve) => {
+    const stop = streamlod.on("picture", (p) => p.version === version && (stop(), resolve()));
+  });
+  streamlod.seek(version);
+  await shown;
+  return performance.now() - begin;
+}"""
+
+
+def test_seeks_within_half_a_second(page: Any, server: Running) -> None:
+    """Paused, and while it plays, the frame that is asked for is seen soon, and it is the first to be seen."""
+    page.goto(f"{server.url}/?ui=0")
+    shows(page, f"s.version === {FRAMES - 1} && s.phase === 'ended'")
+    for prepare in ("streamlod.pause()", "streamlod.play()"):
+        page.evaluate(prepare)
+        seconds = [page.evaluate(TIMED_SEEK, version) / 1000 for version in (3, 20, 8, 14, 2)]
+        assert sorted(seconds)[2] < 0.5, (prepare, seconds)
+
+
 def test_says_that_the_server_is_full(page: Any, blind: Any, server: Running) -> None:
     """The second viewer hears why there is no picture, tries again, and gets the place when it is free."""
     context = blind.new_context(viewport={"width": 320, "height": 240})

@@ -167,6 +167,31 @@ def test_seeks_and_answers_about_rays(server: Running, states: tuple[Path, list[
         assert 0 < along[0] < 1.0001
 
 
+def test_a_seek_shows_its_place_and_nothing_on_the_way(server: Running, states: tuple[Path, list[Scene]]) -> None:
+    """Playing or paused, the first picture after the answer is that of the frame that was sought, and of the newest
+    seek where several come at once."""
+    with viewing(server) as plain:
+        viewer = ThinViewer(plain.connection)
+        viewer.hello()
+        viewer.look(states[1][-1].header.cameras[2])
+        viewer.best(FRAMES - 1)
+        for version, fields in ((9, {}), (3, {}), (8, {"stop": True}), (2, {"stop": True})):
+            viewer.send(type="seek", to={"epoch": 1, "version": version}, **fields)
+            while viewer.until("position")["version"] != version:
+                pass
+            assert viewer.picture().version == version
+        for version in (10, 4, 7):
+            viewer.send(type="seek", to={"epoch": 1, "version": version}, stop=True)
+        while viewer.until("position")["mode"] != "paused":
+            pass
+        assert viewer.best(7).version == 7
+        viewer.send(type="seek", to={"epoch": 1, "version": 5})
+        viewer.send(type="pause")
+        while viewer.until("position")["mode"] != "paused":
+            pass
+        assert viewer.best(5).version == 5
+
+
 def test_one_picture_on_its_way_and_the_newest_view_wins(server: Running, states: tuple[Path, list[Scene]]) -> None:
     cameras = states[1][-1].header.cameras
     with viewing(server) as plain:
