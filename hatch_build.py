@@ -64,4 +64,5 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def _without_comments(shader: re.Match[str]) -> str:
-    return re.sub(r" *//.*|(?<=\n) +", "", shader[0])
+    version, _, rest = re.sub(r" *//.*", "", shader[0]).partition("\n")
+    return version + "\n" + re.sub(r"\s*([^\w\s$`])\s*", r"\1", rest)

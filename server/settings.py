@@ -165,6 +165,9 @@ class Settings(BaseModel):
     frame_ancestors: tuple[str, ...] = Field(
         default=(), description="origins of sites that may show the page in a frame"
     )
+    camera_pictures: bool = Field(
+        default=False, description="who may watch a stream that is trained may also see small pictures of its cameras"
+    )
     certificate: Path | None = Field(default=None, description="TLS certificate chain (PEM)")
     certificate_key: Path | None = Field(default=None, description="TLS private key (PEM)")
     drain_seconds: float = Field(default=8.0, gt=0, le=10, description="time that viewers get to leave after SIGTERM")

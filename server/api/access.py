@@ -56,7 +56,7 @@ async def refusal(gate: Gate, connection: HTTPConnection, right: Right, stream: 
     """Why this request may not go on, or None if it may. Takes the same time for every wrong token."""
     begin = time.monotonic()
     if connection.scope.get("method", "GET") not in _SAFE and is_foreign(connection):
-        return Problem(403, "pages of this origin may not change anything here")
+        return Problem(403, "pages of this origin may not change anything here; list it in the setting `origins`")
     address = address_of(connection)
     if gate.is_blocked(address):
         return Problem(429, "too many wrong tokens from this address", {"Retry-After": "60"})
@@ -95,7 +95,9 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
     """
     registry = registry_of(websocket)
     if is_foreign(websocket):
-        raise SessionError(CloseCode.FORBIDDEN, "pages of this origin may not connect")
+        raise SessionError(
+            CloseCode.FORBIDDEN, "pages of this origin may not connect; list it in the setting `origins`"
+        )
     problem = await refusal(registry.gate, websocket, right, stream_id)
     if problem is not None:
         raise SessionError(CloseCode.FORBIDDEN if problem.status == 403 else CloseCode.UNAUTHORISED, problem.detail)

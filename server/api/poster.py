@@ -1,4 +1,4 @@
-"""A picture of each stream, and what other sites need to show its page inside theirs (oEmbed 1.0)."""
+"""Pictures of each stream and its cameras, and what other sites need to show its page inside theirs (oEmbed 1.0)."""
 
 from __future__ import annotations
 
@@ -69,6 +69,19 @@ def middle_camera(scene: Scene) -> Camera:
 async def poster(stream: StreamOf, request: Request) -> Response:
     """A JPEG file, made anew with each keyframe."""
     jpeg = await request.app.state.posters.of(stream, registry_of(request).renderer)
+    etag = hashlib.sha256(jpeg).hexdigest()[:32]
+    return respond(request, Download((jpeg,), etag, "image/jpeg", FRESH, f"{stream.id}.jpg"))
+
+
+@router.get(
+    "/v1/streams/{stream_id}/cameras/{camera}.jpg", summary="What a camera of a stream sees", response_class=Response,
+    dependencies=[need(Right.READ)],
+)  # fmt: skip
+async def camera_picture(stream: StreamOf, camera: str, request: Request) -> Response:
+    """A small JPEG file, about one a second, with the setting `camera_pictures` and while the stream is trained."""
+    jpeg = stream.camera_pictures.get(camera)
+    if jpeg is None:
+        raise Problem(404, "there is no picture of this camera")
     etag = hashlib.sha256(jpeg).hexdigest()[:32]
     return respond(request, Download((jpeg,), etag, "image/jpeg", FRESH, f"{stream.id}.jpg"))
 

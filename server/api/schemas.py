@@ -14,7 +14,7 @@ _STREAM_EXAMPLE: dict[str, Any] = {
     "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
     "anchors": 20413, "viewers": 2, "restarts": 0, "recording": "on",
     "progress": {"fraction": 1.0, "loss": 0.03, "text": "first frame"},
-    "report": {"version": 57, "total_seconds": 0.8}, "ingest": None,
+    "report": {"version": 57, "total_seconds": 0.8}, "ingest": None, "camera_pictures": ["cam00"],
     "created_at": "2026-11-21T10:00:00Z",
     "live_path": "/v1/streams/main/live",
 }  # fmt: skip
@@ -67,6 +67,9 @@ class StreamBody(BaseModel):
     report: dict[str, Any] | None = Field(description="figures of the newest frame's training")
     ingest: dict[str, Any] | None = Field(
         description="figures of live cameras (docs/ingest.md); null for other sources"
+    )
+    camera_pictures: list[str] = Field(
+        description="cameras of which `cameras/{name}.jpg` is a picture, with the setting `camera_pictures`"
     )
     created_at: datetime
     live_path: str

@@ -63,11 +63,16 @@ class EncodedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenJob:
-    """A job's data set, reduced to the cameras it trains on, and the whole rig."""
+    """A job's data set, reduced to the cameras it trains on, and the whole rig.
+
+    Attributes:
+        on_read: called with each frame as soon as it is read, on the reading thread.
+    """
 
     job: TrainJob
     dataset: Dataset | LiveDataset
     rig: tuple[Camera, ...]
+    on_read: Callable[[FrameSet], None] = lambda _: None
 
     def frames(self, start: int, announce: Callable[[FrameSet], None]) -> Generator[tuple[FrameSet, Span], None, None]:
         """The job's frames from `start`, with the time that reading took.
@@ -75,12 +80,13 @@ class OpenJob:
         Files are read ahead of training. Live frames are not: one read ahead would be old when training takes it.
 
         Args:
-            announce: called with each frame as soon as it is read, on the reading thread.
+            announce: called as `on_read`.
         """
         stop, count = self.job.frames, self.dataset.frame_count
         if count is not None:
             stop = count if stop is None else min(stop, count)
-        frames = timed(_announced(self.dataset.frames(start, stop), announce), "read")
+        announced = _announced(self.dataset.frames(start, stop), self.on_read, announce)
+        frames = timed(announced, "read")
         return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
 
     def statistics(self) -> Statistics | None:
@@ -330,9 +336,10 @@ class _Training:
         return replace(state, packet=packet)
 
 
-def _announced(frames: Iterator[FrameSet], announce: Callable[[FrameSet], None]) -> Generator[FrameSet, None, None]:
+def _announced(frames: Iterator[FrameSet], *listeners: Callable[[FrameSet], None]) -> Generator[FrameSet, None, None]:
     for frame in frames:
-        announce(frame)
+        for listener in listeners:
+            listener(frame)
         yield frame
 
 

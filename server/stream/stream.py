@@ -43,6 +43,7 @@ class Stream:
         replaced: its viewers are told to connect again.
         push_socket: where its worker takes pictures that capture nodes push, or None.
         played_file: the recording that it plays, or None.
+        camera_pictures: a small JPEG file of what each camera saw last, where the server shows that.
     """
 
     source: Source = "data"
@@ -69,6 +70,7 @@ class Stream:
         self.progress: dict[str, Any] | None = None
         self.report: dict[str, Any] | None = None
         self.ingest: dict[str, Any] | None = None  # figures of live cameras
+        self.camera_pictures: dict[str, bytes] = {}
         self.deleted = self.replaced = False
         self.live_at = 0.0  # monotonic time of the newest packet
         self._sequence = 0
@@ -142,6 +144,7 @@ class Stream:
             "progress": self.progress,
             "report": self.report,
             "ingest": masked(self.ingest),
+            "camera_pictures": sorted(self.camera_pictures),
             "created_at": self.created_at.isoformat(timespec="seconds").replace("+00:00", "Z"),
             "live_path": f"/v1/streams/{self.id}/live",
         }
@@ -179,6 +182,8 @@ class Stream:
     def _enter(self, state: str, detail: str = "") -> None:
         if (state, detail) != (self.state, self.detail):
             self.state, self.detail = state, detail
+            if state in {"idle", "ended", "failed"}:
+                self.camera_pictures = {}
             self._tell(event("state", state=state, detail=masked(detail)))
             self.feed.tell("stream.state", self.id, state=state, detail=masked(detail))
 

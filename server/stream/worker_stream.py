@@ -23,6 +23,7 @@ from server.settings import Settings
 from server.stream.feed import Feed
 from server.stream.store import Recording
 from server.stream.stream import Stream
+from server.worker.camera_pictures import unpack_pictures
 from server.worker.process import Resume, Tag
 from server.worker.supervisor import Ending, Supervisor
 
@@ -206,6 +207,8 @@ class WorkerStream(Stream):
             self._tell(event("progress", **(self.progress or {})))
         elif tag is Tag.INGEST:
             self._on_ingest(json.loads(body))
+        elif tag is Tag.PICTURES:
+            self.camera_pictures = self.camera_pictures | unpack_pictures(body)
         elif tag is Tag.EPOCH:
             self._new_epoch, self._frames_done = True, 0
 
@@ -274,4 +277,5 @@ class WorkerStream(Stream):
 
     def _make_supervisor(self) -> Supervisor:
         settings = self._settings
-        return Supervisor(self.spec, settings.worker, settings.limits.packet_bytes, self, self.push_socket)
+        limit, pictures = settings.limits.packet_bytes, settings.camera_pictures
+        return Supervisor(self.spec, settings.worker, limit, self, self.push_socket, pictures)

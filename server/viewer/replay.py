@@ -43,8 +43,7 @@ class Replay:
         return max(0.0, self._due(self._ahead[0]) - now) if self._ahead else None
 
     async def load(self, place: Position, is_wanted: Callable[[], bool] = lambda: True) -> None:
-        """Send from the last keyframe before `place`, as long as that is wanted; packets up to `place` are due at once.
-        """
+        """Send from the last keyframe before `place`, while that is wanted; what leads to `place` is due at once."""
         here, last = self._bus.key_before(place), None
         while here is not None and here <= place:
             chunk = Position(here.epoch, here.version + _CHUNK_VERSIONS - 1)

@@ -93,6 +93,7 @@ class ThinSession:
         self._keyframe: Scene | None = None  # whose scene event the viewer has got
         self._picks: list[Pick] = []
         self._seeking: Seek | None = None  # on the way to its position nothing is drawn
+        self._seeks = 0  # so far
         self._arrival: tuple[Scene, int] | None = None  # its state, which is shown before what follows
         self._frozen: tuple[Scene, int] | None = None  # paused: the state on screen, whatever has arrived since
         self._drawn: tuple[Scene, int, Camera] | None = None
@@ -129,6 +130,7 @@ class ThinSession:
                 self._frozen = self._arrival or (self._drawn[:2] if self._drawn else None)
             case Seek():
                 self._seeking, self._frozen, self._arrival = message, None, None
+                self._seeks += 1
             case Play():
                 self._frozen = None
             case ViewMessage(camera):
@@ -212,12 +214,14 @@ class ThinSession:
         return not self._changed.is_set()
 
     async def _picture(self, scene: Scene, camera: Camera, levels: int, index: int) -> None:
-        """Draw, send, and wait until it is on the viewer's screen."""
-        begin, grade = time.monotonic(), GRADES[index]
+        """Draw, send, and wait until it is on the viewer's screen; what a seek has overtaken is not sent."""
+        begin, grade, seeks = time.monotonic(), GRADES[index], self._seeks
         place = self._session.position
         rendered = await self._renderer.run(
             lambda: self._renderer.render_picture(self._splatter, scene, camera, levels, grade)
         )
+        if seeks != self._seeks:
+            return  # nobody waits for it any more
         self._number += 1
         head = (
             self._number,

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -30,6 +30,7 @@ from server.pipeline.spec import StreamSpec
 if TYPE_CHECKING:
     from core.scene.anchors import Scene
     from server.pipeline.stages import OpenJob
+    from server.worker.camera_pictures import CameraPictures
 
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
@@ -50,6 +51,7 @@ class Tag(IntEnum):
     END = 7  # empty: the source has no more frames
     HEARTBEAT = 8  # empty
     INGEST = 9  # JSON: figures of live cameras, and whether training waits for them
+    PICTURES = 10  # of `camera_pictures`
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +93,20 @@ class Sender:
             self._pipe.send_bytes(bytes((tag,)) + data)
 
 
-def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = None, spare: bool = False) -> None:
+def run_worker(
+    spec: StreamSpec,
+    pipe: Connection,
+    push_socket: Path | None = None,
+    spare: bool = False,
+    camera_pictures: bool = False,
+) -> None:
     """Entry of the process; returns when the source ends, and never raises.
 
     Args:
         pipe: to the supervisor, which first sends where to continue.
         push_socket: where to take pictures that capture nodes push to the serving process.
         spare: load everything before it is needed.
+        camera_pictures: also send small pictures of what the cameras see.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the supervisor decides
     sender = Sender(pipe)
@@ -115,7 +124,7 @@ def run_worker(spec: StreamSpec, pipe: Connection, push_socket: Path | None = No
             os.nice(_NICENESS)
             if loading is not None:
                 loading.join()
-            train(spec.job, scene, resume.frames, sender, push_socket)
+            train(spec.job, scene, resume.frames, sender, push_socket, camera_pictures)
         sender.send(Tag.END)
     except StreamlodError as error:
         sender.send(Tag.FAILURE, {"text": str(error), "fatal": _is_fatal(error, spec)})
@@ -157,8 +166,15 @@ def _import_training() -> None:
     importlib.import_module("server.pipeline.stages")
 
 
-def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_socket: Path | None = None) -> None:
-    """Train the source's frames as they come and send their packets, and figures of live cameras.
+def train(
+    job: TrainJob,
+    scene: Scene | None,
+    start: int,
+    sender: Sender,
+    push_socket: Path | None = None,
+    camera_pictures: bool = False,
+) -> None:
+    """Train the source's frames as they come and send their packets, and figures and pictures of cameras.
 
     Args:
         scene: the keyframe to continue from, which has been sent; None to train one.
@@ -172,9 +188,14 @@ def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_s
         body = {"fraction": float(progress.fraction), "loss": float(progress.loss), "text": str(progress.stage)}
         sender.send(Tag.PROGRESS, body)
 
-    opened = open_job(job, push_socket)
+    opened, pictures = open_job(job, push_socket), None
+    if camera_pictures:
+        from server.worker.camera_pictures import CameraPictures
+
+        pictures = CameraPictures(opened.dataset.names)
+        opened = replace(opened, on_read=pictures.note)
     frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=tell)
-    with closing(frames), _told(opened, sender):
+    with closing(frames), _told(opened, pictures, sender):
         for encoded in frames:
             for packet in encoded.packets:
                 sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
@@ -183,8 +204,8 @@ def train(job: TrainJob, scene: Scene | None, start: int, sender: Sender, push_s
 
 
 @contextmanager
-def _told(opened: OpenJob, sender: Sender) -> Iterator[None]:
-    """Report the figures of live cameras twice a second, while the context lasts."""
+def _told(opened: OpenJob, pictures: CameraPictures | None, sender: Sender) -> Iterator[None]:
+    """Report the figures of live cameras twice a second, and their pictures, while the context lasts."""
     over = threading.Event()
 
     def run() -> None:
@@ -192,6 +213,8 @@ def _told(opened: OpenJob, sender: Sender) -> Iterator[None]:
             statistics = opened.statistics()
             if statistics is not None:
                 sender.send(Tag.INGEST, asdict(statistics))
+            if pictures is not None and (body := pictures.take()) is not None:
+                sender.send(Tag.PICTURES, body)
 
     thread = threading.Thread(target=run, name="ingest statistics", daemon=True)
     thread.start()

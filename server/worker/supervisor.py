@@ -74,6 +74,7 @@ class Supervisor:
         packet_bytes: longest message that is accepted.
         owner: gets all messages and events.
         push_socket: where workers take pictures that capture nodes push, or none.
+        camera_pictures: whether they send what the cameras see.
     """
 
     def __init__(
@@ -83,9 +84,10 @@ class Supervisor:
         packet_bytes: int,
         owner: Owner,
         push_socket: Path | None = None,
+        camera_pictures: bool = False,
     ) -> None:
         self._spec, self._settings, self._owner = spec, settings, owner
-        self._limit, self._push_socket = packet_bytes + 1, push_socket
+        self._limit, self._push_socket, self._camera_pictures = packet_bytes + 1, push_socket, camera_pictures
         self._worker: _Worker | None = None
         self._spare: _Worker | None = None  # a second process, waiting with everything loaded
         self._heard = self._progressed = 0.0
@@ -163,7 +165,7 @@ class Supervisor:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         name = f"streamlod-{self._spec.id}"
-        arguments = (self._spec, theirs, self._push_socket, spare)
+        arguments = (self._spec, theirs, self._push_socket, spare, self._camera_pictures)
         process = context.Process(target=run_worker, args=arguments, name=name, daemon=True)
         process.start()
         theirs.close()
@@ -196,7 +198,7 @@ class Supervisor:
                 handled: Awaitable[None] = self._owner.on_message(tag, body)
                 try:
                     asyncio.run_coroutine_threadsafe(_await(handled), loop).result()
-                    if tag is not Tag.INGEST or json.loads(body)["waiting"]:  # waiting for pictures counts as progress
+                    if _is_progress(tag, body):
                         self._progressed = time.monotonic()
                 except Exception as error:
                     _LOG.exception("stream %s: a message of the worker is refused", self._spec.id)
@@ -229,6 +231,11 @@ class Supervisor:
 
 async def _await(handled: Awaitable[None]) -> None:
     await handled
+
+
+def _is_progress(tag: Tag, body: bytes) -> bool:
+    """Whether a message shows that the worker gets on; waiting for pictures counts, having read some does not."""
+    return tag is not Tag.PICTURES and (tag is not Tag.INGEST or json.loads(body)["waiting"] is True)
 
 
 def _resident_bytes(pid: int | None) -> int:

@@ -37,6 +37,7 @@ from server.pipeline.stages import open_job, train_stream
 from server.service.ingest_metrics import ingest_families
 from server.settings import Settings, load_settings
 from server.stream.worker_stream import WorkerStream
+from server.worker.camera_pictures import unpack_pictures
 from server.worker.process import Sender, Tag, train
 from tests.server.brief import brief_training
 from tests.server.conftest import Clip, running
@@ -112,12 +113,17 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
     node = Node(tmp_path / "s")
     with brief_training():
         sender = Sender(theirs)
-        train(TrainJob(live=definition(), preset="live", frames=4, points="random"), None, 0, sender, tmp_path / "s")
+        job = TrainJob(live=definition(), preset="live", frames=4, points="random")
+        train(job, None, 0, sender, tmp_path / "s", camera_pictures=True)
         node.stop()
         sender.send(Tag.END)
     listener.join(10)
     packets = [(peek(body), at) for tag, body, at in messages if tag is Tag.PACKET]
     told = [json.loads(body) for tag, body, _ in messages if tag is Tag.INGEST]
+    seen = [unpack_pictures(body) for tag, body, _ in messages if tag is Tag.PICTURES]
+    assert 1 <= len(seen) < len(told), "about one a second, figures come twice as often"
+    assert all(picture[:2] == b"\xff\xd8" for pictures in seen for picture in pictures.values())
+    assert set().union(*seen) == {camera["name"] for camera in definition()["cameras"]}
     reports = [json.loads(body) for tag, body, _ in messages if tag is Tag.REPORT]
     assert len(packets) == len(reports) == 4
     steps = [(b[0].time_ns - a[0].time_ns) * FPS / 1e9 for a, b in pairwise(packets)]

@@ -2,7 +2,7 @@
 
 import { inflateColumns, rowCount } from "./deflate.js";
 import { checkTable, must, Reader } from "./packet.js";
-import { BitModels, decodeColumns, RansDecoder, readScales, scale } from "./rans.js";
+import { BitModels, decodeClass, RansDecoder, readScales, scale } from "./rans.js";
 import { LATENTS } from "./scene.js";
 import { bin } from "./tables.js";
 
@@ -18,7 +18,7 @@ export const noChange = () => ({ rows: new Uint32Array(0), position: new Int32Ar
 
 /** @type {(chunk: Uint8Array, level: Level, elapsed: Elapsed, room: Room) => Change} */
 export function decodeChange(chunk, level, elapsed, room) {
-  const reader = new Reader(chunk, "corrupt_chunk");
+  const reader = new Reader(chunk);
   const coding = reader.u8();
   if (coding === 0) {
     const count = existing(reader, 4 + LATENTS, level, room), columns = inflateColumns(reader, count, 4 + LATENTS);
@@ -35,7 +35,7 @@ export function decodeChange(chunk, level, elapsed, room) {
   const pairs = new Int32Array(level.latent.buffer, level.latent.byteOffset, level.latent.length / 2); // two latents at once
   const used = rowsWithAny(pairs, LATENTS / 2);
   const rows = decodeRowSet(coder, level, used);
-  must(rows.length, "corrupt_chunk"); // a change without rows must be left out
+  must(rows.length); // a change without rows must be left out
   const position = decodePositions(coder, rows, level.position, elapsed, start);
   const latent = decodeLatents(coder, rows, used, scales);
   coder.end();
@@ -44,18 +44,18 @@ export function decodeChange(chunk, level, elapsed, room) {
 
 /** @type {(chunk: Uint8Array, level: Level, room: Room) => Uint32Array} */
 export function decodeRemoved(chunk, level, room) {
-  const reader = new Reader(chunk, "corrupt_chunk");
+  const reader = new Reader(chunk);
   reader.u8();
   const count = existing(reader, 1, level, room);
   const rows = ascending(inflateColumns(reader, count, 1), count, level.count);
-  must(rows.every((row) => level.alive[row]), "corrupt_chunk"); // a row that was removed before cannot be removed again
+  must(rows.every((row) => level.alive[row])); // a row that was removed before cannot be removed again
   return rows;
 }
 
 /** The row count of a table of a level's own rows. @type {(reader: Reader, columns: number, level: Level, room: Room) => number} */
 function existing(reader, columns, level, room) {
   const rows = rowCount(reader);
-  must(rows <= level.count, "corrupt_chunk"); // more rows than the level has
+  must(rows <= level.count); // more rows than the level has
   checkTable(rows, columns, room);
   return rows;
 }
@@ -65,7 +65,7 @@ function ascending(gaps, count, limit) {
   const rows = new Uint32Array(count);
   for (let i = 0, row = 0; i < count; i++) {
     row += gaps[i];
-    must((gaps[i] > 0 || (i === 0 && row === 0)) && row < limit, "corrupt_chunk"); // rows must ascend and lie inside the level
+    must((gaps[i] > 0 || (i === 0 && row === 0)) && row < limit); // rows must ascend and lie inside the level
     rows[i] = row;
   }
   return rows;
@@ -122,15 +122,9 @@ function decodeRowSet(coder, { count, position }, used) {
  */
 function decodeLatents(coder, rows, used, scales) {
   const models = new BitModels(2), chosen = new Uint8Array(rows.length);
-  let found = 0;
-  for (let i = 0; i < rows.length; i++) found += chosen[i] = coder.flag(models, used[rows[i]]);
-  const part = decodeColumns(coder, found, scales);
+  for (let i = 0; i < rows.length; i++) chosen[i] = coder.flag(models, used[rows[i]]);
   const latent = new Int32Array(rows.length * LATENTS);
-  for (let i = 0, from = 0; i < rows.length; i++) {
-    if (!chosen[i]) continue;
-    latent.set(part.subarray(from, from + LATENTS), i * LATENTS);
-    from += LATENTS;
-  }
+  decodeClass(coder, chosen, 1, scales, latent);
   return latent;
 }
 
@@ -157,7 +151,7 @@ function decodePositions(coder, rows, position, { age, span }, start) {
       const context = 4 * (average[a] + steady) + before + 3 * mean + 6 * within;
       const error = coder.value(bin(Math.floor(context / (18 + 6 * a))));
       const value = Math.floor((motion[a] + trend[a] + 128) / 256) + error;
-      must(value === (value | 0) && value !== -2147483648, "corrupt_chunk"); // a position difference is too large
+      must(value === (value | 0) && value !== -2147483648); // a position difference is too large
       delta[3 * i + a] = value;
       trend[a] += 16 * value - Math.floor(trend[a] / 4);
       const size = 256 * Math.abs(error);

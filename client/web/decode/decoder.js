@@ -127,7 +127,7 @@ const mostRows = ({ featureSteps, slots }) => Math.min(LIMITS.anchors, Math.floo
 /** @type {(chunk: Uint8Array | undefined, level: Level) => void} */
 function checkHash(chunk, level) {
   if (!chunk) return;
-  const reader = new Reader(chunk, "corrupt_chunk");
+  const reader = new Reader(chunk);
   const wanted = reader.u32();
   reader.end();
   must(digest(level) === wanted, "state_mismatch"); // the state differs from the sender's
@@ -135,7 +135,7 @@ function checkHash(chunk, level) {
 
 /** A chunk whose coding may occur there. @type {(chunk: Uint8Array, packet: Packet, coded?: boolean) => Uint8Array} */
 function checked(chunk, { profile }, coded = true) {
-  must(chunk.length > 0, "corrupt_chunk"); // a chunk is empty
+  must(chunk.length > 0); // a chunk is empty
   const known = chunk[0] === 0 || (coded && profile > 0 && (chunk[0] === 1 || chunk[0] === 4));
   must(known, "unsupported_profile"); // a coding that cannot occur here
   return chunk;

@@ -8,7 +8,7 @@ const CLASS_OF = [0, 0, 1, 2, 2, 3, 3, 3, 3]; // by number of children
 
 /** @type {(chunk: Uint8Array, room: import("./packet.js").Room) => Int32Array} [N, 3] */
 export function decodeGeometry(chunk, room) {
-  const reader = new Reader(chunk, "corrupt_chunk");
+  const reader = new Reader(chunk);
   const coding = reader.u8(), count = rowCount(reader);
   if (coding === 0) {
     checkAdded(count, 3, room);
@@ -16,7 +16,7 @@ export function decodeGeometry(chunk, room) {
   }
   const minimum = [reader.i32(), reader.i32(), reader.i32()];
   const depth = reader.u8();
-  must(depth <= 21, "corrupt_chunk"); // an octree announces an impossible depth
+  must(depth <= 21); // an octree announces an impossible depth
   checkAdded(count, Math.max(3, depth), room);
   const coder = new RansDecoder(reader.rest(), coding);
   const models = new BitModels(4 * 4 * 256);
@@ -36,7 +36,7 @@ export function decodeGeometry(chunk, room) {
       const first = born;
       for (let j = 0; j < 8; j++) {
         if (!((occupancy >> j) & 1)) continue;
-        must(born < room, "corrupt_chunk"); // an octree grows beyond what it announces
+        must(born < room); // an octree grows beyond what it announces
         children[3 * born] = 2 * nodes[3 * i] + (j >> 2);
         children[3 * born + 1] = 2 * nodes[3 * i + 1] + ((j >> 1) & 1);
         children[3 * born + 2] = 2 * nodes[3 * i + 2] + (j & 1);
@@ -47,7 +47,7 @@ export function decodeGeometry(chunk, room) {
     [nodes, classes, length] = [children, childClasses, born];
   }
   coder.end();
-  must(length === count, "corrupt_chunk"); // an octree ends with another number of anchors than it announces
+  must(length === count); // an octree ends with another number of anchors than it announces
   const least = [Infinity, Infinity, Infinity];
   let greatest = 0;
   for (let i = 0; i < 3 * count; i++) {
@@ -55,7 +55,7 @@ export function decodeGeometry(chunk, room) {
     greatest = Math.max(greatest, nodes[i]);
   }
   const smallest = least.every((x) => x === 0) && 32 - Math.clz32(greatest) === depth;
-  must(smallest, "corrupt_chunk"); // an octree is not in the smallest cube at its minimum
+  must(smallest); // an octree is not in the smallest cube at its minimum
   const voxel = new Int32Array(3 * count);
   for (let i = 0; i < voxel.length; i++) {
     const sum = nodes[i] + minimum[i % 3];

@@ -28,8 +28,8 @@ const NUMBERS_A_BYTE = 64;
  * @property {Map<number, Uint8Array>} chunks - by level << 4 | chunk kind
  */
 
-/** Refuse by one of the codes of codec/FORMAT.md, section 13. @type {(condition: unknown, code: string, detail?: string) => asserts condition} */
-export function must(condition, code, detail = code) {
+/** Refuse by one of the codes of codec/FORMAT.md, section 13. @type {(condition: unknown, code?: string, detail?: string) => asserts condition} */
+export function must(condition, code = "corrupt_chunk", detail = code) {
   if (!condition) throw new BitstreamError(code, detail);
 }
 
@@ -121,7 +121,7 @@ export function parsePacket(bytes) {
 
 /** Reads numbers one after the other; running out of bytes is a refusal. */
 export class Reader {
-  /** @param {Uint8Array} bytes @param {string} code - of the refusal */
+  /** @param {Uint8Array} bytes @param {string} [code] - of the refusal */
   constructor(bytes, code) {
     this.bytes = bytes;
     this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);

@@ -1,7 +1,6 @@
 /** The range coder's decoder: integers only, codec/FORMAT.md section 6.2 and 6.3. */
 
 import { must } from "./packet.js";
-import { BitstreamError } from "./scene.js";
 import { bin, SCALE, STEPS } from "./tables.js";
 
 const FINAL = 65536;
@@ -19,13 +18,13 @@ export class BitModels {
 export class RansDecoder {
   /** @param {Uint8Array} bytes - the words @param {number} lanes - 1 or 4 */
   constructor(bytes, lanes) {
-    must(bytes.length % 2 === 0 && bytes.length >= 4 * lanes, "corrupt_chunk"); // a coded chunk is too short
+    must(bytes.length % 2 === 0 && bytes.length >= 4 * lanes); // a coded chunk is too short
     this.words = new Uint16Array(bytes.slice().buffer);
     this.mask = lanes - 1;
     this.state = new Uint32Array(lanes);
     for (let k = 0; k < lanes; k++) {
       this.state[k] = this.words[2 * k] | (this.words[2 * k + 1] << 16);
-      must(this.state[k] >= FINAL, "corrupt_chunk"); // a coder state is too small
+      must(this.state[k] >= FINAL); // a coder state is too small
     }
     this.at = 2 * lanes;
     this.lane = 0;
@@ -35,7 +34,7 @@ export class RansDecoder {
   #advance(lane, frequency, rest) {
     let x = (Math.imul(frequency, this.state[lane] >>> 12) + rest) >>> 0;
     if (x < FINAL) {
-      must(this.at < this.words.length, "corrupt_chunk"); // a coded chunk ends too early
+      must(this.at < this.words.length); // a coded chunk ends too early
       x = ((x << 16) | this.words[this.at++]) >>> 0;
     }
     this.state[lane] = x;
@@ -92,23 +91,18 @@ export class RansDecoder {
     this.#advance(lane, (step >>> 12) & 8191, step & 4095);
     if (z === ESCAPE) {
       let width = 0;
-      while (this.bits(1)) must(++width <= 30, "corrupt_chunk"); // a coded number is too large
+      while (this.bits(1)) must(++width <= 30); // a coded number is too large
       z = 15 + 2 ** width + this.raw(width);
     }
     let result = z & 1 ? -(z + 1) / 2 : z / 2;
     if (s) result = result * (1 << s) - (1 << (s - 1)) + (s <= 12 ? this.bits(s) : this.raw(s));
-    must(result < 1073741824 && result > -1073741824, "corrupt_chunk"); // a coded number is too large
+    must(result < 1073741824 && result > -1073741824); // a coded number is too large
     return result;
-  }
-
-  /** The words ran out. @returns {never} */
-  fail() {
-    throw new BitstreamError("corrupt_chunk", "a coded chunk ends too early");
   }
 
   /** All must be used up. */
   end() {
-    must(this.at === this.words.length && this.state.every((x) => x === FINAL), "corrupt_chunk"); // a coded chunk does not end cleanly
+    must(this.at === this.words.length && this.state.every((x) => x === FINAL)); // a coded chunk does not end cleanly
   }
 }
 
@@ -124,14 +118,20 @@ export function readScales(reader, channels) {
     const d = (nibbles[c >> 1] >> (4 * (c & 1))) & 15;
     if (d) magnitude[c] = scale(base + 4 * (d - 1));
   }
-  must(channels % 2 === 0 || nibbles[channels >> 1] >> 4 === 0, "corrupt_chunk"); // an unused field is not 0
+  must(channels % 2 === 0 || nibbles[channels >> 1] >> 4 === 0); // an unused field is not 0
   return { magnitude, channels };
 }
 
 /** @type {(q: number) => number} */
 export function scale(q) {
-  must(q < SCALE.length, "corrupt_chunk"); // a scale is out of range
+  must(q < SCALE.length); // a scale is out of range
   return SCALE[q];
+}
+
+/** The rows of one class, each to its place. @type {(coder: RansDecoder, classes: Uint8Array, own: number, scales: Scales, result: Int32Array) => void} */
+export function decodeClass(coder, classes, own, scales, result) {
+  const { channels } = scales, places = [...classes.keys()].filter((i) => classes[i] === own), part = decodeColumns(coder, places.length, scales);
+  places.forEach((i, from) => result.set(part.subarray(from * channels, (from + 1) * channels), i * channels));
 }
 
 /**
@@ -175,7 +175,7 @@ export function decodeColumns(coder, rows, { magnitude, channels }) {
       } else {
         let x = (Math.imul((step >>> 12) & 8191, state[lane] >>> 12) + (step & 4095)) >>> 0;
         if (x < FINAL) {
-          if (at === words.length) coder.fail();
+          if (at === words.length) must(false); // a coded chunk ends too early
           x = ((x << 16) | words[at++]) >>> 0;
         }
         state[lane] = x;

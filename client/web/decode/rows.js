@@ -2,7 +2,7 @@
 
 import { inflateColumns, rowCount } from "./deflate.js";
 import { checkAdded, checkTable, must, Reader } from "./packet.js";
-import { BitModels, decodeColumns, RansDecoder, readScales } from "./rans.js";
+import { BitModels, decodeClass, RansDecoder, readScales } from "./rans.js";
 import { emptyLevel, LATENTS, SCALINGS } from "./scene.js";
 
 const CENTRED = 1, TREND = 2; // channel modes
@@ -20,8 +20,8 @@ const CENTRED = 1, TREND = 2; // channel modes
  */
 export function decodeBase(chunk, voxel, features, slots, room) {
   const count = voxel.length / 3, channels = features + 3 * slots + 10;
-  const reader = new Reader(chunk, "corrupt_chunk"), coding = reader.u8();
-  must(coding || rowCount(reader) === count, "corrupt_chunk"); // a level has another number of voxels than of rows
+  const reader = new Reader(chunk), coding = reader.u8();
+  must(coding || rowCount(reader) === count); // a level has another number of voxels than of rows
   checkTable(count, channels, room);
   const columns = decodeRows(reader, coding, count, channels, 0, channels - 4);
   const level = emptyLevel(features, slots, count);
@@ -34,7 +34,7 @@ export function decodeBase(chunk, voxel, features, slots, room) {
 /** @type {(chunk: Uint8Array, features: number, slots: number, room: Room) => Level} */
 export function decodeAdded(chunk, features, slots, room) {
   const channels = features + 3 * slots + 38;
-  const reader = new Reader(chunk, "corrupt_chunk"), coding = reader.u8(), rows = rowCount(reader);
+  const reader = new Reader(chunk), coding = reader.u8(), rows = rowCount(reader);
   checkAdded(rows, channels, room);
   const table = decodeRows(reader, coding, rows, channels, 3, 3 + features + 3 * slots + SCALINGS);
   const level = emptyLevel(features, slots, rows);
@@ -81,8 +81,8 @@ function decodeRows(reader, coding, rows, channels, first, end) {
   if (coding === 0) return { rows, values: inflateColumns(reader, rows, channels), rowStep: 1, channelStep: rows };
   const packed = reader.take(Math.ceil(channels / 4));
   const modes = Array.from({ length: channels }, (_, c) => (packed[c >> 2] >> (2 * (c & 3))) & 3);
-  must(channels % 4 === 0 || packed[channels >> 2] >> (2 * (channels & 3)) === 0, "corrupt_chunk"); // an unused field is not 0
-  must(modes.every((mode) => mode <= TREND), "corrupt_chunk"); // a channel mode is unknown
+  must(channels % 4 === 0 || packed[channels >> 2] >> (2 * (channels & 3)) === 0); // an unused field is not 0
+  must(modes.every((mode) => mode <= TREND)); // a channel mode is unknown
   const centres = modes.map((mode) => (mode === CENTRED ? reader.i32() : 0));
   const { values, shifts } = decodeClasses(reader, coding, rows, channels);
   for (let c = 0; c < channels; c++) {
@@ -117,30 +117,16 @@ function addTrend(values, c, channels, shifts) {
 /** Rows in classes of precision, FORMAT.md section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */
 function decodeClasses(reader, coding, rows, channels) {
   const mask = reader.u8(), used = [0, 1, 2, 3, 4, 5, 6, 7].filter((s) => (mask >> s) & 1);
-  must(mask > 0, "corrupt_chunk"); // a chunk has no class of rows
+  must(mask > 0); // a chunk has no class of rows
   const scales = used.map(() => readScales(reader, channels));
   const coder = new RansDecoder(reader.rest(), coding);
-  const models = new BitModels(8), classes = new Uint8Array(rows), counts = used.map(() => 0);
+  const models = new BitModels(8), classes = new Uint8Array(rows), values = new Int32Array(rows * channels);
   for (let i = 0; i < rows; i++) {
     let own = 0;
     while (own < used.length - 1 && !coder.flag(models, own)) own++;
     classes[i] = own;
-    counts[own]++;
   }
-  if (used.length === 1) {
-    const values = decodeColumns(coder, rows, scales[0]);
-    coder.end();
-    return { values, shifts: new Uint8Array(rows).fill(used[0]) };
-  }
-  const values = new Int32Array(rows * channels);
-  for (let k = 0; k < used.length; k++) {
-    const part = decodeColumns(coder, counts[k], scales[k]);
-    for (let i = 0, from = 0; i < rows; i++) {
-      if (classes[i] !== k) continue;
-      values.set(part.subarray(from, from + channels), i * channels);
-      from += channels;
-    }
-  }
+  scales.forEach((own, k) => decodeClass(coder, classes, k, own, values));
   coder.end();
   return { values, shifts: classes.map((k) => used[k]) };
 }

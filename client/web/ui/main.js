@@ -9,7 +9,7 @@ import { NO_WEBGL, words } from "./states.js";
 import { describe, hideWhenIdle, Latency, show } from "./status.js";
 import { chooseStream, countWatchers, liveAddress, showStreams } from "./streams.js";
 import { attachPhone } from "./phone.js";
-import { Rig } from "./rig.js";
+import { Rig, showSource } from "./rig.js";
 import { attachSharing, copyMoment, savePicture } from "./sharing.js";
 import { fillStatistics, Rates } from "./statistics.js";
 import { Timeline } from "./timeline.js";
@@ -48,13 +48,14 @@ function cannotDraw() {
 
 /** @param {Viewer} viewer */
 async function start(viewer) {
-  const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }));
+  const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }), options.get("marks"));
   const latency = new Latency();
   const controls = new Controls(viewer);
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
   const isShared = viewer.thin || (!recording && options.get("together") === "1"); // a played file is seen where the server plays it
-  let retryAt = 0, shown = -1;
+  const token = recording ? null : options.get("token"); // files of other servers must not get it
+  let retryAt = 0, shown = -1, place = "";
 
   const destroy = () => {
     controls.destroy();
@@ -123,7 +124,10 @@ async function start(viewer) {
     if (!camera) return;
     viewer.standAt(camera);
     toast(camera.name);
+    if (viewer.pictured.includes(camera.name)) showPicture(camera.name);
   };
+  /** @param {string} name */
+  const showPicture = (name) => showSource(name, `${place}/cameras/${encodeURIComponent(name)}.jpg`, token, () => viewer.running && !timeline.stands);
   const fullScreen = () => {
     if (document.fullscreenElement) document.exitFullscreen();
     else document.documentElement.requestFullscreen?.().catch(() => toast("Full screen is not allowed here"));
@@ -189,7 +193,7 @@ async function start(viewer) {
   /** @type {Record<string, () => unknown>} */
   const keys = {
     " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.seek(timeline.oldest),
-    end: () => timeline.live(), r: goHome, f: fullScreen, v: () => putOn("vr"), p: () => savePicture(viewer), l: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
+    end: () => timeline.live(), m: () => timeline.mark(timeline.version), r: goHome, f: fullScreen, v: () => putOn("vr"), p: () => savePicture(viewer), l: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
@@ -214,17 +218,22 @@ async function start(viewer) {
   const slow = () => toast("Drawn in software: turn on hardware acceleration for a smooth picture", 6000);
   if (viewer.software) viewer.addEventListener("picture", slow, { once: true });
 
-  const token = options.get("token");
   const wishes = quality.wishes();
+  /** @param {() => string | null} address */
+  const offer = (address) => {
+    const source = { viewer, address, token };
+    attachSharing(source, timeline);
+    if (!viewer.thin) timeline.scrub.addEventListener("pointermove", async (event) => (await import("./moments.js")).attachPeek(source, timeline)(event), { once: true });
+  };
   if (recording) {
     const url = new URL(recording, location.href).href;
-    attachSharing(viewer, () => url, null);
+    offer(() => url);
     viewer.tell({ type: "connect", live: null, file: url, token: null, wishes });
     return;
   }
   const stream = await chooseStream(options);
-  const place = `/v1/streams/${encodeURIComponent(stream)}`;
-  attachSharing(viewer, () => viewer.status?.window ? `${place}/${viewer.status.source === "recording" ? "recording" : "bitstream"}` : null, token);
+  place = `/v1/streams/${encodeURIComponent(stream)}`;
+  offer(() => viewer.status?.window ? `${place}/${viewer.status.source === "recording" ? "recording" : "bitstream"}` : null);
   countWatchers(options, stream, viewer);
   viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : new URL(`${place}/recording`, location.href).href, token, wishes });
 }

@@ -1,4 +1,4 @@
-/** The rig over the picture: its cameras as pyramids, each with its name; a click on a name goes there. */
+/** The rig over the picture: its cameras as pyramids, each with its name; a click on a name goes there. And what a camera films. */
 
 import { add, fromCamera, row } from "../view/camera.js";
 import { element } from "./page.js";
@@ -7,6 +7,7 @@ import { element } from "./page.js";
 /** @typedef {import("../view/camera.js").Vec3} Vec3 */
 
 const DEPTH = 0.12; // of the distance to the target, how far the drawn pyramids reach
+const PICTURE_MS = 1000; // between two pictures of what a camera films
 const NEAR = 0.05; // nothing nearer to the eye is drawn
 
 /** Tip and corners of a camera's pyramid. @type {(camera: import("../view/camera.js").RigCamera, depth: number) => Vec3[]} */
@@ -63,4 +64,24 @@ export class Rig {
     }
     element("rig-lines").setAttribute("d", lines);
   }
+}
+
+/** What a camera films, beside the view, until it is clicked away or `isWanted` no more. @param {string} name @param {string} address @param {string | null} token @param {() => boolean} isWanted */
+export async function showSource(name, address, token, isWanted) {
+  const place = element("source"), image = /** @type {HTMLImageElement} */ (place.querySelector("img"));
+  element("source-name").textContent = image.alt = name;
+  for (let open = true; open && isWanted() && element("source-name").textContent === name; ) {
+    const answer = document.hidden ? null : await fetch(address, { headers: token ? { Authorization: `Bearer ${token}` } : {} }).catch(() => null);
+    if (answer && !answer.ok) break;
+    if (answer) {
+      URL.revokeObjectURL(image.src);
+      image.src = URL.createObjectURL(await answer.blob());
+      place.hidden = false;
+    }
+    open = await new Promise((resolve) => {
+      place.onclick = () => resolve(false);
+      setTimeout(() => resolve(true), PICTURE_MS);
+    });
+  }
+  if (element("source-name").textContent === name) place.hidden = true;
 }

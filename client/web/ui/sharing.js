@@ -58,22 +58,15 @@ export async function savePicture(viewer) {
 /** @param {Viewer} viewer */
 export const copyMoment = (viewer) => copy(linkTo(viewer, true).href, "Link to this view and moment copied");
 
-/**
- * The menu of the share button.
- * @param {Viewer} viewer
- * @param {() => string | null} recordingAddress - where all that can be sought may be had as a file
- * @param {string | null} token
- */
-export function attachSharing(viewer, recordingAddress, token) {
-  const opener = button("b-share"), menu = element("share-menu");
-  /** @type {number | null} version at which a clip begins */
-  let mark = null;
-  /** The frames between the mark and the one that is shown. @param {string} address @param {number} from @param {number} to */
-  const saveClip = async (address, from, to) => {
+/** The menu of the share button. @param {import("./moments.js").Source} source @param {import("./timeline.js").Timeline} timeline */
+export function attachSharing(source, timeline) {
+  const { viewer, token } = source, opener = button("b-share"), menu = element("share-menu");
+  /** The frames between the mark and the one that is shown. */
+  const saveClip = async () => {
+    const [first, last] = [timeline.newestMark ?? 0, timeline.version].sort((a, b) => a - b);
     toast("Fetching the clip");
-    const { cut } = await import("../stream/clip.js");
-    const [first, last] = from < to ? [from, to] : [to, from];
-    await cut(new URL(address, location.href).href, token, first, last).then((blob) => download(blob, `clip-${first}-${last}.slod`), (error) => toast(error.message));
+    const { cut } = await import("../stream/file.js");
+    await cut(new URL(source.address() ?? "", location.href).href, token, first, last).then((blob) => download(blob, `clip-${first}-${last}.slod`), (error) => toast(error.message));
   };
   /** @param {string} label @param {string} note @param {() => unknown} act */
   const item = (label, note, act) => menuItem(label, note, null, () => {
@@ -81,17 +74,17 @@ export function attachSharing(viewer, recordingAddress, token) {
     act();
   });
   attachMenu(opener, menu, () => {
-    const address = recordingAddress(), isEmbedded = document.body.classList.contains("embed"), shown = viewer.picture?.version ?? 0, from = mark;
+    const address = source.address(), isEmbedded = document.body.classList.contains("embed"), { newestMark, version } = timeline;
     menu.replaceChildren(
       ...("share" in navigator ? [item("Share…", "", () => navigator.share({ title: document.title, url: linkTo(viewer, true).href }).catch(() => {}))] : []),
       item("Copy link to this moment", "L", () => copyMoment(viewer)),
       item("Copy link to this view", "", () => copy(linkTo(viewer, false).href, "Link to this view copied")),
       ...(isEmbedded ? [] : [item("Copy embed code", "", () => copy(embedCode(viewer), "Code for other pages copied"))]),
       item("Save picture", "P", () => savePicture(viewer)),
+      item("Mark this moment", "M", () => timeline.mark(version)),
       ...(address ? [
+        ...(newestMark === undefined || newestMark === version ? [] : [item("Clip since the mark", ".slod", saveClip)]),
         ...(token ? [] : [item("Download recording", ".slod", () => Object.assign(document.createElement("a"), { href: address, download: "" }).click())]),
-        item("A clip begins here", "", () => (mark = shown)),
-        ...(from === null || from === shown ? [] : [item("Download clip up to here", ".slod", () => saveClip(address, from, shown))]),
       ] : []),
     );
   });

@@ -2,7 +2,7 @@
 
 import { button, element } from "./page.js";
 
-/** @typedef {{ id: string, name: string, state: string, viewers: number }} Stream */
+/** @typedef {{ id: string, name: string, state: string, viewers: number, camera_pictures?: string[] }} Stream */
 
 /** @param {URLSearchParams} options @returns {Promise<Stream[]>} empty where the server does not say */
 async function fetchStreams(options) {
@@ -29,11 +29,13 @@ export async function chooseStream(options) {
 
 const COUNT_MS = 10_000;
 
-/** Say how many watch a stream, as long as `viewer` does. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */
+/** Ask how many watch a stream, and whose cameras' pictures may be seen, as long as `viewer` watches it. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */
 export async function countWatchers(options, stream, viewer) {
   for (; viewer.running; await new Promise((resolve) => setTimeout(resolve, COUNT_MS))) {
     if (document.hidden || viewer.status?.phase === "reconnecting") continue;
-    viewer.watchers = (await fetchStreams(options)).find(({ id }) => id === stream)?.viewers ?? null;
+    const told = (await fetchStreams(options)).find(({ id }) => id === stream);
+    viewer.watchers = told?.viewers ?? null;
+    viewer.pictured = told?.camera_pictures ?? [];
     element("status-viewers").textContent = (viewer.watchers ?? 0) > 1 ? `${viewer.watchers} watching` : "";
   }
 }

@@ -10,9 +10,11 @@ const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const SCRUB_MS = 90; // between two seeks while dragging
 
 export class Timeline {
-  /** @param {(messages: object[]) => void} send */
-  constructor(send) {
+  /** @param {(messages: object[]) => void} send @param {string | null} marks - frame numbers, from the address */
+  constructor(send, marks) {
     this.send = send;
+    /** @type {Map<number, HTMLElement>} moments to come back to */
+    this.marks = new Map();
     this.recording = false; // a file: has speed, has no newest frame that moves
     this.bar = element("timeline");
     this.scrub = /** @type {HTMLInputElement} */ (element("t-scrub"));
@@ -33,6 +35,38 @@ export class Timeline {
       this.dragging = false;
       this.seek(Number(this.scrub.value));
     };
+    for (const mark of marks?.split(",") ?? []) this.mark(Number(mark));
+  }
+
+  /** Mark a moment on the bar, or take its mark away. @param {number} version */
+  mark(version) {
+    const old = this.marks.get(version);
+    old?.remove();
+    if (this.marks.delete(version)) return;
+    const mark = Object.assign(document.createElement("button"), { onclick: () => this.seek(version) });
+    element("t-marks").append(mark);
+    this.marks.set(version, mark);
+    this.#placeMarks();
+  }
+
+  /** The version that was marked last. */
+  get newestMark() {
+    return [...this.marks.keys()].pop();
+  }
+
+  #placeMarks() {
+    const { window, oldest } = this;
+    for (const [version, mark] of this.marks) {
+      mark.hidden = !window || !(version >= oldest && version <= window.newest.version);
+      mark.title = `Mark at ${clock(version - oldest, this.status?.fps ?? null)}`;
+      mark.style.setProperty("--at", String(this.#share(version)));
+    }
+  }
+
+  /** Where a version lies on the bar, 0 to 1. @param {number} version */
+  #share(version) {
+    const { oldest } = this, newest = Math.max(this.window?.newest.version ?? 0, this.version);
+    return newest > oldest ? (version - oldest) / (newest - oldest) : 1;
   }
 
   /** From now on a file is played. @param {boolean} loop */
@@ -155,8 +189,8 @@ export class Timeline {
     const { oldest } = this, newest = Math.max(window.newest.version, this.version);
     Object.assign(this.scrub, { min: String(oldest), max: String(newest) });
     if (!this.dragging) this.scrub.value = String(version);
-    const share = newest > oldest ? (version - oldest) / (newest - oldest) : 1;
-    this.scrub.style.setProperty("--done", `${(100 * share).toFixed(2)}%`);
+    this.scrub.style.setProperty("--done", `${(100 * this.#share(version)).toFixed(2)}%`);
+    this.#placeMarks();
     const fps = this.status?.fps ?? null, behind = newest - version;
     const live = this.status?.mode === "live" && !this.dragging;
     const text = this.recording ? `${clock(version - oldest, fps)} / ${clock(newest - oldest, fps)}` : live || behind <= 0 ? clock(version - oldest, fps) : `−${clock(behind, fps)}`;

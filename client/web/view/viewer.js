@@ -50,6 +50,8 @@ export class Viewer extends EventTarget {
     this.picture = null;
     /** @type {number | null} how many watch the stream, as far as the server says */
     this.watchers = null;
+    /** @type {string[]} cameras of the rig whose own pictures the server shows */
+    this.pictured = [];
     this.posed = false; // someone chose a pose: a new scene does not move the camera
     this.levels = Infinity;
     this.resolution = 1; // fraction of the screen's own, while things move

@@ -1,4 +1,4 @@
-"""Fixtures of the page's tests: the assembled kernel, node, Chromium."""
+"""Fixtures of the page's tests: the assembled kernel, node, Chromium, a clip to watch, a page to watch it in."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from typing import Any
 
 import pytest
 
-WEB = Path(__file__).parents[3] / "client" / "web"
+from codec.container import SlodWriter
+from tests.client.web.miniserver import WEB, Clip, make_clip
+from tests.client.web.scenes import make_scene
+
 CHROMIUM_FLAGS = [
     "--no-sandbox",
     "--disable-quic",
@@ -63,3 +66,52 @@ def chromium(kernel: bytes) -> Iterator[Any]:
         browser = playwright.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)
         yield browser
         browser.close()
+
+
+class Console:
+    """What the page complained about; must stay empty."""
+
+    def __init__(self, page: Any) -> None:
+        self.lines: list[str] = []
+        page.on("console", lambda message: self._add(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: self.lines.append(f"error: {error}"))
+
+    def _add(self, line: str) -> None:
+        if "GPU stall due to ReadPixels" not in line:  # the driver's remark on tests that look at the picture
+            self.lines.append(line)
+
+    def forgive(self, text: str) -> None:
+        """Forget lines with `text`, which the browser itself writes."""
+        self.lines = [line for line in self.lines if text not in line]
+
+
+@pytest.fixture(scope="session")
+def clip(kernel: bytes) -> Clip:
+    """Forty frames of a small scene."""
+    clip = make_clip(make_scene(400), 40)
+    clip.key()  # compiles what encodes, here and not while a page waits
+    for version in range(1, len(clip.states)):
+        clip.residual(version - 1, version)
+    return clip
+
+
+@pytest.fixture(scope="session")
+def recording(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The clip as `clip.slod`, in a folder of its own."""
+    path = tmp_path_factory.mktemp("recording") / "clip.slod"
+    with SlodWriter(path) as writer:
+        writer.append(clip.key())
+        for version in range(1, len(clip.states)):
+            writer.append(clip.residual(version - 1, version))
+    return path
+
+
+@pytest.fixture
+def page(chromium: Any) -> Iterator[Any]:
+    """A page of the rig's picture size whose console must stay empty."""
+    context = chromium.new_context(viewport={"width": 320, "height": 240}, reduced_motion="reduce")
+    page = context.new_page()
+    page.complaints = Console(page)
+    yield page
+    context.close()
+    assert page.complaints.lines == []

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
 from fastapi.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
@@ -67,6 +67,7 @@ class Behaviour:
     detail: str = ""
     close: tuple[int, str] | None = None
     progress: tuple[float, str] | None = None  # in the welcome
+    preview: bool = False  # a stream that starts has pictures already
     source: str = "cameras"
     leave: tuple[int, str] | None = None  # close every connection, once set
     lead_ns: int = 0  # how far the server's clock is ahead of the times in the packets
@@ -74,6 +75,7 @@ class Behaviour:
     corrupt: set[int] = field(default_factory=set)  # versions whose packet is damaged, once
     streams: tuple[str, ...] = ("main",)
     viewers: int = 1  # in the list of streams
+    camera_pictures: dict[str, bytes] = field(default_factory=dict)
     hellos: list[dict[str, Any]] = field(default_factory=list)
     wishes: list[dict[str, Any]] = field(default_factory=list)  # heard, not obeyed
 
@@ -112,7 +114,7 @@ class Viewer:
         if b.close:
             await self.socket.close(*b.close)
             return
-        ready = b.state not in ("idle", "starting")
+        ready = b.preview or b.state not in ("idle", "starting")
         facts: dict[str, Any] = {"levels": 3, "fps": b.fps, "window": self.window()} if ready else {}
         progress = b.progress and {"fraction": b.progress[0], "loss": None, "text": b.progress[1]}
         welcome = {"type": "welcome", "version": b.version, "session": "test", "stream": "main", "state": b.state}
@@ -196,9 +198,16 @@ def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None, page
     @app.get("/v1/streams")
     def streams() -> dict[str, Any]:
         items = [
-            {"id": s, "name": s, "state": behaviour.state, "viewers": behaviour.viewers} for s in behaviour.streams
-        ]
+            {"id": s, "name": s, "state": behaviour.state, "viewers": behaviour.viewers,
+             "camera_pictures": list(behaviour.camera_pictures)}
+            for s in behaviour.streams
+        ]  # fmt: skip
         return {"items": items, "next_cursor": None}
+
+    @app.get("/v1/streams/{stream}/cameras/{camera}.jpg")
+    def camera_picture(stream: str, camera: str) -> Response:
+        jpeg = behaviour.camera_pictures.get(camera)
+        return Response(jpeg, media_type="image/jpeg") if jpeg else Response(status_code=404)
 
     if files is not None:
         app.mount("/files", StaticFiles(directory=files))

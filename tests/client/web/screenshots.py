@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import io
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from codec.container import SlodReader, SlodWriter
@@ -38,6 +40,7 @@ def shots() -> list[Shot]:
     """All of them."""
     full = Behaviour(newest=30)
     training = Behaviour(state="starting", progress=(0.4, "step 400 of 1000"))
+    films = {"cam01": jpeg()}
     many = Behaviour(newest=30, streams=("main", "stage left", "rehearsal"))
     return [
         Shot("live-desktop-dark", many),
@@ -47,6 +50,8 @@ def shots() -> list[Shot]:
         Shot("live-phone-dark", full, PHONE),
         Shot("live-phone-light", many, PHONE, "light"),
         Shot("phone-landscape", full, (844, 390)),
+        Shot("phone-sheet", full, PHONE, act="button:#b-more"),
+        Shot("phone-source", Behaviour(fps=2, camera_pictures=films), PHONE, act="key:2"),
         Shot("statistics", full, act="button:#b-stats"),
         Shot("statistics-phone", full, PHONE, act="button:#b-stats"),
         Shot("cameras", full, act="button:#b-cameras"),
@@ -56,6 +61,14 @@ def shots() -> list[Shot]:
         Shot("help", full, act="button:#b-help"),
         Shot("help-phone-light", full, PHONE, "light", act="button:#b-help"),
         Shot("streams", many, act="button:#stream-name"),
+        Shot("share", full, act="button:#b-share"),
+        Shot("peek", full, act="hover:#t-scrub", address="/?src=files/clip.slod&marks=4,20"),
+        Shot("source", Behaviour(fps=2, camera_pictures=films), act="key:2"),
+        Shot("outside", full, act="wheel:5000"),
+        Shot("behind", Behaviour(fps=2), act="js:streamlod.seek(2); streamlod.play()"),
+        Shot("preview", Behaviour(state="starting", preview=True, progress=(0.4, "step 400 of 1000"))),
+        Shot("ended", Behaviour(state="ended", newest=30)),
+        Shot("deleted", Behaviour(newest=30), act="leave"),
         Shot("paused", full, act="js:streamlod.seek(12); streamlod.pause()"),
         Shot("recording", full, address="/?src=files/clip.slod"),
         Shot("stalled", full, act="wait:3500"),
@@ -74,6 +87,44 @@ def shots() -> list[Shot]:
     ]
 
 
+def jpeg() -> bytes:
+    """What a camera might film."""
+    file = io.BytesIO()
+    Image.linear_gradient("L").resize((320, 240)).convert("RGB").save(file, "JPEG")
+    return file.getvalue()
+
+
+def act(page: Any, shot: Shot) -> None:
+    """What a person does."""
+    verb, _, what = shot.act.partition(":")
+    if verb == "button":
+        if shot.live and what != "#b-more" and page.locator("#b-more").is_visible():
+            page.click("#b-more")  # the tools of a small page are a sheet
+        page.click(what)
+    elif verb == "hover":
+        page.hover(what)
+        page.wait_for_timeout(1500)
+    elif verb == "key":
+        page.wait_for_function("streamlod.state.viewers !== null")
+        page.keyboard.press(what)
+        page.locator("#source img").wait_for()
+    elif verb == "leave":
+        shot.behaviour.leave = (1000, "the stream was deleted")
+    elif verb == "wheel":
+        page.mouse.move(640, 300)
+        for _ in range(int(what) // 250):
+            page.mouse.wheel(0, 250)
+    elif verb == "js":
+        page.evaluate(what)
+    elif verb == "wait":
+        page.wait_for_timeout(int(what))
+    elif verb == "rig":
+        page.click("#b-cameras")
+        page.click("#camera-menu button >> nth=0")
+        page.mouse.move(640, 400)
+        page.mouse.wheel(0, 700)
+
+
 def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
     """One picture into `out`."""
     page = browser.new_page(
@@ -84,24 +135,12 @@ def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
     with serving(create_app(clip, shot.behaviour, files)) as url:
         page.goto(url + shot.address)
         if shot.live:
-            page.wait_for_function("window.streamlod?.state.version >= 10", timeout=20_000)
-        page.evaluate("document.getElementById('toast').remove()" if shot.live else "0")
-        verb, _, what = shot.act.partition(":")
-        if verb == "button":
-            if shot.live and page.locator("#b-more").is_visible():
-                page.click("#b-more")  # the tools of a small page are a sheet
-            page.click(what)
-        elif verb == "js":
-            page.evaluate(what)
-        elif verb == "wait":
-            page.wait_for_timeout(int(what))
-        elif verb == "rig":
-            page.click("#b-cameras")
-            page.click("#camera-menu button >> nth=0")
-            page.mouse.move(640, 400)
-            page.mouse.wheel(0, 700)
+            page.wait_for_function("window.streamlod?.state.version >= 2", timeout=20_000)
+        page.add_style_tag(content="#toast { visibility: hidden }")
+        act(page, shot)
         page.wait_for_timeout(700 if shot.live else 1500)
-        page.mouse.move(shot.size[0] / 2, shot.size[1] / 2)  # controls hide from a hand that rests
+        if not shot.act.startswith("hover"):
+            page.mouse.move(shot.size[0] / 2, shot.size[1] / 2)  # controls hide from a hand that rests
         page.wait_for_timeout(400)
         if not shot.stop:
             page.screenshot(path=out / f"{shot.name}.png")
@@ -130,7 +169,7 @@ def main() -> None:
     """Take all, or those whose name holds --only."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, help="folder for the pictures")
-    parser.add_argument("--only", default="", help="part of the names wanted")
+    parser.add_argument("--only", default="", help="parts of the names wanted")
     parser.add_argument(
         "--scene", type=Path, metavar="FILE.slod", help="a recording to show instead of a made-up scene"
     )
@@ -145,7 +184,7 @@ def main() -> None:
                 writer.append(clip.residual(version - 1, version))
         browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)
         for shot in shots():
-            if arguments.only in shot.name:
+            if any(part in shot.name for part in arguments.only.split(",")):
                 take(browser, shot, clip, files, arguments.out)
         browser.close()
 

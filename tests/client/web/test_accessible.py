@@ -10,9 +10,7 @@ import pytest
 from PIL import Image
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, clip, page, shows
-
-__all__ = ["clip", "page"]
+from tests.client.web.test_browser import WAIT, shows
 
 pytestmark = pytest.mark.browser
 

@@ -20,9 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from codec.container import SlodWriter
 from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import INSPECT, clip, page, shows
-
-__all__ = ["clip", "page"]
+from tests.client.web.test_browser import INSPECT, shows
 
 pytestmark = pytest.mark.browser
 
@@ -68,7 +66,7 @@ def test_works_compressed_and_is_small(page: Any, clip: Clip, packed: Path) -> N
         page.goto(f"{url}/")
         shows(page, "s.version === 4")
     assert {"main.js", "worker.js", "kernel.wasm"} <= set(sizes)
-    assert not {"recording.js", "file.js", "clip.js", "thin.js", "webxr.js"} & set(sizes)
+    assert not {"recording.js", "file.js", "moments.js", "thin.js", "webxr.js"} & set(sizes)
     assert sum(sizes.values()) < MAX_BYTES, sizes
 
 

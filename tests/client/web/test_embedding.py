@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.middleware.cors import CORSMiddleware
 
-from codec.container import SlodReader, SlodWriter
+from codec.container import SlodReader
 from codec.decoder import SceneDecoder
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, QuietHandler, clip, page, shows
+from tests.client.web.test_browser import WAIT, QuietHandler, shows
 from tests.server.conftest import running
-
-__all__ = ["clip", "page"]
 
 pytestmark = pytest.mark.browser
 
@@ -51,14 +50,9 @@ class Site:
 
 
 @pytest.fixture(scope="module")
-def site(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
+def site(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """The real server with a recording, which one other origin may frame."""
     folder = tmp_path_factory.mktemp("host")
-    recording = tmp_path_factory.mktemp("clip") / "clip.slod"
-    with SlodWriter(recording) as writer:
-        writer.append(clip.key())
-        for version in range(1, 40):
-            writer.append(clip.residual(version - 1, version))
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(QuietHandler, directory=str(folder))) as host:
         thread = threading.Thread(target=host.serve_forever)
         thread.start()
@@ -141,17 +135,13 @@ def test_other_sites_may_not_frame_it(page: Any, site: Site) -> None:
     page.complaints.forgive("frame-ancestors")
 
 
-def test_links_keep_the_moment(page: Any, clip: Clip, tmp_path: Path) -> None:
+def test_links_keep_the_moment(page: Any, clip: Clip, recording: Path) -> None:
     """A copied link opens paused at the frame and view that were shown: live, and from a file."""
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     page.set_viewport_size({"width": 900, "height": 500})
-    with SlodWriter(tmp_path / "clip.slod") as writer:
-        writer.append(clip.key())
-        for version in range(1, 30):
-            writer.append(clip.residual(version - 1, version))
     behaviour = Behaviour(newest=14)
-    with serving(create_app(clip, behaviour, tmp_path)) as url:
-        for address, version in ((f"{url}/?quality=high", 14), (f"{url}/?quality=high&src=files/clip.slod", 29)):
+    with serving(create_app(clip, behaviour, recording.parent)) as url:
+        for address, version in ((f"{url}/?quality=high", 14), (f"{url}/?quality=high&src=files/clip.slod", 39)):
             page.goto(address)
             shows(page, f"s.version === {version}")
             page.evaluate("streamlod.setCamera(1)")
@@ -175,16 +165,16 @@ def test_links_keep_the_moment(page: Any, clip: Clip, tmp_path: Path) -> None:
         with page.expect_download() as download:
             page.click("#b-share")
             page.locator("#share-menu button", has_text="Download recording").click()
-        assert Path(download.value.path()).read_bytes() == (tmp_path / "clip.slod").read_bytes()
+        assert Path(download.value.path()).read_bytes() == recording.read_bytes()
         page.evaluate("streamlod.seek(12)")
         shows(page, "s.version === 12")
         page.click("#b-share")
-        page.locator("#share-menu button", has_text="A clip begins here").click()
+        page.locator("#share-menu button", has_text="Mark this moment").click()
         page.evaluate("streamlod.seek(5)")
         shows(page, "s.version === 5")
         with page.expect_download() as download:
             page.click("#b-share")
-            page.locator("#share-menu button", has_text="Download clip up to here").click()
+            page.locator("#share-menu button", has_text="Clip since the mark").click()
         assert download.value.suggested_filename == "clip-5-12.slod"
         with SlodReader(download.value.path()) as reader:
             decoder = SceneDecoder()
@@ -195,3 +185,21 @@ def test_links_keep_the_moment(page: Any, clip: Clip, tmp_path: Path) -> None:
         assert [level.digest() for level in decoder.scene.levels] == [
             level.digest() for level in clip.states[12].levels
         ]
+
+
+def test_missing_cors_is_named(page: Any, site: Site, clip: Clip, recording: Path) -> None:
+    """A file of a server that does not list the page's origin: the page says whose headers are missing, and which."""
+    half = CORSMiddleware(create_app(clip, Behaviour(), recording.parent), allow_origins=["*"], allow_headers=["*"])
+    fault = page.locator("#card-text")
+    with serving(create_app(clip, Behaviour())) as own, serving(half) as other:
+        page.goto(f"{own}/?src={site.url}/v1/streams/main/bitstream")
+        fault.get_by_text(f"{site.url} does not answer, or does not let pages of other sites").wait_for(**WAIT)
+        page.goto(f"{own}/?src={other}/files/clip.slod")
+        fault.get_by_text("hides the header Content-Range from pages of other sites (CORS)").wait_for(**WAIT)
+    with running(Settings(origins=(own,)), StreamSpec(play=recording, loop=False)) as server:
+        server.wait(lambda stream: stream["state"] == "ended")
+        with serving(create_app(clip, Behaviour()), int(own.rpartition(":")[2])):
+            page.goto(f"{own}/?src={server.url}/v1/streams/main/bitstream")
+            shows(page, "s.version === 39")
+    page.complaints.forgive("CORS policy")
+    page.complaints.forgive("net::ERR_FAILED")

@@ -11,9 +11,7 @@ import pytest
 
 from core.camera import Camera, pinhole
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, clip, page, psnr, reference, shows
-
-__all__ = ["clip", "page"]
+from tests.client.web.test_browser import WAIT, psnr, reference, shows
 
 pytestmark = pytest.mark.browser
 

@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 
+from tests.client.web.conftest import Console
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, Console, clip, shows
-
-__all__ = ["clip"]
+from tests.client.web.test_browser import WAIT, shows
 
 pytestmark = pytest.mark.browser
 

@@ -14,9 +14,7 @@ from PIL import Image
 from codec.container import SlodWriter
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import page, shows
-
-__all__ = ["page"]
+from tests.client.web.test_browser import shows
 
 pytestmark = pytest.mark.browser
 

@@ -20,9 +20,7 @@ from codec.encoder import encode_keyframe
 from core.camera import Camera
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import page, picture, psnr, shows
-
-__all__ = ["page"]
+from tests.client.web.test_browser import picture, psnr, shows
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 

@@ -12,10 +12,8 @@ from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import INSPECT, WAIT, page, shows
+from tests.client.web.test_browser import INSPECT, WAIT, shows
 from tests.server.conftest import running
-
-__all__ = ["page"]
 
 pytestmark = pytest.mark.browser
 

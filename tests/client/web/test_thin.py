@@ -11,10 +11,10 @@ from codec.container import SlodWriter
 from core.render.splatter import Splatter
 from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Settings
-from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
+from tests.client.web.conftest import CHROMIUM_FLAGS, Console, chromium_path
 from tests.client.web.miniserver import Clip, make_clip
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, Console, picture, psnr, shows
+from tests.client.web.test_browser import WAIT, picture, psnr, shows
 from tests.server.conftest import Running, running
 
 pytestmark = pytest.mark.browser

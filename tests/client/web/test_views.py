@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import INSPECT, WAIT, clip, page, picture, shows
-
-__all__ = ["clip", "page"]
+from tests.client.web.test_browser import INSPECT, WAIT, picture, shows
 
 pytestmark = pytest.mark.browser
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed
+from websockets.frames import Close
 from websockets.sync.client import connect
 
 from server.pipeline.spec import StreamSpec
@@ -24,8 +25,8 @@ _FOREIGN = {
 }
 
 
-def close_code(server: Running, headers: dict[str, str]) -> int:
-    """Of a websocket without hello."""
+def closed(server: Running, headers: dict[str, str]) -> Close:
+    """How a websocket without hello is closed."""
     host = headers.get("Host", "localhost")
     options: Any = {"origin": headers["Origin"], "subprotocols": ["streamlod.v1"]}
     with (
@@ -37,20 +38,24 @@ def close_code(server: Running, headers: dict[str, str]) -> int:
         with pytest.raises(ConnectionClosed) as caught:
             viewer.recv(10)
     assert caught.value.rcvd is not None
-    return caught.value.rcvd.code
+    return caught.value.rcvd
 
 
 def test_foreign_pages_change_nothing_and_watch_nothing() -> None:
     with running(Settings(), _STREAM) as server, server.client() as client:
         for name, headers in _FOREIGN.items():
             refused = 421 if "Host" in headers else 403
-            assert client.post("/v1/streams/main/stop", headers=headers).status_code == refused, name
+            answer = client.post("/v1/streams/main/stop", headers=headers)
+            assert answer.status_code == refused, name
             if "Host" not in headers:
-                assert close_code(server, headers) == 4403, name
+                assert "list it in the setting `origins`" in answer.json()["detail"], "programs learn what is missing"
+                close = closed(server, headers)
+                assert close.code == 4403, name
+                assert "list it in the setting `origins`" in close.reason
         for own in (f"127.0.0.1:{server.port}", f"localhost:{server.port}", "[::1]:8080"):
             headers = {"Origin": f"http://{own}", "Host": own}
             assert client.post("/v1/streams/main/stop", headers=headers).status_code == 202, own
-            assert close_code(server, headers) == 4400, own
+            assert closed(server, headers).code == 4400, own
 
 
 def test_origins_of_the_settings_and_names_of_a_server_with_tokens_count_as_own(tmp_path: Path) -> None:

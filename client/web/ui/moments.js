@@ -1,0 +1,65 @@
+/** Other moments of what is watched, drawn from the same place by a second viewer: small over the timeline. */
+
+import { Viewer } from "../view/viewer.js";
+import { element } from "./page.js";
+import { clock } from "./states.js";
+
+/** @typedef {{ viewer: Viewer, address: () => string | null, token: string | null }} Source - address: of a file with all that can be sought */
+
+const LINGER_MS = 4000; // after the pointer has left: what was loaded is of use if it comes back
+const THUMB_PX = 16; // of the slider
+
+class Moments {
+  /** @param {Source} source @param {string} file @param {HTMLCanvasElement} canvas - in the page */
+  constructor({ viewer, token }, file, canvas) {
+    this.viewer = viewer;
+    this.drawer = new Viewer(canvas);
+    this.wanted = 0;
+    this.drawer.addEventListener("scene", () => this.seek(this.wanted)); // what is said before the file is there is lost
+    this.drawer.tell({ type: "connect", live: null, file: new URL(file, location.href).href, token, wishes: {} });
+  }
+
+  /** @param {number} version */
+  seek(version) {
+    this.wanted = version;
+    this.drawer.steer(this.viewer.pose);
+    this.drawer.tell({ type: "send", messages: [{ type: "pause" }, { type: "seek", to: { version } }] });
+  }
+
+  close() {
+    this.drawer.destroy();
+    this.drawer.canvas.remove();
+  }
+}
+
+/** The moment under the pointer. @param {Source} source @param {import("./timeline.js").Timeline} timeline */
+export function attachPeek(source, timeline) {
+  const place = element("t-peek"), { scrub } = timeline;
+  /** @type {Moments | null} */
+  let moments = null;
+  let leaving = 0;
+  /** @param {PointerEvent} event */
+  const move = ({ pointerType, offsetX }) => {
+    const { window: range, oldest, status } = timeline, file = source.address();
+    if (pointerType !== "mouse" || !range || !file) return;
+    clearTimeout(leaving);
+    const share = Math.min(Math.max((offsetX - THUMB_PX / 2) / (scrub.clientWidth - THUMB_PX), 0), 1);
+    const version = Math.round(oldest + share * (range.newest.version - oldest));
+    element("t-peek-time").textContent = clock(version - oldest, status?.fps ?? null);
+    place.style.setProperty("--at", String(share));
+    place.hidden = false;
+    if (!moments) {
+      const canvas = document.createElement("canvas");
+      place.prepend(canvas);
+      moments = new Moments(source, file, canvas);
+    }
+    moments.seek(version);
+  };
+  scrub.addEventListener("pointermove", move);
+  scrub.addEventListener("pointerleave", () => {
+    place.hidden = true;
+    clearTimeout(leaving);
+    leaving = window.setTimeout(() => (moments = moments?.close() ?? null), LINGER_MS);
+  });
+  return move;
+}

@@ -1,0 +1,63 @@
+"""Small pictures of what a stream's cameras see, for viewers that compare the model with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import msgpack
+
+from core.arrays import UInt8
+from core.frames import FrameSet
+
+MAX_SIDE = 320  # pixels
+_SECONDS = 1.0  # from one round of pictures to the next
+_QUALITY = 70  # of JPEG
+
+
+class CameraPictures:
+    """Keeps the newest frame and compresses it now and then.
+
+    Args:
+        names: of the cameras, in the order of the frames' images.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._newest: FrameSet | None = None
+        self._next = 0.0
+
+    def note(self, frame: FrameSet) -> None:
+        """A frame was read."""
+        self._newest = frame
+
+    def take(self) -> bytes | None:
+        """The newest frame for `unpack_pictures`, where there is a new one and it is time; from one thread."""
+        frame, now = self._newest, time.monotonic()
+        if frame is None or now < self._next:
+            return None
+        self._newest, self._next = None, now + _SECONDS
+        seen = zip(self._names, frame.images, frame.present, strict=True)
+        pictures = {name: _small_jpeg(image) for name, image, present in seen if present}
+        return bytes(msgpack.packb(pictures))
+
+
+def unpack_pictures(body: bytes) -> dict[str, bytes]:
+    """JPEG files by camera, of `CameraPictures.take`.
+
+    Raises:
+        ValueError: the body is something else.
+    """
+    found = msgpack.unpackb(body)
+    if not isinstance(found, dict) or not all(isinstance(x, str) and isinstance(y, bytes) for x, y in found.items()):
+        raise ValueError("camera pictures must be a map of names to JPEG files")
+    return found
+
+
+def _small_jpeg(image: UInt8) -> bytes:
+    """An image [H,W,3] RGB with its longer side shrunk to `MAX_SIDE`."""
+    import cv2
+
+    scale = min(1.0, MAX_SIDE / max(image.shape[:2]))
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])
