@@ -23,7 +23,7 @@
  * @property {string} stream - its state in the server's words, "" while unknown
  * @property {Source} source
  * @property {"live" | "replay" | "paused"} mode
- * @property {boolean} hasFrame - whether a frame was decoded
+ * @property {boolean} hasFrame - whether a frame was decoded; of a stream that starts, on this connection
  * @property {boolean} hasWindow - whether there is anything to show
  * @property {boolean} isOver - whether a recording has reached its end
  * @property {number} lagSeconds - from what is shown to the newest frame

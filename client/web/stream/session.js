@@ -58,6 +58,7 @@ export class Session {
     this.verdict = null;
     this.isOver = false; // a recording has reached its end
     this.isQuiet = false;
+    this.isFresh = false; // a frame has come since the connection was opened
     this.received = 0; // bytes on this connection
     this.ackEvery = 8;
     this.unacknowledged = 0;
@@ -79,7 +80,7 @@ export class Session {
     this.open = true;
     this.received = this.unacknowledged = 0;
     this.lastAck = this.lastPacket = this.saidHello = now;
-    this.isQuiet = false;
+    this.isQuiet = this.isFresh = false;
     const wishes = Object.fromEntries(Object.entries(this.wishes).filter(([, value]) => value != null));
     return [{ type: "hello", versions: [VERSION], client: CLIENT, start: this.start, ...wishes }];
   }
@@ -159,7 +160,7 @@ export class Session {
     const isOld = position && window && position.epoch < window.newest.epoch;
     status.phase = phaseOf({
       link: this.link, verdict: this.verdict, stream: this.streamState, source: status.source, mode: status.mode,
-      hasFrame: position !== null, hasWindow: window !== null, isOver: this.isOver, lagSeconds: isOld ? Infinity : (status.lagSeconds ?? 0), isQuiet: this.isQuiet,
+      hasFrame: position !== null && (this.isFresh || this.streamState !== "starting"), hasWindow: window !== null, isOver: this.isOver, lagSeconds: isOld ? Infinity : (status.lagSeconds ?? 0), isQuiet: this.isQuiet,
     });
   }
 
@@ -180,6 +181,7 @@ export class Session {
     const { window } = this.status; // told once a second, and not while paused: what was shown can be sought all the same
     if (window && window.newest.epoch === this.epoch && window.newest.version < version) this.status.window = { ...window, newest: position };
     this.refused = 0;
+    this.isFresh = true;
     this.settle();
     this.unacknowledged++;
     if (this.unacknowledged < this.ackEvery && now - this.lastAck < 900) return [];

@@ -34,6 +34,7 @@ export async function countWatchers(options, stream, viewer) {
   for (; viewer.running; await new Promise((resolve) => setTimeout(resolve, COUNT_MS))) {
     if (document.hidden || viewer.status?.phase === "reconnecting") continue;
     const told = (await fetchStreams(options)).find(({ id }) => id === stream);
+    if (told && ["deleted", "missing"].includes(viewer.status?.phase ?? "")) location.reload(); // it was made again
     viewer.watchers = told?.viewers ?? null;
     viewer.pictured = told?.camera_pictures ?? [];
     element("status-viewers").textContent = (viewer.watchers ?? 0) > 1 ? `${viewer.watchers} watching` : "";

@@ -200,7 +200,7 @@ def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None, page
         items = [
             {"id": s, "name": s, "state": behaviour.state, "viewers": behaviour.viewers,
              "camera_pictures": list(behaviour.camera_pictures)}
-            for s in behaviour.streams
+            for s in (() if behaviour.close or behaviour.leave else behaviour.streams)
         ]  # fmt: skip
         return {"items": items, "next_cursor": None}
 

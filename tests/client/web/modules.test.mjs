@@ -313,7 +313,7 @@ test("phase: every transition", () => {
     "hello connecting, starting waiting, frame preview, live live, silence stalled, frame live, far behind, frame live, pause paused, silence paused, seek behind, caught live",
     "hello connecting, welcome waiting, frame live, end ended, live live, stop ended, live live, fail failed, live live, deleted deleted",
     "hello connecting, welcome waiting, frame live, broken reconnecting, broken reconnecting, hello reconnecting, welcome live, broken reconnecting, refused denied",
-    "hello connecting, welcome waiting, frame live, silence stalled, broken reconnecting, hello reconnecting, starting preview, silence preview, frame preview, deleted deleted",
+    "hello connecting, welcome waiting, frame live, silence stalled, broken reconnecting, hello reconnecting, starting waiting, silence waiting, frame preview, deleted deleted",
     "hello connecting, welcome waiting, silence waiting, frame live, silence stalled, pause paused, edge live, silence stalled, end ended, pause paused, seek behind, end behind, edge ended",
     "hello connecting, recording waiting, frame replay, silence stalled, frame replay, pause paused, seek replay, end replay, edge ended, deleted deleted",
     "hello connecting, old waiting, frame ended, seek behind, pause paused, edge ended, broken reconnecting, hello reconnecting, old ended",

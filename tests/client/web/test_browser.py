@@ -27,7 +27,7 @@ from tests.client.web.test_modules import assert_same_splats
 
 pytestmark = pytest.mark.browser
 
-WAIT = {"timeout": 20_000}  # milliseconds: for a machine that is busy with other tests as well
+WAIT = {"timeout": 90_000}  # milliseconds: for a machine that is busy with other tests as well
 CAPTURE = """async () => {
   const bytes = new Uint8Array(await (await streamlod.captureFrame()).arrayBuffer());
   return btoa(Array.from(bytes, (x) => String.fromCharCode(x)).join(""));

@@ -144,3 +144,18 @@ def test_a_played_file_is_a_replay_that_can_be_sought(page: Any, clip: Clip, tmp
         page.evaluate("streamlod.pause(); streamlod.seek(33)")
         shows(page, "s.phase === 'paused' && s.version === 33")
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[33].levels]
+
+
+def test_a_stream_that_is_made_again_is_shown_again(page: Any, clip: Clip, tmp_path: Path) -> None:
+    """Deleted is said; once there is a stream of that name again, its page shows it without a hand."""
+    with SlodWriter(tmp_path / "clip.slod") as writer:
+        writer.append(clip.key())
+    settings, played = Settings(roots=(tmp_path,)), tmp_path / "clip.slod"
+    with running(settings, StreamSpec(play=played, loop=False)) as server, server.client() as client:
+        page.goto(f"{server.url}/?quality=high&together=1&stream=main")
+        shows(page, "s.version === 0")
+        client.delete("/v1/streams/main")
+        chip(page, "Deleted, this is its last picture")
+        client.post("/v1/streams", json={"id": "main", "play": str(played), "start": True})
+        chip(page, "Replay")
+        shows(page, "s.version === 0")

@@ -51,7 +51,7 @@ def test_every_get_has_its_head(client: httpx.Client) -> None:
     incarnation = client.get("/v1/streams/main").json()["incarnation"]
     templates = [path for path, operations in document["paths"].items() if "get" in operations and "poster" not in path]
     for template in [*templates, "/", "/docs"]:
-        path = template.format(stream_id="main", epoch=1, version=0, first=0, incarnation=incarnation)
+        path = template.format(stream_id="main", epoch=1, version=0, first=0, incarnation=incarnation, camera="none")
         asked = client.get(path, params={"seconds": 0.1})
         told = client.head(path)
         assert (told.status_code, told.content) == (asked.status_code, b""), path
