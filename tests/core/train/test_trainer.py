@@ -23,7 +23,7 @@ from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import TrainConfig, TrainedFrame, Trainer, preset
 from tests.core.true_points import true_points
 
-SPEC = SyntheticSpec(cameras=5, frames=4, width=112, height=64, seed=1)
+SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=1)
 BLACK = np.zeros(3, np.float32)
 
 
@@ -32,7 +32,7 @@ def small_config() -> TrainConfig:
     return replace(
         config,
         model=replace(config.model, features=16),
-        keyframe=replace(config.keyframe, steps=150, growth_interval=40),
+        keyframe=replace(config.keyframe, steps=100, growth_interval=25),
         predict=replace(config.predict, epochs=4, minimum_steps=20),
     )
 
