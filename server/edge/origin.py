@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
-import http.client
 import json
 import re
-import urllib.request
+import ssl
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import quote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from core.errors import InputError
+
+if TYPE_CHECKING:
+    import httpx
 
 _ADDRESS = re.compile(r"https?://[A-Za-z0-9.:\[\]-]+/?")
 _ANSWER_SECONDS = 5.0
@@ -82,25 +86,13 @@ class Origin:
         Raises:
             OSError: it does not answer, refuses, or answers with something else.
         """
-        return await asyncio.to_thread(self._streams)
-
-    def open(self, path: str, headers: dict[str, str], method: str = "GET") -> http.client.HTTPResponse:
-        """The answer to a request; from a thread. An answer above 399 is an `OSError` (`urllib.error.HTTPError`)."""
-        request = urllib.request.Request(self.url.rstrip("/") + path, headers=headers | self.headers, method=method)
-        answer: http.client.HTTPResponse = _OPENER.open(request, timeout=_ANSWER_SECONDS)
-        return answer
-
-    def _streams(self) -> list[OriginStream]:
         found: list[OriginStream] = []
         cursor = ""
         for _ in range(_MAX_PAGES):
+            body = await self._read(f"/v1/streams?limit=200{cursor}")
             try:
-                with self.open(f"/v1/streams?limit=200{cursor}", {"Accept": "application/json"}) as answer:
-                    body = answer.read(_MAX_LIST_BYTES + 1)
-                if len(body) > _MAX_LIST_BYTES:
-                    raise OSError("its list of streams is too long")
                 page = _PAGE.validate_python(json.loads(body))
-            except (ValueError, RecursionError, ValidationError, http.client.HTTPException) as error:
+            except (ValueError, RecursionError, ValidationError) as error:
                 raise OSError(f"its list of streams cannot be used ({str(error)[:200]})") from error
             found += page.items
             if page.next_cursor is None:
@@ -108,12 +100,41 @@ class Origin:
             cursor = "&cursor=" + quote(page.next_cursor, safe="")
         raise OSError("its list of streams does not end")
 
+    @asynccontextmanager
+    async def open(self, path: str, headers: dict[str, str], method: str = "GET") -> AsyncIterator[httpx.Response]:
+        """The answer to a request, of any status; its body is not read yet.
 
-class _Stay(urllib.request.HTTPRedirectHandler):
-    """Follows no redirection: the token is for this server alone."""
+        No redirection is followed: the token is for this server alone.
 
-    def redirect_request(self, *_: Any) -> None:
-        return None
+        Raises:
+            OSError: it does not answer, or the answer breaks off.
+        """
+        import httpx
+
+        asked = {"Accept-Encoding": "identity"} | headers | self.headers
+        try:
+            async with (
+                httpx.AsyncClient(verify=_trusted(), timeout=_ANSWER_SECONDS) as client,
+                client.stream(method, self.url.rstrip("/") + path, headers=asked) as answer,
+            ):
+                yield answer
+        except (httpx.HTTPError, httpx.InvalidURL) as error:
+            raise OSError(str(error) or type(error).__name__) from error
+
+    async def _read(self, path: str) -> bytes:
+        """The body of a list of streams."""
+        body = bytearray()
+        async with self.open(path, {"Accept": "application/json"}) as answer:
+            if not answer.is_success:
+                raise OSError(f"it answers {answer.status_code}")
+            async for chunk in answer.aiter_raw():
+                body += chunk
+                if len(body) > _MAX_LIST_BYTES:
+                    raise OSError("its list of streams is too long")
+        return bytes(body)
 
 
-_OPENER = urllib.request.build_opener(_Stay)
+@cache
+def _trusted() -> ssl.SSLContext:
+    """The certificates that this machine trusts."""
+    return ssl.create_default_context()

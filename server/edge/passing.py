@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
-import http.client
 from collections.abc import AsyncIterator
-from urllib.error import HTTPError
+from contextlib import AsyncExitStack
+from typing import TYPE_CHECKING
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import StreamingResponse
@@ -17,8 +16,12 @@ from server.edge.stream import EdgeStream
 from server.http.head import is_head
 from server.http.problems import PROBLEMS, Problem
 
+if TYPE_CHECKING:
+    import httpx
+
 _ASKED = ("Range", "If-Range", "If-None-Match")
 _ANSWERED = ("Accept-Ranges", "Content-Disposition", "Content-Length", "Content-Range", "Content-Type", "ETag")
+_PASSED_ON = {200, 206, 304, 404, 416}
 _CHUNK_BYTES = 1 << 18
 
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
@@ -35,21 +38,22 @@ async def recording(stream: StreamOf, request: Request) -> Response:
     assert isinstance(stream, EdgeStream)
     asked = {name: value for name in _ASKED if (value := request.headers.get(name)) is not None}
     path = f"/v1/streams/{stream.id}{RECORDING}"
+    connection = AsyncExitStack()  # open until the body has been passed on
     try:
-        answer = await asyncio.to_thread(stream.origin.open, path, asked, "HEAD" if is_head(request) else "GET")
-    except HTTPError as error:
-        if error.code not in {304, 404, 416}:
-            raise Problem(502, f"the origin answers {error.code}") from error
-        answer = error  # type: ignore[assignment]  # it is an answer, too
-    except (OSError, http.client.HTTPException) as error:
+        answer = await connection.enter_async_context(
+            stream.origin.open(path, asked, "HEAD" if is_head(request) else "GET")
+        )
+    except OSError as error:
         raise Problem(502, "the origin does not answer") from error
+    if answer.status_code not in _PASSED_ON:
+        await connection.aclose()
+        raise Problem(502, f"the origin answers {answer.status_code}")
     headers = {name: value for name in _ANSWERED if (value := answer.headers.get(name)) is not None}
-    return StreamingResponse(_body(answer), answer.status, headers | {"Cache-Control": caching(request, FRESH)})
+    headers["Cache-Control"] = caching(request, FRESH)
+    return StreamingResponse(_body(connection, answer), answer.status_code, headers)
 
 
-async def _body(answer: http.client.HTTPResponse) -> AsyncIterator[bytes]:
-    try:
-        while chunk := await asyncio.to_thread(answer.read, _CHUNK_BYTES):
+async def _body(connection: AsyncExitStack, answer: httpx.Response) -> AsyncIterator[bytes]:
+    async with connection:
+        async for chunk in answer.aiter_raw(_CHUNK_BYTES):
             yield chunk
-    finally:
-        answer.close()
