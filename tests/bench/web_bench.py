@@ -181,6 +181,7 @@ def drag_answers(browser: Any, anchors: int, slower: int) -> None:
             page.wait_for_function("window.streamlod?.state.version === 0", timeout=60_000)
             page.context.new_cdp_session(page).send("Emulation.setCPUThrottlingRate", {"rate": rate})
             splats = page.evaluate("streamlod.state.splats")
+            page.wait_for_timeout(2000)  # loading has ended, everything is drawn in full
             waits = page.evaluate(SLOW_DRAG)
             begin = time.monotonic()
             page.wait_for_function("document.getElementById('canvas').width === 640", timeout=60_000)

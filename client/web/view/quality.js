@@ -10,7 +10,7 @@ export const QUALITIES = [
   { name: "low", label: "Low", note: "saves data" },
 ];
 const SLOW_FPS = 15, FAST_FPS = 30;
-const MAX_FRAME_MS = 90; // more is noticed in a drag
+const MAX_FRAME_MS = 70; // so that a drag is answered within 100 ms: the next frame may be 16 ms away
 const PATIENCE = 2, COURAGE = 8; // measurements in a row before a step down or up
 const COOL_DOWN = 40; // heartbeats before a step that proved too slow is tried again
 

@@ -442,7 +442,7 @@ test("auto gives up resolution, then splats, at once where frames are late, and 
   }
   assert.deepEqual([viewer.resolution, viewer.share], [1, 1]);
   quality.frame(800, true);
-  assert.deepEqual([viewer.resolution, viewer.share], [0.4, 0.15], "a slow picture at rest tells what the next movement can afford");
+  assert.deepEqual([viewer.resolution, viewer.share], [0.35, 0.08], "a slow picture at rest tells what the next movement can afford");
   assert.deepEqual(viewer.told, []);
 });
 
