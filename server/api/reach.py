@@ -15,7 +15,7 @@ from core.errors import InputError
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 
-_POINT_METHODS = {"auto", "colmap", "sweep", "colmap+sweep", "vggt", "random"}
+POINT_METHODS = {"auto", "colmap", "sweep", "colmap+sweep", "vggt", "random"}
 
 
 def check_reach(spec: StreamSpec, settings: Settings) -> None:
@@ -29,7 +29,7 @@ def check_reach(spec: StreamSpec, settings: Settings) -> None:
     job = spec.job
     paths: dict[str, Any] = {"play": spec.play}
     if job is not None:
-        paths |= {"data": job.data, "points": None if job.points in _POINT_METHODS else job.points}
+        paths |= {"data": job.data, "points": None if job.points in POINT_METHODS else job.points}
         if isinstance(job.live, dict):
             _check_rig(job.live, settings)
         else:

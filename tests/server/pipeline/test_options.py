@@ -16,6 +16,7 @@ from core.data import LAYOUTS
 from core.errors import InputError
 from core.initialise import METHODS
 from core.train import preset
+from server.api.reach import POINT_METHODS
 from server.cli.main import serve, train
 from server.cli.options import TRAINING, takes
 from server.pipeline.job import JOB_OPTIONS, TrainJob
@@ -206,3 +207,4 @@ def test_choices_are_those_of_the_parts_that_they_name() -> None:
     named = str(caught.value).split("choose one of ")[1]
     assert set(named.split(", ")) == set(choices["preset"].choices)
     assert [method for method in METHODS if method not in choices["points"].help] == []
+    assert set(METHODS) <= POINT_METHODS  # else REST takes the name of a method for that of a file, and refuses it

@@ -44,7 +44,7 @@ def main() -> None:
             reached.add(id(kernel))
             waiting += called(kernel)
     rehearse("live", "cpu")
-    clip = open_synthetic(SyntheticSpec(cameras=4, frames=1, width=96, height=54))
+    clip = open_synthetic(SyntheticSpec(cameras=4, frames=1, width=72, height=40))
     first_points(next(iter(clip.frames())), clip.cameras, depth_bounds=clip.depth_bounds)
     cold = sorted(name for name, kernel in every.items() if id(kernel) not in reached)
     late = sorted(name for name, kernel in every.items() if len(kernel.signatures) > before[name])
