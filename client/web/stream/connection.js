@@ -1,9 +1,7 @@
-/** The session on a websocket: opens it, keeps order, connects again. */
+/** The session of a viewer that decodes: keeps packets and commands in order. */
 
 import { KEY } from "../decode/packet.js";
-import { PROTOCOL, Session } from "./session.js";
-
-const TICK_MS = 250;
+import { Link } from "./link.js";
 
 /**
  * @typedef {object} Handlers
@@ -12,14 +10,12 @@ const TICK_MS = 250;
  * @property {() => void} status
  */
 
-export class Connection {
+export class Connection extends Link {
   /** @param {string} url @param {string | null} token @param {Handlers} handlers */
   constructor(url, token, handlers) {
-    this.url = url;
+    super(url, token);
     this.token = token;
-    this.protocols = token ? [PROTOCOL, `bearer.${token}`] : [PROTOCOL];
     this.handlers = handlers;
-    this.session = new Session(performance.now());
     /** @type {(string | Uint8Array)[]} */
     this.queue = [];
     this.busy = false;
@@ -30,30 +26,27 @@ export class Connection {
     this.stopAt = null;
     /** @type {number | null} version that a seek is on the way to */
     this.aim = null;
-    /** @type {WebSocket | null} */
-    this.socket = null;
-    this.retry = 0;
-    this.ticker = setInterval(() => this.#tick(), TICK_MS);
-    this.#open();
+    this.open();
   }
 
-  #open() {
+  open() {
     const { mode, position } = this.session.status;
     this.adrift = true;
     this.frozen = false;
     this.aim = null;
     this.stopAt = mode === "paused" && position ? position.version : null;
-    const socket = new WebSocket(this.url, this.protocols);
-    socket.binaryType = "arraybuffer";
-    socket.onopen = () => this.send(this.session.opened(performance.now()));
-    socket.onmessage = ({ data }) => {
-      if (socket !== this.socket) return;
-      if (typeof data !== "string") this.session.arrived(data.byteLength, performance.now());
-      this.queue.push(typeof data === "string" ? data : new Uint8Array(data));
-      this.#drain();
-    };
-    socket.onclose = ({ code, reason }) => socket === this.socket && this.#closed(code, reason);
-    this.socket = socket;
+    super.open();
+  }
+
+  /** @param {string | ArrayBuffer} data */
+  hear(data) {
+    if (typeof data !== "string") this.session.arrived(data.byteLength, performance.now());
+    this.queue.push(typeof data === "string" ? data : new Uint8Array(data));
+    this.#drain();
+  }
+
+  tell() {
+    this.handlers.status();
   }
 
   /** Handle what came, in order; packets take time. */
@@ -101,7 +94,7 @@ export class Connection {
     if (this.stopAt === null || !position) return;
     if (position.version !== this.stopAt && !(mode === "live" && position.version > this.stopAt)) return;
     this.stopAt = null;
-    this.#transmit([{ type: "pause" }]);
+    this.transmit([{ type: "pause" }]);
     this.frozen = true;
   }
 
@@ -112,21 +105,7 @@ export class Connection {
     const socket = this.socket;
     this.socket = null;
     socket?.close(code, "a packet was refused");
-    this.#closed(code, "a packet was damaged");
-  }
-
-  /** @param {number} code @param {string} reason */
-  #closed(code, reason) {
-    if (this.ended) return;
-    const wait = this.session.closed(code, reason, performance.now(), Math.random());
-    if (wait !== null) this.retry = self.setTimeout(() => this.#open(), wait);
-    this.handlers.status();
-  }
-
-  #tick() {
-    const before = this.session.status.phase;
-    this.send(this.session.tick(performance.now()));
-    if (this.session.status.phase !== before) this.handlers.status();
+    this.closed(code, "a packet was damaged");
   }
 
   /** Commands of the protocol; a seek with `stop` pauses on arrival. @param {any[]} messages */
@@ -147,29 +126,13 @@ export class Connection {
       }
       if (message.type === "pause") this.frozen = true;
       if (message.type === "seek") this.handlers.hold(message.to === "live" ? (this.session.status.window?.newest.version ?? null) : message.to.version);
-      this.#transmit([message]);
+      this.transmit([message]);
     }
-  }
-
-  /** @param {object[]} messages */
-  #transmit(messages) {
-    if (this.socket?.readyState !== WebSocket.OPEN) return;
-    for (const message of messages) this.socket.send(JSON.stringify(message));
-  }
-
-  /** Try again at once. */
-  hurry() {
-    if (this.session.status.phase !== "reconnecting") return;
-    clearTimeout(this.retry);
-    this.#open();
   }
 
   close() {
     this.ended = true;
-    clearInterval(this.ticker);
-    clearTimeout(this.retry);
-    this.socket?.close(1000);
-    this.socket = null;
+    super.close();
   }
 }
 

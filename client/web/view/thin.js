@@ -4,7 +4,7 @@
  * `ThinLink` takes the place of the worker and `Screen` that of the renderer, so the rest of the page is the same.
  */
 
-import { PROTOCOL, Session } from "../stream/session.js";
+import { Link } from "../stream/link.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
 /** @typedef {import("./messages.js").ToWorker} ToWorker */
@@ -12,7 +12,7 @@ import { PROTOCOL, Session } from "../stream/session.js";
 
 const HEADER_BYTES = 24;
 const VIEW_MS = 50; // between two views that are told
-const TICK_MS = 250, HOLD_MS = 1500;
+const HOLD_MS = 1500;
 
 /** @param {HTMLCanvasElement} canvas @throws {Error} where not even a flat canvas can be had */
 export function createThin(canvas) {
@@ -54,19 +54,14 @@ export class Screen {
 }
 
 /** The connection, in the shape of the worker. */
-export class ThinLink {
+export class ThinLink extends Link {
   constructor() {
+    super("", null);
     /** @type {((event: { data: FromWorker }) => void) | null} */
     this.onmessage = null;
     /** @type {ImageBitmap | null} */
     this.bitmap = null;
-    this.session = new Session(performance.now());
-    /** @type {WebSocket | null} */
-    this.socket = null;
-    this.url = "";
-    /** @type {string[]} */
-    this.protocols = [];
-    this.retry = this.ticker = this.viewTimer = 0;
+    this.viewTimer = 0;
     this.view = this.toldView = ""; // as messages
     this.toldAt = -Infinity;
     /** @type {number | null} version at which to pause, or to show first */
@@ -83,7 +78,7 @@ export class ThinLink {
     this.onmessage?.({ data });
   }
 
-  #status() {
+  tell() {
     this.#tell({ type: "status", status: { ...this.session.status }, refusals: 0, now: performance.now() });
   }
 
@@ -92,33 +87,31 @@ export class ThinLink {
     switch (message.type) {
       case "connect":
         this.url = message.live ?? "";
-        this.protocols = message.token ? [PROTOCOL, `bearer.${message.token}`] : [PROTOCOL];
+        if (message.token) this.protocols.push(`bearer.${message.token}`);
         this.#wish(message.wishes);
-        this.ticker = window.setInterval(() => this.#tick(), TICK_MS);
-        this.#open();
-        this.#status();
+        this.open();
+        this.tell();
         break;
       case "wishes":
         this.#wish(message.wishes);
-        this.#transmit({ type: "set", ...message.wishes });
+        this.transmit([{ type: "set", ...message.wishes }]);
         break;
       case "send":
         for (const wanted of message.messages) this.#command(wanted);
         break;
       case "hurry":
-        clearTimeout(this.retry);
-        if (this.session.status.phase === "reconnecting") this.#open();
+        this.hurry();
         break;
       case "pick":
       case "depth":
         this.asked.set(message.id, message.type);
-        this.#transmit({ type: "pick", id: message.id, origin: message.origin, direction: message.direction });
+        this.transmit([{ ...message, type: "pick" }]);
         break;
       case "inspect":
         this.#tell({ type: "inspected", id: message.id, state: null });
         break;
       case "close":
-        this.#close();
+        this.close();
     }
   }
 
@@ -127,30 +120,26 @@ export class ThinLink {
     this.session.wishes = /** @type {any} */ ({ ...wishes, pictures: true });
   }
 
-  #open() {
-    const socket = new WebSocket(this.url, this.protocols);
-    socket.binaryType = "arraybuffer";
-    socket.onopen = () => {
-      const { mode, position } = this.session.status;
-      for (const message of this.session.opened(performance.now())) this.#transmit(message);
-      if (mode === "paused" && position) this.#transmit({ type: "seek", to: position, stop: true });
-      this.toldView = "";
-      this.#sendView();
-    };
-    socket.onmessage = ({ data }) => {
-      if (socket !== this.socket) return;
-      if (typeof data === "string") this.#hear(data);
-      else this.#show(data, socket);
-    };
-    socket.onclose = ({ code, reason }) => {
-      if (socket !== this.socket) return;
-      const wait = this.session.closed(code, reason, performance.now(), Math.random());
-      if (wait !== null) this.retry = window.setTimeout(() => this.#open(), wait);
-      for (const id of this.asked.keys()) this.#tell({ type: "picked", id, point: null });
-      this.asked.clear();
-      this.#status();
-    };
-    this.socket = socket;
+  /** @param {object[]} messages */
+  opened(messages) {
+    const { mode, position } = this.session.status;
+    this.transmit(messages);
+    if (mode === "paused" && position) this.transmit([{ type: "seek", to: position, stop: true }]);
+    this.toldView = "";
+    this.#sendView();
+  }
+
+  /** @param {number} code @param {string} reason */
+  closed(code, reason) {
+    for (const id of this.asked.keys()) this.#tell({ type: "picked", id, point: null });
+    this.asked.clear();
+    super.closed(code, reason);
+  }
+
+  /** @param {string | ArrayBuffer} data @param {WebSocket} socket */
+  hear(data, socket) {
+    if (typeof data === "string") this.#hear(data);
+    else this.#show(data, socket);
   }
 
   /** @param {string} text */
@@ -166,13 +155,13 @@ export class ThinLink {
       this.#tell({ type: "picked", id: message.id, point: kind === "depth" ? [0, 0, message.depth] : message.point });
     } else {
       const told = this.session.control(text, performance.now(), Date.now());
-      if (this.session.status.phase === "version") this.#close();
+      if (this.session.status.phase === "version") this.close();
       if (told?.mode === "paused") this.stopAt = null;
       if (told?.clamped && this.stopAt !== null) this.stopAt = told.version;
       // Where a replay begins that was not clamped is what is held, or was held before a later seek.
       if (told && told.mode !== "replay") this.#hold(null);
       else if (told?.clamped) this.#hold(told.version);
-      this.#status();
+      this.tell();
     }
   }
 
@@ -206,8 +195,8 @@ export class ThinLink {
         position: session.status.position, decodeMs: performance.now() - start, expandMs: head.getUint32(20, true) / 1000, sortMs: 0,
       });
     } else bitmap.close();
-    this.#transmit({ type: "ack", picture: number });
-    this.#status();
+    this.transmit([{ type: "ack", picture: number }]);
+    this.tell();
   }
 
   /** A command of the page. @param {any} wanted */
@@ -218,7 +207,7 @@ export class ThinLink {
       this.stopAt = message.stop ? message.to.version : null;
       this.#hold(message.to === "live" ? (range?.newest.version ?? null) : message.to.version);
     } else if (message.type === "pause") this.stopAt = null;
-    this.#transmit(message);
+    this.transmit([message]);
   }
 
   /** The page drew `view` on a canvas of that size: tell the server, if that is news. @param {View} view @param {number} width @param {number} height */
@@ -244,22 +233,8 @@ export class ThinLink {
     }
   }
 
-  /** @param {object} message */
-  #transmit(message) {
-    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
-  }
-
-  #tick() {
-    const before = this.session.status.phase;
-    this.session.tick(performance.now());
-    if (this.session.status.phase !== before) this.#status();
-  }
-
-  #close() {
-    clearInterval(this.ticker);
-    clearTimeout(this.retry);
+  close() {
     clearTimeout(this.viewTimer);
-    this.socket?.close(1000);
-    this.socket = null;
+    super.close();
   }
 }
