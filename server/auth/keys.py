@@ -6,6 +6,9 @@ PyJWT's own client of key sets is not used, because it asks again for every toke
 tokens wait for that, and reads an answer of any length. With 20 tokens of unknown keys and a key server that answers
 503 after 0.5 s, it asked 21 times, and a token of a known key waited up to 10.8 s; this module asked once, 0.5 s
 (`python -m tests.bench.key_set_bench`, 22 November 2026).
+
+PyJWT is imported where it is used: with the cryptography beneath it takes 9 MB, which a server without JSON web tokens
+spares.
 """
 
 from __future__ import annotations
@@ -19,8 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
-
-import jwt
 
 from core.errors import InputError
 from server.settings import Settings
@@ -108,8 +109,13 @@ class TokenKeys:
 
     def claims(self, token: str) -> dict[str, Any] | None:
         """The claims of a token that a key here has signed and that is valid now, or None."""
+        keys = (*self._own, *self._fetched)
+        if not keys:
+            return None
+        import jwt
+
         claimed = _claimed_id(token)
-        for key in (*self._own, *self._fetched):
+        for key in keys:
             if key.id is not None and key.id != claimed:
                 continue
             try:
@@ -168,6 +174,8 @@ def _parse_key(entry: Any) -> Key | None:
     algorithm = _ALGORITHMS.get((kind, curve))
     if algorithm is None or entry.get("alg", algorithm) != algorithm:
         return None
+    import jwt
+
     try:
         value = jwt.PyJWK(entry, algorithm).key
     except (jwt.PyJWTError, ValueError, TypeError, KeyError, AttributeError):
@@ -188,6 +196,8 @@ def _key_of_file(path: Path) -> Key:
         raise InputError(path, f"a key needs at least {_MIN_SECRET_CHARACTERS} characters")
     if not text.startswith("-----BEGIN"):
         return Key(None, "HS256", text)
+    import jwt
+
     try:
         return Key(None, "EdDSA", jwt.get_algorithm_by_name("EdDSA").prepare_key(text))
     except (jwt.PyJWTError, ValueError, TypeError) as error:
@@ -204,6 +214,8 @@ def _read(path: Path) -> bytes:
 
 def _claimed_id(token: str) -> str | None:
     """The key id of a token's header, "" if it names none; None if this is no JSON web token."""
+    import jwt
+
     try:
         name = jwt.get_unverified_header(token).get("kid", "")
     except (jwt.PyJWTError, ValueError, TypeError, RecursionError):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ctypes
 import logging
 import signal
 import socket
@@ -26,12 +25,12 @@ from server.pipeline.spec import StreamSpec
 from server.pipeline.warming import warm_codec
 from server.registry import Registry
 from server.service.app import create_app
+from server.service.memory import bound_arenas, leave_out_linear_algebra, page_out_compiler
 from server.service.metrics import collector_registry
 from server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
 _BACKLOG = 2048
-_M_ARENA_MAX = -8  # of malloc.h
 _OTHER_DESCRIPTORS = 512  # of files, pipes and databases
 
 
@@ -58,7 +57,8 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         InputError: an address in use, or settings, tokens or state that cannot be used.
     """
     settings.check()
-    _bound_arenas()
+    bound_arenas()
+    leave_out_linear_algebra()
     _allow_descriptors(2 * settings.limits.connections + _OTHER_DESCRIPTORS)
     listener = _bind(settings.host, settings.port)
     try:
@@ -69,7 +69,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
             _start_metrics(settings, registry)
         server = Server(config, registry)
         logging.getLogger("uvicorn.error").addFilter(_is_no_cancellation)
-        threading.Thread(target=warm_codec, name="warm", daemon=True).start()
+        threading.Thread(target=_warm, name="warm", daemon=True).start()
         with _reload_on_hangup(config, registry):
             host, port = listener.getsockname()[:2]
             scheme = "https" if settings.certificate else "http"
@@ -104,15 +104,15 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
     )
 
 
+def _warm() -> None:
+    """Have the codec's kernels ready before the first packet comes."""
+    warm_codec()
+    page_out_compiler()
+
+
 def _is_no_cancellation(record: logging.LogRecord) -> bool:
     """False for the traces of requests that were cancelled at shutdown, of which uvicorn already logs a line."""
     return record.exc_info is None or not isinstance(record.exc_info[1], asyncio.CancelledError)
-
-
-def _bound_arenas() -> None:
-    """Let threads share glibc's heap: states are decoded on several, and each would keep freed memory of its own."""
-    with contextlib.suppress(OSError, AttributeError):  # not glibc
-        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 def _allow_descriptors(count: int) -> None:
