@@ -31,8 +31,8 @@ LAYERS = {
         "keyframe residual", "refresh", "progress", "trainer",
     ),
     "server": (
-        "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer", "registry",
-        "api", "edge", "service", "cli",
+        "background_log protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer",
+        "registry", "api", "edge", "service", "cli",
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead", "rig", "live"),
     "client": (

@@ -19,6 +19,7 @@ from prometheus_client import make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
 
 from core.errors import InputError, StreamlodError
+from server.background_log import log_in_background
 from server.http.limits import http_class
 from server.http.websocket import websocket_class
 from server.pipeline.spec import StreamSpec
@@ -57,6 +58,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         InputError: an address in use, or settings, tokens or state that cannot be used.
     """
     settings.check()
+    log_in_background()
     bound_arenas()
     leave_out_linear_algebra()
     _allow_descriptors(2 * settings.limits.connections + _OTHER_DESCRIPTORS)

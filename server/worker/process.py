@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from core.errors import BackendUnavailable, BitstreamError, InputError, StreamlodError
+from server.background_log import log_in_background
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 
@@ -109,6 +110,7 @@ def run_worker(
         camera_pictures: also send small pictures of what the cameras see.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the supervisor decides
+    log_in_background()
     sender = Sender(pipe)
     try:
         loading = None
