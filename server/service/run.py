@@ -60,7 +60,6 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
     settings.check()
     log_in_background()
     bound_arenas()
-    leave_out_linear_algebra()
     _allow_descriptors(2 * settings.limits.connections + _OTHER_DESCRIPTORS)
     listener = _bind(settings.host, settings.port)
     try:
@@ -108,6 +107,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
 
 def _warm() -> None:
     """Have the codec's kernels ready before the first packet comes."""
+    leave_out_linear_algebra()
     warm_codec()
     page_out_compiler()
 

@@ -33,6 +33,8 @@ class StoredStream:
         definition: what it is made from, for one that was created over REST and not deleted since.
         running: whether it is to be started with the server.
         created_ns: Unix time of its creation.
+        trained_from: tells what the highest epoch is trained from; empty where nothing of it is left to train.
+        lead: version of that epoch which the source's first frame had or would have had; later frames follow it.
     """
 
     incarnation: str = field(default_factory=lambda: secrets.token_hex(8))
@@ -40,6 +42,8 @@ class StoredStream:
     definition: dict[str, Any] | None = None
     running: bool = False
     created_ns: int = 0
+    trained_from: str = ""
+    lead: int = 0
 
 
 def read_stored(folder: Path) -> StoredStream | None:
@@ -50,7 +54,8 @@ def read_stored(folder: Path) -> StoredStream | None:
             raise ValueError("it is too large")
         values = json.loads(path.read_text(encoding="utf-8"))
         stored = StoredStream(**values)
-        kinds = {"incarnation": str, "epoch": int, "definition": dict | None, "running": bool, "created_ns": int}
+        kinds = {"incarnation": str, "epoch": int, "definition": dict | None, "running": bool, "created_ns": int,
+                 "trained_from": str, "lead": int}  # fmt: skip
         if not all(isinstance(getattr(stored, name), kind) for name, kind in kinds.items()):
             raise ValueError("a value is of the wrong type")
     except FileNotFoundError:

@@ -18,7 +18,7 @@ from core.errors import StorageError, StreamlodError
 from server.ingest.statistics import complaint
 from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
-from server.protocol.packets import stream_packet
+from server.protocol.packets import StreamPacket, stream_packet
 from server.settings import Settings
 from server.stream.feed import Feed
 from server.stream.store import Recording
@@ -29,6 +29,7 @@ from server.worker.supervisor import Ending, Supervisor
 
 _LOG = logging.getLogger(__name__)
 _WAITS = "it starts with its first viewer"
+MAX_AWAY_SECONDS = 60.0  # a server that was gone for longer trains its streams anew: what they film has changed
 
 
 class WorkerStream(Stream):
@@ -53,12 +54,12 @@ class WorkerStream(Stream):
         incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
         super().__init__(spec.id, incarnation, settings, recording, feed)
         self._settings = settings
+        self._frames_done = 0
         self.define(spec, push_socket)
         created_ns = recording.stored.created_ns if recording else time.time_ns()
         self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
         self._epoch = recording.last_epoch if recording else 0
         self._new_epoch = True
-        self._frames_done = 0
         self._supervisor = self._make_supervisor()
         self._task: asyncio.Task[None] | None = None
         self._armed = False  # whether the next viewer starts it
@@ -66,8 +67,8 @@ class WorkerStream(Stream):
         self._pausing: asyncio.Task[None] | None = None
 
     def define(self, spec: StreamSpec, push_socket: Path | None) -> None:
-        """Make it from something else; only while it does not run."""
-        self.spec, self.push_socket = spec, push_socket
+        """Make it from something else, from its first frame on; only while it does not run."""
+        self.spec, self.push_socket, self._frames_done = spec, push_socket, 0
         self.source, self.played_file = spec.source, spec.play
         self.loop = spec.play is not None and spec.loop
 
@@ -146,7 +147,10 @@ class WorkerStream(Stream):
         self._task = asyncio.create_task(self._supervisor.run())
 
     async def restore(self) -> None:
-        """Show the recording's last state, so that its past can be seen before the worker sends anything."""
+        """Show the recording's last state, so that its past can be seen before the worker sends anything.
+
+        If that is recent, and trained from what the stream is made from now, training will continue from it.
+        """
         recording = self.bus.recording
         if recording is None or not recording.segments or self.hub.newest is not None:
             return
@@ -155,8 +159,13 @@ class WorkerStream(Stream):
             for packet in await self.bus.read(last.first, last.last):
                 await self.hub.accept(replace(packet, sequence=self._sequence))
                 self._sequence += 1
+            away = time.time() - last.path.stat().st_mtime
         except (StreamlodError, OSError, ValueError) as error:
             _LOG.warning("stream %s: its last state cannot be shown: %s", self.id, error)
+            return
+        stored, newest = recording.stored, last.last
+        if away < MAX_AWAY_SECONDS and stored.trained_from == self.etag and newest.epoch == stored.epoch:
+            self._frames_done = max(0, newest.version + 1 - stored.lead)
 
     async def stop(self, *, remember: bool = True) -> None:
         """Stop the worker and finish the open segment; viewers stay.
@@ -202,6 +211,8 @@ class WorkerStream(Stream):
         elif tag is Tag.REPORT:
             self.report = json.loads(body)
             self._frames_done = self.report.get("done", self._frames_done + 1) if self.report else 0
+            if self.report:
+                self._note(**self._training(self.report["version"]))
         elif tag is Tag.PROGRESS:
             self.progress = json.loads(body)
             self._tell(event("progress", **(self.progress or {})))
@@ -230,27 +241,33 @@ class WorkerStream(Stream):
         _LOG.info("stream %s: %s", self.id, ending.text)
         if self.bus.recording is not None:
             asyncio.get_running_loop().create_task(self.bus.recording.close())
-        if ending.done:
-            self._note(running=False)
+        self._note(trained_from="", **({"running": False} if ending.done else {}))
         self._enter("ended" if ending.done else "failed", ending.text)
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
         packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
         recording = partial(self.bus.record, packet) if record else None
-        await self.hub.accept(packet, self._window_message(), self._begin_epoch, recording)
+        await self.hub.accept(packet, self._window_message(), partial(self._begin_epoch, packet), recording)
         self._publish(packet, record=False)
         if record:
             self._enter_live()
 
-    def _begin_epoch(self) -> None:
+    def _begin_epoch(self, first: StreamPacket) -> None:
         """Announce a new epoch at the moment its first packet becomes the newest.
 
         If it were announced earlier, a viewer that joins in between would be told the old epoch and never the new one.
         """
         if self._new_epoch:
             self._epoch, self._new_epoch = self._epoch + 1, False
-            self._note(epoch=self._epoch)  # before anybody sees its packets: no epoch is used twice
+            # before anybody sees its packets: no epoch is used twice
+            self._note(epoch=self._epoch, **self._training(first.position.version))
             self._tell(event("epoch", epoch=self._epoch))
+
+    def _training(self, version: int) -> dict[str, Any]:
+        """What to remember of training, whose newest frame became `version`."""
+        if self.spec.job is None or self._frames_done == 0:
+            return {"trained_from": ""}
+        return {"trained_from": self.etag, "lead": version + 1 - self._frames_done}
 
     def _note(self, **changes: Any) -> None:
         """Remember something in the state folder, as far as the disk takes it."""

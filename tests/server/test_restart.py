@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import os
 import stat
 import subprocess
 import sys
@@ -16,11 +18,18 @@ import httpx
 import pytest
 
 from codec.container import SlodReader
+from codec.decoder import SceneDecoder
+from codec.encoder import encode_keyframe
 from codec.packet.info import peek
 from core.errors import InputError
+from core.scene.keyframe import as_keyframe
+from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 from server.settings import Retention, Settings
 from server.stream.store import Store
+from server.stream.worker_stream import MAX_AWAY_SECONDS, WorkerStream
+from server.worker.process import Resume, Tag
+from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, running, viewing
 
 
@@ -122,6 +131,64 @@ def test_nobody_else_may_read_what_is_kept(tmp_path: Path, clip: Clip) -> None:
         for path in (tmp_path / "state").rglob("*"):
             mode = stat.S_IMODE(path.stat().st_mode)
             assert mode == (0o700 if path.is_dir() else 0o600), path
+
+
+async def trained(folder: Path, spec: StreamSpec, packets: list[bytes], resumed: int) -> tuple[int, Resume]:
+    """Start a stream on `folder` and take a worker's packets, of which the first is the state after `resumed` frames.
+
+    Returns the newest version that it found on the disk, or -1, and where it would have had its worker continue.
+    """
+    store = Store(folder, Retention())
+    try:
+        stream = WorkerStream(spec, Settings(state=folder), store.recording(spec.id))
+        await stream.restore()
+        found = stream.newest.version if stream.newest else -1
+        resume = await stream.resume_point()
+        for packet in packets:
+            await stream.on_message(Tag.PACKET, packet)
+            report = {"version": peek(packet).to_version, **({"done": resumed} if resumed else {})}
+            await stream.on_message(Tag.REPORT, json.dumps(report).encode())
+        return found, resume
+    finally:
+        store.close()
+
+
+def test_training_continues_from_a_recent_recording_of_the_same_source(tmp_path: Path, clip: Clip) -> None:
+    def spec(**fields: Any) -> StreamSpec:
+        return StreamSpec(job=TrainJob(synthetic={"cameras": 3}, **fields))
+
+    def start(folder: str, spec: StreamSpec, *packets: bytes, resumed: int = 0) -> tuple[int, Resume]:
+        return asyncio.run(trained(tmp_path / folder, spec, list(packets), resumed))
+
+    assert start("a", spec(), *clip.packets[:7]) == (-1, Resume())
+    found, resume = start("a", spec())
+    assert (found, resume.frames) == (6, 7)
+    decoder = SceneDecoder()
+    for packet in resume.packets:
+        decoder.push(packet)
+    assert_same_state(clip.states[6], decoder.scene)
+    again = as_keyframe(clip.states[6], 7)  # what the worker sends first; the server is killed before any frame
+    assert start("a", spec(), encode_keyframe(again, time_ns=1), resumed=7)[1].frames == 7
+    found, resume = start("a", spec())
+    assert (found, resume.frames) == (7, 7)
+    assert start("a", spec(seed=3))[1] == Resume()  # other options
+    newest = max((tmp_path / "a" / "streams" / "main").glob("*.slod"))
+    os.utime(newest, (0, time.time() - MAX_AWAY_SECONDS - 1))
+    assert start("a", spec())[1] == Resume()
+    assert start("b", StreamSpec(play=clip.path), *clip.packets[:7])[1] == Resume()
+    assert start("b", StreamSpec(play=clip.path))[1] == Resume()  # a file is played from its begin
+
+
+def test_a_stream_that_is_changed_begins_with_its_first_frame(clip: Clip) -> None:
+    async def run() -> Resume:
+        stream = WorkerStream(StreamSpec(job=TrainJob(synthetic={"cameras": 3})), Settings())
+        await stream.on_message(Tag.PACKET, clip.packets[0])
+        await stream.on_message(Tag.REPORT, b'{"version": 0}')
+        assert (await stream.resume_point()).frames == 1
+        stream.define(StreamSpec(job=TrainJob(synthetic={"cameras": 4})), None)
+        return await stream.resume_point()
+
+    assert asyncio.run(run()) == Resume()
 
 
 def test_old_recordings_are_deleted_though_no_packet_comes(tmp_path: Path, clip: Clip) -> None:
