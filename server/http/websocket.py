@@ -24,6 +24,7 @@ from server.settings import Limits
 
 _MAX_FRAGMENTS = 1024  # of a message; empty ones would cost memory without end
 _TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+CLOSE_SECONDS = 10.0  # that a peer has to answer a closing handshake
 CONNECTION = "streamlod.connection"  # where an endpoint finds its connection in the ASGI scope
 
 
@@ -46,6 +47,7 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
 
     def connection_made(self, transport: BaseTransport) -> None:
         super().connection_made(transport)
+        self.close_timeout = CLOSE_SECONDS
         patience = 2 * self.limits.stuck_seconds  # a session that writes notices earlier, and reports it
         self._stalls = StallWatch(self.transport, patience, self.turned_away)
         # 0 reports every byte that the kernel does not take at once; TLS transports would then always count as full

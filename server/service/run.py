@@ -32,6 +32,7 @@ from server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
 _BACKLOG = 2048
+KEEP_ALIVE_SECONDS = 15  # that a connection may be silent between two requests
 _OTHER_DESCRIPTORS = 512  # of files, pipes and databases
 
 
@@ -93,7 +94,7 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         ws_ping_timeout=60,
         limit_concurrency=limits.connections,
         timeout_graceful_shutdown=2,
-        timeout_keep_alive=15,
+        timeout_keep_alive=KEEP_ALIVE_SECONDS,
         lifespan="on",
         access_log=False,
         log_config=None,

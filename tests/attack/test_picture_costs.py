@@ -27,9 +27,9 @@ def with_scans(count: int) -> bytes:
     return whole[:-2] + _SCAN * count + whole[-2:]
 
 
-def with_pixels(count: int) -> bytes:
+def with_pixels(count: int, size: tuple[int, int] = SIZE) -> bytes:
     """A PNG whose compressed pixels unpack to `count` bytes, far more than its header announces."""
-    header = struct.pack(">IIBBBBB", *SIZE, 8, 2, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", *size, 8, 2, 0, 0, 0)
     packer, million = zlib.compressobj(1), bytes(1_000_000)
     body = b"".join(packer.compress(million) for _ in range(count // len(million))) + packer.flush()
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", body) + chunk(b"IEND", b"")

@@ -1,70 +1,62 @@
-"""Honest viewers beside peers that misbehave in every way that tests/attack knows, against a real server process.
+"""Honest viewers and cameras beside peers that misbehave in every way that tests/attack knows, against a real server.
 
-    python -m tests.bench.abuse_bench [--seconds 60 --viewers 20 --per-second 40]
+    python -m tests.bench.abuse_bench [--seconds 60 --viewers 20 --cameras 4 --per-second 40]
 
-Prints every few seconds memory, descriptors and processor time of the server, how many were turned away and why, and
-in the end what the honest viewers lost: versions that did not come, and connections that were closed. The viewers
-decode nothing; the stream is a recorded file. Exit code 1 where a viewer lost something or memory kept growing.
+The server plays a recorded file at 10 frames a second and trains what cameras film, which `streamlod push` sends at
+two instants a second; half of the viewers watch each. Prints now and then memory and descriptors of the server, memory
+of the worker that trains, what the viewers got and lost, and in the end who was turned away and why. Exit code 1 where
+a viewer lost a version or was closed, a stream is not live, or memory or descriptors kept growing.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import json
 import os
 import random
 import socket
+import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
-
+from core.synthetic import SyntheticSpec, write_clip
+from server.ingest.push.message import Codec, PushMessage, pack_push
 from tests.attack.test_silent_connections import partial, upgrade
 from tests.bench.fanout_viewers import masked
-from tests.e2e.test_server_process import get, serving, wait_live
-from tests.server.conftest import Viewer, make_clip
+from tests.bench.honest_viewers import Watched, watch
+from tests.e2e.test_server_process import PROGRAM, family, get, serving
+from tests.server.conftest import make_clip
 from tests.server.test_faults import raw
 
-_CLIP_FRAMES, _KEY_EVERY = 400, 100
+_CLIP_FRAMES, _KEY_EVERY, _FRAME_NS = 400, 100, 100_000_000
+_CAMERA_FPS = 2.0
+_STREAMS = ("main", "rig")
+_START_SECONDS = 300.0
 _HELD = 200  # connections of abusers that are kept open at a time
-_GROWTH = 1.25  # of memory, from a third of the time to its end, that counts as flat
-_PROTOCOLS: Any = ["streamlod.v1"]
+_GROWTH = 1.25  # of memory, from the second third of the time to the last, that counts as flat
 _POST = b"POST /v1/streams HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9999999\r\n\r\n"
-_INGEST = upgrade(path="/v1/streams/main/ingest", protocol="streamlod.push.v1")
-_LIMITS = "[limits]\nrequest_seconds = 3\nhello_seconds = 2\nstuck_seconds = 5\n"
-
-
-class Honest(threading.Thread):
-    """A viewer that reads, acknowledges, and counts the versions that it misses."""
-
-    def __init__(self, port: int) -> None:
-        super().__init__(daemon=True)
-        self.address = f"ws://127.0.0.1:{port}/v1/streams/main/live"
-        self.packets = self.missed = self.closed = 0
-        self.stopping = False
-
-    def run(self) -> None:
-        with connect(self.address, subprotocols=_PROTOCOLS, compression=None, max_size=2**24, proxy=None) as peer:
-            viewer = Viewer(peer)
-            viewer.decoder.push = lambda packet: None  # type: ignore[method-assign,assignment]
-            viewer.hello()
-            while not self.stopping:
-                try:
-                    message = viewer.step(10)
-                except (ConnectionClosed, TimeoutError):
-                    self.closed += not self.stopping
-                    return
-                if isinstance(message, bytes):
-                    self.packets += 1
-                elif message["event"] == "skipped":
-                    self.missed += 1
+_INGEST = upgrade(path="/v1/streams/rig/ingest", protocol="streamlod.push.v1")
+_SETTINGS = """
+[limits]
+request_seconds = 3
+hello_seconds = 2
+stuck_seconds = 5
+viewers_per_address = 400
+[worker]
+spare = false
+[[streams]]
+id = "main"
+play = "{clip}"
+[[streams]]
+id = "rig"
+live = "{rig}"
+"""
 
 
 def abuse(port: int, chooser: random.Random) -> list[socket.socket]:
@@ -82,11 +74,19 @@ def abuse(port: int, chooser: random.Random) -> list[socket.socket]:
         lambda: [_viewer(port, random.Random(chooser.random()).randbytes(100))],
         lambda: [_viewer(port, b"", bytes((0x82, 0xFF)) + (2**62).to_bytes(8, "big") + bytes(4))],
         lambda: [_sent(port, _INGEST + masked(2, bytes(120)))],
+        lambda: [_sent(port, _INGEST + masked(2, _garbage(chooser)))],
+        lambda: [_sent(port, _INGEST + masked(2, _garbage(chooser)) * 50)],
         lambda: _come_and_go(port),
     ]
     with contextlib.suppress(OSError, AssertionError):
         return chooser.choice(acts)()
     return []
+
+
+def _garbage(chooser: random.Random) -> bytes:
+    """A pushed picture in the right form that is none, in a frame of less than 126 bytes."""
+    codec = chooser.choice(list(Codec))
+    return pack_push(PushMessage("cam00", chooser.randrange(2**40), None, codec, chooser.randbytes(40)))[:125]
 
 
 def _sent(port: int, data: bytes, receive_bytes: int | None = None) -> socket.socket:
@@ -139,55 +139,111 @@ def turned_away(port: int) -> str:
     return " ".join(line.replace('"} ', "=").replace('"', "").removesuffix(".0") for line in found)
 
 
-def main() -> None:
+@contextlib.contextmanager
+def filming(folder: Path, port: int, cameras: int) -> Iterator[None]:
+    """A capture node with that many cameras, which sends what it films until the context ends."""
+    url = f"ws://127.0.0.1:{port}/v1/streams/rig/ingest"
+    command = [*PROGRAM, "push", url, str(folder), "--loop"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as node:
+        try:
+            yield
+        finally:
+            node.terminate()
+
+
+def write_settings(folder: Path, cameras: int) -> Path:
+    """The settings file of the server, with what its streams are made from beside it."""
+    clip = make_clip(folder / "scene.slod", _CLIP_FRAMES, (20, 80, 300), key_every=_KEY_EVERY, frame_ns=_FRAME_NS)
+    write_clip(SyntheticSpec(cameras=cameras, frames=30, width=96, height=54, fps=_CAMERA_FPS), folder / "film")
+    names = [f"cam{number:02d}" for number in range(cameras)]
+    rig: dict[str, Any] = {"fps": _CAMERA_FPS, "policy": {"quorum": cameras - 1}, "calibration": str(folder / "film")}
+    rig["cameras"] = [{"name": name, "source": "push:"} for name in names]
+    (folder / "rig.json").write_text(json.dumps(rig))
+    path = folder / "server.toml"
+    path.write_text(_SETTINGS.format(clip=clip.path, rig=folder / "rig.json"))
+    return path
+
+
+def until_live(port: int, name: str) -> None:
+    """Wait until a stream is live."""
+    limit = time.monotonic() + _START_SECONDS
+    while (stream := json.loads(get(port, f"/v1/streams/{name}")))["state"] != "live":
+        assert time.monotonic() < limit, stream
+        time.sleep(0.5)
+
+
+def is_flat(figures: list[float], allowed: float) -> bool:
+    """Whether the last third is not above the middle one by more than a factor."""
+    third = max(1, len(figures) // 3)
+    return max(figures[-third:]) <= allowed * max(figures[third : 2 * third] or figures)
+
+
+def main() -> None:  # noqa: PLR0915  a script
     """Run, print, and judge."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--viewers", type=int, default=20)
+    parser.add_argument("--cameras", type=int, default=4)
     parser.add_argument("--per-second", type=float, default=40.0, help="acts of abuse")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    chooser, held, acts, resident = random.Random(options.seed), list[socket.socket](), itertools.count(), []
-    with tempfile.TemporaryDirectory() as name:
-        config = Path(name) / "server.toml"
-        config.write_text(_LIMITS)
-        clip = make_clip(Path(name) / "scene.slod", _CLIP_FRAMES, (20, 80, 300), key_every=_KEY_EVERY)
-        with serving("--play", clip.path, "--config", config, "--state-dir", Path(name) / "state") as (process, port):
-            threading.Thread(target=drain, args=(process.stderr,), daemon=True).start()
-            wait_live(port)
-            viewers = [Honest(port) for _ in range(options.viewers)]
-            for viewer in viewers:
-                viewer.start()
-            begin = told = time.monotonic()
-            while (now := time.monotonic()) < begin + options.seconds:
-                held += abuse(port, chooser)
-                next(acts)
-                while len(held) > _HELD:
-                    held.pop(0).close()
-                if now > told:
-                    told = now + options.seconds / 6
-                    memory, descriptors, seconds = measure(process.pid)
-                    resident.append(memory)
-                    text = f"{memory:.0f} MB, {descriptors} descriptors, {seconds:.1f} CPU s"
-                    print(f"{now - begin:6.0f} s: {text}", flush=True)
-                time.sleep(max(0.0, 1 / options.per_second - (time.monotonic() - now)))
-            for viewer in viewers:
-                viewer.stopping = True
-            count = next(acts)
-            reasons = turned_away(port)
-            for peer in held:
-                peer.close()
-            time.sleep(6)  # every deadline of the settings above
-            memory, descriptors, seconds = measure(process.pid)
-            alive = json.loads(get(port, "/v1/streams/main"))["state"]
-        missed, closed = sum(viewer.missed for viewer in viewers), sum(viewer.closed for viewer in viewers)
-        print(f"{count} acts of abuse; turned away: {reasons}")
-        print(f"after it: {memory:.0f} MB, {descriptors} descriptors, stream {alive}")
+    chooser, held, acts = random.Random(options.seed), list[socket.socket](), 0
+    resident, training, descriptors = list[float](), list[float](), list[float]()
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        config = write_settings(folder, options.cameras)
+        process, port = stack.enter_context(serving("--config", config, "--state-dir", folder / "state"))
+        threading.Thread(target=drain, args=(process.stderr,), daemon=True).start()
+        stack.enter_context(filming(folder / "film", port, options.cameras))
+        for name in _STREAMS:
+            until_live(port, name)
+        before = {name: json.loads(get(port, f"/v1/streams/{name}"))["restarts"] for name in _STREAMS}
+        pipe, theirs = get_context("spawn").Pipe()
+        arguments = (theirs, port, options.viewers, _STREAMS)
+        get_context("spawn").Process(target=watch, args=arguments, daemon=True).start()
+        theirs.close()
+        pipe.recv()
+        begin = told = time.monotonic()
+        while (now := time.monotonic()) < begin + options.seconds:
+            held += abuse(port, chooser)
+            acts += 1
+            while len(held) > _HELD:
+                held.pop(0).close()
+            if now >= told:
+                told = now + options.seconds / 12
+                memory, count, _ = measure(process.pid)
+                worker = max(measure(pid)[0] for pid in family(process.pid)[1:])
+                resident.append(memory)
+                descriptors.append(count)
+                training.append(worker)
+                pipe.send("collect")
+                got: dict[str, Watched] = pipe.recv()
+                seen = "; ".join(f"{name}: {w.packets} packets, {w.missed} missed" for name, w in got.items())
+                text = f"{memory:.0f} MB, worker {worker:.0f} MB, {count} descriptors; {seen}"
+                print(f"{now - begin:6.0f} s, {acts} acts: {text}; load {os.getloadavg()[0]:.0f}", flush=True)
+            time.sleep(max(0.0, 1 / options.per_second - (time.monotonic() - now)))
+        pipe.send("collect")
+        got = pipe.recv()
+        reasons = turned_away(port)
+        for peer in held:
+            peer.close()
+        time.sleep(6)  # every deadline of the settings above
+        memory, count, _ = measure(process.pid)
+        streams = {name: json.loads(get(port, f"/v1/streams/{name}")) for name in _STREAMS}
+        pipe.send(None)
+    print(f"{acts} acts of abuse; turned away: {reasons}")
+    print(f"after it: {memory:.0f} MB, {count} descriptors")
+    for name, watched in got.items():
+        stream = streams[name]
+        restarts = stream["restarts"] - before[name]
         print(
-            f"{len(viewers)} honest viewers: {sum(v.packets for v in viewers)} packets, {missed} skips, {closed} closed"
+            f"{name}: {stream['state']}, {restarts} restarts; {watched.packets} packets to honest viewers, "
+            f"{watched.missed} missed, closed: {', '.join(watched.closed) or 'none'}"
         )
-    flat = resident[-1] < _GROWTH * resident[len(resident) // 3]
-    raise SystemExit(0 if flat and not missed and not closed and alive == "live" else 1)
+    good = all(stream["state"] == "live" for stream in streams.values())
+    good = good and not any(watched.missed or watched.closed for watched in got.values())
+    flat = is_flat(resident, _GROWTH) and is_flat(training, _GROWTH) and is_flat(descriptors, 2 * _GROWTH)
+    raise SystemExit(0 if good and flat else 1)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
 _HANDSHAKE = (
-    b"GET /v1/streams/main/live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"GET /v1/streams/%s/live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
     b"Sec-WebSocket-Protocol: streamlod.v1\r\n\r\n"
 )
@@ -24,7 +24,7 @@ _SCRATCH = bytearray(1 << 20)
 
 
 @dataclass(slots=True)
-class _Viewer:
+class Viewer:
     """One connection; `left` bytes of the packet of `version` are still to come."""
 
     peer: socket.socket
@@ -43,12 +43,15 @@ class _Viewer:
             if not taken:
                 raise ConnectionError("closed")
             self.left -= taken
-            return None if self.left else self._complete()
+            return None if self.left else self.complete()
         data = self.peer.recv(64)
         if not data:
             raise ConnectionError("closed")
         self.waiting += data
         return self._parse()
+
+    def take_text(self, text: bytes) -> None:
+        """A control message has come; for those who want to know."""
 
     def _parse(self) -> int | None:
         while len(self.waiting) >= 2:
@@ -64,17 +67,20 @@ class _Viewer:
                 here = min(size, len(self.waiting) - head)
                 del self.waiting[: head + here]
                 self.left = size - here
-                return None if self.left else self._complete()
+                return None if self.left else self.complete()
             if opcode == 2 or len(self.waiting) < head + size:
                 return None
             if opcode == 8:
                 self.reason = self.waiting[head + 2 : head + size].decode()
+            elif opcode == 1:
+                self.take_text(bytes(self.waiting[head : head + size]))
             elif opcode == 9:
                 self.peer.sendall(masked(10, bytes(self.waiting[head : head + size])))
             del self.waiting[: head + size]
         return None
 
-    def _complete(self) -> int:
+    def complete(self) -> int:
+        """A packet is whole: acknowledge now and then; its version."""
         self.packets += 1
         now = time.monotonic()
         if self.packets >= _ACK_EVERY or now - self.acked_at >= _ACK_SECONDS:
@@ -95,7 +101,7 @@ def watch(pipe: Connection, core: int, port: int) -> None:
     os.sched_setaffinity(0, {core})
     poll = select.epoll()
     poll.register(pipe.fileno(), select.EPOLLIN)
-    viewers: dict[int, _Viewer] = {}
+    viewers: dict[int, Viewer] = {}
     stuck: list[socket.socket] = []
     arrivals: list[tuple[int, int]] = []
     reasons: list[str] = []
@@ -110,10 +116,10 @@ def watch(pipe: Connection, core: int, port: int) -> None:
                     arrivals = []
                     continue
                 for _ in range(command[0]):
-                    viewer = _Viewer(_connect(port))
+                    viewer = Viewer(join(port))
                     viewers[viewer.peer.fileno()] = viewer
                     poll.register(viewer.peer.fileno(), select.EPOLLIN)
-                stuck += [_connect(port, 4096) for _ in range(command[1])]
+                stuck += [join(port, 4096) for _ in range(command[1])]
                 pipe.send(None)
                 continue
             viewer = viewers[descriptor]
@@ -128,13 +134,14 @@ def watch(pipe: Connection, core: int, port: int) -> None:
                 arrivals.append((version, time.monotonic_ns()))
 
 
-def _connect(port: int, receive_bytes: int | None = None) -> socket.socket:
+def join(port: int, receive_bytes: int | None = None, stream: str = "main") -> socket.socket:
+    """A socket that has said hello to a stream."""
     peer = socket.socket()
     if receive_bytes is not None:
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
     peer.settimeout(20)
     peer.connect(("127.0.0.1", port))
-    peer.sendall(_HANDSHAKE)
+    peer.sendall(_HANDSHAKE % stream.encode())
     answer = b""
     while not answer.endswith(b"\r\n\r\n"):
         answer += peer.recv(1)

@@ -42,17 +42,23 @@ class Clip:
     packets: list[bytes]
 
 
-def make_clip(path: Path, frames: int, counts: tuple[int, ...] = (10, 40, 120), key_every: int = 10**9) -> Clip:
+def make_clip(
+    path: Path,
+    frames: int,
+    counts: tuple[int, ...] = (10, 40, 120),
+    key_every: int = 10**9,
+    frame_ns: int = FRAME_NS,
+) -> Clip:
     """A clip of moving anchors, a keyframe every `key_every` frames."""
     state, states, packets = make_scene(counts), [], []
     for version in range(frames):
         if version % key_every == 0:
             state = _as_keyframe(make_scene(counts, seed=version), version)
-            packets.append(encode_keyframe(state, time_ns=version * FRAME_NS, profile=0))
+            packets.append(encode_keyframe(state, time_ns=version * frame_ns, profile=0))
         else:
             before, state = state, move(state, seed=version)
             residual = difference(before, state)
-            packets.append(encode_residual(before, residual, time_ns=version * FRAME_NS, profile=0))
+            packets.append(encode_residual(before, residual, time_ns=version * frame_ns, profile=0))
         states.append(state)
     with SlodWriter(path) as writer:
         for packet in packets:
@@ -85,6 +91,7 @@ class Running:
         return f"http://127.0.0.1:{self.port}"
 
     def client(self, **options: Any) -> httpx.Client:
+        options = {"verify": False, **options}  # there is no TLS, and loading authorities takes 20 ms for each client
         return httpx.Client(base_url=self.url, timeout=10, trust_env=False, **options)
 
     def stream(self, name: str = "main") -> dict[str, Any]:
@@ -207,7 +214,8 @@ def viewing(server: Running, name: str = "main", *, acknowledge: bool = True, **
     """A connected viewer that has not said hello yet."""
     address = f"ws://127.0.0.1:{server.port}/v1/streams/{name}/live"
     options = {"subprotocols": ["streamlod.v1"], "compression": None, "max_size": 2**24, "proxy": None, **options}
-    with connect(address, **options) as connection:
+    # with more messages waiting than it queues, a client reads no further and never sees the answer to its goodbye
+    with connect(address, close_timeout=0.3, **options) as connection:
         yield Viewer(connection, acknowledge)
 
 

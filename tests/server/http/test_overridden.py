@@ -36,8 +36,8 @@ OVERRIDDEN = [
     (Server, uvicorn.Server, SERVER),
 ]
 ATTRIBUTES = [
-    (WebSocketsSansIOProtocol, "close_sent conn disconnected frames handshake_complete handshake_initiated loop scope"),
-    (WebSocketsSansIOProtocol, "transport writable"),
+    (WebSocketsSansIOProtocol, "close_sent close_timeout conn disconnected frames handshake_complete loop scope"),
+    (WebSocketsSansIOProtocol, "handshake_initiated transport writable"),
     (HttpToolsProtocol, "connections loop pipeline transport"),
     (Protocol, "close_sent max_message_size"),
 ]
