@@ -157,7 +157,7 @@ class Settings(BaseModel):
         default=(), description="folders that streams created over REST may read, besides the state folder"
     )
     networks: tuple[str, ...] = Field(
-        default=(), description="private networks (CIDR) and host names that their cameras may be at"
+        default=(), description="networks (CIDR) and host names that their cameras may be at, besides public addresses"
     )
     listen: tuple[str, ...] = Field(
         default=(), description="ADDRESS:PORT at which their cameras may push to the server"

@@ -15,6 +15,11 @@ from core.errors import InputError
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 
+_Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+_OPTIONS_IN_QUERY = ("tcp", "udp", "srt")  # whose addresses tell FFmpeg more than where to
+_HARMLESS = {"mode", "latency", "passphrase", "pbkeylen", "streamid", "timeout", "pkt_size", "fifo_size", "buffer_size"}
+_REDIRECTED = ("rtsp", "rtsps")  # where FFmpeg goes wherever the camera sends it
+_HOLD_IPV4 = [ipaddress.ip_network(text) for text in ("::/96", "64:ff9b::/96")]  # compatible, NAT64
 POINT_METHODS = {"auto", "colmap", "sweep", "colmap+sweep", "vggt", "random"}
 
 
@@ -69,27 +74,48 @@ def _check_source(name: str, source: str, settings: Settings) -> None:
         raise InputError(name, "is not a URL") from error
     if "://" not in source or parts.scheme in ("file", "v4l2"):
         _check_path(name, source if "://" not in source else parts.path, settings)
-    elif parts.scheme.endswith("+listen") or parts.scheme == "udp" or "mode=listener" in parts.query.lower():
+        return
+    listens = parts.scheme.endswith("+listen") or parts.scheme == "udp"
+    if parts.scheme.partition("+")[0] in _OPTIONS_IN_QUERY:
+        options = _query(source)
+        if strange := sorted(options.keys() - _HARMLESS):
+            raise InputError(name, f"has the option {strange[0]!r:.40}, which a stream created by REST may not set")
+        listens = listens or options.get("mode", "caller") != "caller"
+    if listens:
         if f"{host}:{port}" not in settings.listen:
             raise InputError(name, "listens at an address that is not in the setting `listen`, as ADDRESS:PORT")
-    elif not is_reachable(host, settings.networks):
+    elif not is_reachable(host, settings.networks, public=parts.scheme not in _REDIRECTED):
         raise InputError(
             name, "is at an address that cameras may not be at; add its network, or its name, to the setting `networks`"
         )
 
 
-def is_reachable(host: str, networks: tuple[str, ...]) -> bool:
-    """Whether cameras may be at `host`: a public numeric address, or what `networks` lists.
+def _query(source: str) -> dict[str, str]:
+    """Options after the first question mark, as FFmpeg reads them: `#` is no end."""
+    pairs = (pair.partition("=") for pair in source.partition("?")[2].split("&") if pair)
+    return {name.lower(): value.lower() for name, _, value in pairs}
+
+
+def is_reachable(host: str, networks: tuple[str, ...], *, public: bool = True) -> bool:
+    """Whether cameras may be at `host`: what `networks` lists, and with `public` any public numeric address.
 
     A name counts only if it is listed itself, as it may mean another address whenever it is asked for.
     """
     try:
-        address = ipaddress.ip_address(host)
+        address = _plain(ipaddress.ip_address(host))
     except ValueError:
         return host in networks
-    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is not None:
-        address = address.ipv4_mapped
     listed = [ipaddress.ip_network(network) for network in networks if "/" in network]
     if any(address in network for network in listed):
         return True
-    return address.is_global and not address.is_multicast
+    return public and address.is_global and not address.is_multicast
+
+
+def _plain(address: _Address) -> _Address:
+    """The IPv4 address that an IPv6 address stands for, where it does."""
+    if isinstance(address, ipaddress.IPv6Address):
+        if found := address.ipv4_mapped or address.sixtofour:
+            return found
+        if any(address in network for network in _HOLD_IPV4):
+            return ipaddress.IPv4Address(int(address) & 0xFFFFFFFF)
+    return address

@@ -114,10 +114,10 @@ def _add_errors(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
-        kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-        if kind not in {"", "application/json"} and not kind.endswith("+json"):
-            return problem_response(415, "a body has the type application/json")
         first = error.errors()[0]
+        kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+        if first["loc"][0] == "body" and kind not in {"", "application/json"} and not kind.endswith("+json"):
+            return problem_response(415, "a body has the type application/json")
         place = ".".join(str(part) for part in first["loc"])
         return problem_response(422, f"{place}: {first['msg']}")
 

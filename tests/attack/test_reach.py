@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
-from server.api.reach import is_reachable
+from core.errors import InputError
+from server.api.reach import check_reach, is_reachable
+from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.server.conftest import Clip, running
@@ -60,6 +62,8 @@ def test_files_outside_the_roots_are_refused_alike_whether_they_exist(tmp_path: 
         "rtsp://127.0.0.1/x", "rtsp://10.1.2.3/x", "http://169.254.169.254/latest", "rtsp://[::1]/x", "tcp://0.0.0.0:80",
         "rtsp://[::ffff:10.0.0.1]/x", "rtsp://localhost/x", "rtsp://camera.example/x", "rtsp://2130706433/x",
         "srt://192.168.0.1:9000", "rtmp://[fe80::1]/x", "http://224.0.0.1/x", "rtsp://user@127.0.0.1/x",
+        "http://[2002:7f00:1::]/x", "http://[64:ff9b::a00:1]/x", "http://[::7f00:1]/x",
+        "rtsp://8.8.8.8/x", "rtsps://8.8.8.8/x",  # which may send FFmpeg to any other address
     ],
 )  # fmt: skip
 def test_private_addresses_are_refused(source: str) -> None:
@@ -75,7 +79,10 @@ def test_listed_networks_names_and_listening_addresses_are_taken() -> None:
         for number, source in enumerate(sources):
             made = client.post("/v1/streams", json={"id": f"s{number}", "live": rig(source)})
             assert made.status_code == 201, made.text
-        for source in ("rtsp+listen://0.0.0.0:8554/x", "tcp+listen://127.0.0.1:8555", "udp://127.0.0.1:5000"):
+        for source in (
+            "rtsp+listen://0.0.0.0:8554/x", "tcp+listen://127.0.0.1:8555", "udp://127.0.0.1:5000",
+            "srt://8.8.8.8:9000?mode=listener", "srt://8.8.8.8:9000#?MODE=Listener", "srt://8.8.8.8:9?mode=rendezvous",
+        ):  # fmt: skip
             answer = client.post("/v1/streams", json={"id": "x", "live": rig(source)})
             assert "`listen`" in answer.json()["detail"]
     assert is_reachable("8.8.8.8", ())
@@ -120,3 +127,21 @@ def test_a_file_that_cannot_be_played_fails_at_once(tmp_path: Path) -> None:
     with running(Settings(), StreamSpec(play=tmp_path / "bad.slod")) as server:
         found = server.wait(lambda stream: stream["state"] == "failed")
         assert found["restarts"] == 0
+
+
+@pytest.mark.parametrize("query", ["?listen", "?listen=1", "#?listen", "?timeout=1&local_port=8554", "?LISTEN=1"])
+def test_an_address_does_not_make_ffmpeg_listen_elsewhere(query: str) -> None:
+    settings = Settings(networks=("127.0.0.0/8",), listen=("127.0.0.1:5000",))
+    for source in (f"tcp://127.0.0.1:5000{query}", f"udp://127.0.0.1:5000{query}", f"srt://127.0.0.1:5000{query}"):
+        with pytest.raises(InputError, match="has the option"):
+            check_reach(StreamSpec(job=TrainJob(live=rig(source))), settings)
+
+
+def test_public_addresses_and_harmless_options_are_taken() -> None:
+    settings = Settings(networks=("8.8.8.8/32",))
+    for source in (
+        "rtsp://8.8.8.8/x?resolution=640x480",
+        "srt://9.9.9.9:9000?mode=caller&latency=200000",
+        "tcp://9.9.9.9:80",
+    ):
+        check_reach(StreamSpec(job=TrainJob(live=rig(source))), settings)

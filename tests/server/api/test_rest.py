@@ -221,6 +221,8 @@ def test_a_body_of_another_type_is_refused(client: httpx.Client) -> None:
     for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x"):
         answer = client.post("/v1/streams", content=b'{"id":"x"}', headers={"Content-Type": kind})
         assert (answer.status_code, answer.headers["content-type"]) == (415, "application/problem+json"), kind
+        wrong = client.get("/v1/recordings?from=never", headers={"Content-Type": kind})  # it has no body
+        assert wrong.status_code == 422, kind
 
 
 def test_openapi_describes_every_operation(client: httpx.Client) -> None:
