@@ -12,8 +12,10 @@ import queue
 import threading
 import time
 
+LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 MAX_LINES = 1000  # that wait
 _FLUSH_SECONDS = 1.0
+_STDERR = 2
 
 
 class BackgroundHandler(logging.Handler):
@@ -64,9 +66,7 @@ class BackgroundHandler(logging.Handler):
 
 def log_in_background() -> None:
     """From now on, have what goes to the process's log written by a thread."""
-    root, descriptor = logging.getLogger(), 2
-    handler = BackgroundHandler(descriptor)
-    if root.handlers:
-        handler.setFormatter(root.handlers[0].formatter)
-    root.handlers = [handler]
+    handler = BackgroundHandler(_STDERR)
+    handler.setFormatter(logging.Formatter(LOG_FORMAT))
+    logging.getLogger().handlers = [handler]
     logging.captureWarnings(True)

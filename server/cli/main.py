@@ -14,6 +14,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from core.errors import InputError
+from server.background_log import LOG_FORMAT
 from server.cli.explain import INTERRUPTED, explain
 from server.cli.options import (
     DEFAULTS,
@@ -357,9 +358,7 @@ def main() -> NoReturn:
 
 def _configure_logging(verbose: bool) -> None:
     level = logging.DEBUG if verbose else logging.INFO
-    logging.basicConfig(
-        stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.WARNING
-    )
+    logging.basicConfig(stream=sys.stderr, format=LOG_FORMAT, level=logging.WARNING)
     for name in ("core", "codec", "server", "client"):
         logging.getLogger(name).setLevel(level)
 
