@@ -218,7 +218,9 @@ def main() -> None:  # noqa: PLR0915  a script
                 training.append(worker)
                 pipe.send("collect")
                 got: dict[str, Watched] = pipe.recv()
-                seen = "; ".join(f"{name}: {w.packets} packets, {w.missed} missed" for name, w in got.items())
+                seen = "; ".join(
+                    f"{name}: {w.packets} packets, {w.missed} missed, {len(w.closed)} closed" for name, w in got.items()
+                )
                 text = f"{memory:.0f} MB, worker {worker:.0f} MB, {count} descriptors; {seen}"
                 print(f"{now - begin:6.0f} s, {acts} acts: {text}; load {os.getloadavg()[0]:.0f}", flush=True)
             time.sleep(max(0.0, 1 / options.per_second - (time.monotonic() - now)))

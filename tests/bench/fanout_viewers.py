@@ -84,9 +84,13 @@ class Viewer:
         self.packets += 1
         now = time.monotonic()
         if self.packets >= _ACK_EVERY or now - self.acked_at >= _ACK_SECONDS:
-            self.packets, self.acked_at = 0, now
-            self.peer.sendall(masked(1, b'{"type":"ack","bytes":%d,"epoch":1,"version":0}' % self.received))
+            self.acknowledge(now)
         return self.version
+
+    def acknowledge(self, now: float) -> None:
+        """Acknowledge what has come."""
+        self.packets, self.acked_at = 0, now
+        self.peer.sendall(masked(1, b'{"type":"ack","bytes":%d,"epoch":1,"version":0}' % self.received))
 
 
 def masked(opcode: int, data: bytes) -> bytes:

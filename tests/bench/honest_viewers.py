@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import select
+import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from tests.bench.fanout_viewers import Viewer, join
+
+_ACK_SECONDS = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +70,7 @@ def watch(pipe: Connection, port: int, count: int, streams: tuple[str, ...]) -> 
         poll.register(viewer.peer.fileno(), select.EPOLLIN)
     pipe.send(None)
     while True:
-        for descriptor, _ in poll.poll(1.0, 512):
+        for descriptor, _ in poll.poll(0.25, 512):
             if descriptor == pipe.fileno():
                 if pipe.recv() is None:
                     return
@@ -81,6 +85,11 @@ def watch(pipe: Connection, port: int, count: int, streams: tuple[str, ...]) -> 
                 totals[viewer.stream][1] += viewer.missed
                 poll.unregister(descriptor)
                 del viewers[descriptor]
+        now = time.monotonic()
+        for viewer in viewers.values():
+            if viewer.packets and now - viewer.acked_at > _ACK_SECONDS:  # also while nothing more comes
+                with contextlib.suppress(OSError):
+                    viewer.acknowledge(now)
 
 
 def _total(
