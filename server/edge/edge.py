@@ -84,7 +84,10 @@ class Edge:
             return
         stream.replaced = True
         self._end(stream)
-        if stream.id in self._described and not self._registry.draining:
+        described = self._described.get(stream.id)
+        if described is not None and not self._registry.draining:
+            if stream.successor is not None:  # what the list said is out of date
+                self._described[stream.id] = described.model_copy(update={"incarnation": stream.successor})
             self._add(stream.id)
 
     def _remove(self, stream: EdgeStream) -> None:

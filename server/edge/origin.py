@@ -26,13 +26,21 @@ _MAX_LIST_BYTES = 4 << 20
 _MAX_PAGES = 100
 
 
+_INCARNATION = r"^[0-9a-f]{16}$"
+
+
+def is_incarnation(text: str) -> bool:
+    """Whether a stream's incarnation can look like that."""
+    return re.match(_INCARNATION, text) is not None and len(text) == 16
+
+
 class OriginStream(BaseModel):
     """What an edge takes over from STREAM of docs/protocol.md, checked."""
 
     model_config = ConfigDict(frozen=True)
 
     id: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
-    incarnation: str = Field(pattern=r"^[0-9a-f]{16}$")
+    incarnation: str = Field(pattern=_INCARNATION)
     source: Literal["cameras", "data", "recording"]
     loop: bool = False
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]

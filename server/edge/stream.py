@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from core.errors import BitstreamError
-from server.edge.origin import Origin, OriginStream
+from server.edge.origin import Origin, OriginStream, is_incarnation
 from server.edge.pull import pull
 from server.protocol.messages import event
 from server.protocol.packets import Position, stream_packet
@@ -39,7 +39,12 @@ class EdgeStream(Stream):
         edge: how streams are pulled.
         replace: called when this object is of no use any more.
         remove: called when the origin has deleted the stream.
+
+    Attributes:
+        successor: incarnation that the origin has now instead, where it said so before its list did.
     """
+
+    successor: str | None = None
 
     def __init__(
         self,
@@ -52,7 +57,6 @@ class EdgeStream(Stream):
         remove: Callable[[EdgeStream], None],
     ) -> None:
         super().__init__(described.id, described.incarnation, settings, feed=feed)
-        self.source, self.loop, self.created_at = described.source, described.loop, described.created_at
         self.origin, self._edge, self._packet_bytes = origin, edge, settings.limits.packet_bytes
         self._replace, self._remove = replace, remove
         self._task: asyncio.Task[None] | None = None
@@ -84,6 +88,7 @@ class EdgeStream(Stream):
 
     def update(self, described: OriginStream) -> None:
         """Take over what the origin says now; a stream that is pulled hears of its state sooner."""
+        self.source, self.loop, self.created_at = described.source, described.loop, described.created_at
         self.report, self.ingest = described.report, described.ingest
         if not self.is_pulled:
             self.progress = described.progress
@@ -115,7 +120,9 @@ class EdgeStream(Stream):
 
     def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
         """See `pull.PacketTaker`."""
-        if message.get("incarnation") != self.incarnation:
+        found = message.get("incarnation")
+        if found != self.incarnation:
+            self.successor = found if isinstance(found, str) and is_incarnation(found) else None
             raise _OtherStream("the origin has another stream under this id")
         now_ns, told_ns = time.time_ns(), message.get("server_time_ns")
         if type(told_ns) is int and abs(told_ns - now_ns) < _MAX_CLOCK_AHEAD_NS:

@@ -91,8 +91,12 @@ class Running:
         return f"http://127.0.0.1:{self.port}"
 
     def client(self, **options: Any) -> httpx.Client:
-        options = {"verify": False, **options}  # there is no TLS, and loading authorities takes 20 ms for each client
-        return httpx.Client(base_url=self.url, timeout=10, trust_env=False, **options)
+        options = {
+            "verify": False,
+            "timeout": 10,
+            **options,
+        }  # there is no TLS, and loading authorities takes 20 ms for each client
+        return httpx.Client(base_url=self.url, trust_env=False, **options)
 
     def stream(self, name: str = "main") -> dict[str, Any]:
         with self.client() as client:

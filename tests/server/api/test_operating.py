@@ -158,7 +158,7 @@ class Reader:
     def _run(self) -> None:
         params = {"seconds": 8, **self._options.pop("params", {})}
         with (
-            self._server.client(**self._options) as client,
+            self._server.client(**{"timeout": 60, **self._options}) as client,
             client.stream("GET", "/v1/events", params=params) as answer,
         ):
             lines = answer.iter_lines()

@@ -29,8 +29,8 @@ def port() -> int:
 
 
 @contextmanager
-def edge_of(port: int, **settings: Any) -> Iterator[Running]:
-    edge = EdgeSettings(origin=f"http://127.0.0.1:{port}", poll_seconds=0.1, linger_seconds=0.2)
+def edge_of(port: int, *, poll_seconds: float = 0.1, **settings: Any) -> Iterator[Running]:
+    edge = EdgeSettings(origin=f"http://127.0.0.1:{port}", poll_seconds=poll_seconds, linger_seconds=0.2)
     with running(Settings(edge=edge, **settings)) as server:
         yield server
 
@@ -81,20 +81,22 @@ def test_viewers_stay_while_the_origin_is_killed_and_comes_back(long_clip: Clip,
 def test_viewers_are_told_to_come_again_when_the_origin_begins_anew(long_clip: Clip, port: int) -> None:
     """Without a state folder it has another incarnation, the positions of which mean other packets."""
     spec = StreamSpec(play=long_clip.path)
-    with ExitStack() as stack, edge_of(port) as edge:
-        with running(Settings(), spec, port=port) as origin:
-            wait(knows(edge))
-            viewer = stack.enter_context(viewing(edge, max_queue=None)).hello()
+    with ExitStack() as stack, ExitStack() as first:
+        origin = first.enter_context(running(Settings(), spec, port=port))
+        edge = stack.enter_context(edge_of(port, poll_seconds=60.0))  # it hears of the new one when it pulls
+        wait(knows(edge))
+        viewer = stack.enter_context(viewing(edge, max_queue=None)).hello()
+        viewer.until("caught_up")
+        assert viewer.welcome["incarnation"] == origin.stream()["incarnation"]
+        first.close()
+        origin = stack.enter_context(running(Settings(), spec, port=port))
+        with pytest.raises(ConnectionClosed) as caught:
+            viewer.until("nothing that it sends")
+        assert caught.value.rcvd is not None
+        assert caught.value.rcvd.code == 1001
+        with viewing(edge, max_queue=None) as viewer:
+            assert viewer.hello().welcome["incarnation"] == origin.stream()["incarnation"]
             viewer.until("caught_up")
-            assert viewer.welcome["incarnation"] == origin.stream()["incarnation"]
-        with running(Settings(), spec, port=port) as origin:
-            with pytest.raises(ConnectionClosed) as caught:
-                viewer.until("nothing that it sends")
-            assert caught.value.rcvd is not None
-            assert caught.value.rcvd.code == 1001
-            with viewing(edge, max_queue=None) as viewer:
-                assert viewer.hello().welcome["incarnation"] == origin.stream()["incarnation"]
-                viewer.until("caught_up")
 
 
 def test_viewers_of_a_stream_that_the_origin_deletes_are_told_so(long_clip: Clip, port: int) -> None:
