@@ -23,7 +23,7 @@ ALLOWED = {
 # stands on the server and the client, and nothing imports it.
 LAYERS = {
     "core": (
-        "close_codes errors arrays files runtime",
+        "close_codes errors arrays files runtime background_log",
         "camera", "frames", "scene", "render metrics data synthetic initialise", "train",
     ),
     "core.train": (
@@ -31,7 +31,7 @@ LAYERS = {
         "keyframe residual", "refresh", "progress", "trainer",
     ),
     "server": (
-        "background_log protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer",
+        "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer",
         "registry", "api", "edge", "service", "cli",
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead", "rig", "live"),

@@ -13,8 +13,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
+from core.background_log import LOG_FORMAT
 from core.errors import InputError
-from server.background_log import LOG_FORMAT
 from server.cli.explain import INTERRUPTED, explain
 from server.cli.options import (
     DEFAULTS,

@@ -18,8 +18,8 @@ from fastapi import FastAPI
 from prometheus_client import make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
 
+from core.background_log import log_in_background
 from core.errors import InputError, StreamlodError
-from server.background_log import log_in_background
 from server.http.limits import http_class
 from server.http.websocket import websocket_class
 from server.pipeline.spec import StreamSpec

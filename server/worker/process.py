@@ -23,8 +23,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from core.background_log import log_in_background
 from core.errors import BackendUnavailable, BitstreamError, InputError, StreamlodError
-from server.background_log import log_in_background
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 
