@@ -28,7 +28,7 @@ class RefreshRule:
     max_age: int = 100
     min_age: int = 30
     catch_up_share: float = 0.35
-    churn_share: float = 0.1
+    churn_share: float = 0.35
     checked_every: int = 10
 
     def reason(self, key: Scene, now: Scene, size_bytes: Callable[[Scene], int]) -> Reason | None:

@@ -39,7 +39,7 @@ class ModelConfig:
         1, "levels beyond those; pictures hold more detail than first points do", given(0, "IV-A", "none beyond L")
     )
     max_anchors: int = setting(
-        40_000, "most anchors of a keyframe", reading(40_000, "no limit is given; this one bounds memory")
+        40_000, "most anchors that there may be", reading(40_000, "no limit is given; this one bounds memory")
     )
     selection: LevelSelection = setting(
         "all",
@@ -258,19 +258,23 @@ class PredictConfig:
         1, "frames between partitions; 4 in the paper's star variant", given(1, "IV-D", "every frame is partitioned")
     )
     growth_rule: str = setting(
-        "gradient", "a name in `core.train.growth.rules`", octree_gs("gradient", "its refinement")
+        "error",
+        "where anchors are added, a name in `core.train.growth.later`",
+        octree_gs("gradient", "its refinement"),
     )
     growth_at: float = setting(
         0.3,
-        "share of the frame's steps after which anchors are added where Gaussians pull hard",
+        "share of the frame's steps after which anchors are added, 0 to 1",
         reading(0.3, "after 30 steps (section V-A), a whole frame of three views, nothing added is trained"),
     )
     growth_threshold: float = setting(
-        1e-4, "view-space gradient norm from which that happens", octree_gs(2e-4, "its threshold of the gradient norm")
+        1e-4,
+        "of the rule `gradient`: view-space gradient norm from which anchors are added",
+        octree_gs(2e-4, "its threshold of the gradient norm"),
     )
     growth_share: float = setting(
-        0.0,
-        "added anchors a frame, at most this share of all; 0 adds none, which measured best",
+        0.004,
+        "added anchors a frame, at most this share of all, 0 to 1; 0 adds none",
         reading(0.01, "no limit is given; this one bounds a packet"),
     )
     everything: bool = setting(

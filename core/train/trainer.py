@@ -234,16 +234,18 @@ class Trainer:
                     partition,
                     views,
                     self._exposure,
+                    masks,
                     useful,
                     optimiser(config.optimiser, config.memory),
                     config.group_cells,
                 )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
-                update = trainer.run(config, self._backend, generator, self._pace)
+                update = trainer.run(config, self._backend, generator, self._pace, self._most_new(config, plan, state))
         with watch.stage("round"):
             if plan is not None:
                 assert partition.dynamic is not None
-                update = strongest_changes(update, plan.most_anchors, partition.dynamic[partition.trained])
+                most = plan.most_changes_beside(update.new)
+                update = strongest_changes(update, most, partition.dynamic[partition.trained])
             # what had no time or no bytes counts as changed again, and goes on where it ended
             done = update.complete and (plan is None or not plan.strained)
             residual = residual_of(state.scene, rows.cpu().numpy(), update, frames.index)
@@ -253,11 +255,9 @@ class Trainer:
             after = state.after(residual, scene, partition, rows, update.sent, start)
         with watch.stage("settle"):
             if trainer is not None:
-                alive = after.alive
-                if len(alive) == len(state.field):
-                    shown = trainer.show(after.field, rows[alive[rows]])
-                else:  # anchors were added, and rows are numbered anew
-                    shown = self._as_filmed(rendered(after.field, alive, views, self._backend))
+                alive = after.alive.cpu().numpy()
+                drawn = torch.from_numpy(np.flatnonzero(after.partition.trained & alive)).to(self._device)
+                shown = trainer.show(after.field, drawn)
             if renewed:
                 reached = views.targets if done else _moved_on(references, state.shown, shown)
                 references = torch.where(masks[..., None], reached, references)
@@ -308,6 +308,17 @@ class Trainer:
         """What the next frame may spend, None for any, and its configuration under that plan."""
         plan = None if self._rate is None else self._rate.plan()
         return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
+
+    def _most_new(self, config: PredictConfig, plan: RatePlan | None, state: State) -> int:
+        """Anchors that the next frame may add.
+
+        None while a refresh keyframe trains beside the stream, which has no counterpart of them.
+        """
+        if self._pending.is_beside(state):
+            return 0
+        alive = state.scene.anchor_count
+        most = min(int(config.growth_share * alive), max(self._config.model.max_anchors - alive, 0))
+        return most if plan is None else min(most, plan.most_new)
 
     def _partition(
         self, cue: MotionCue, state: State, frames: FrameSet, views: Views, masks: Tensor

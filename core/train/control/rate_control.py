@@ -17,6 +17,8 @@ _STRAINED = 2.0  # factor of the rate weight from which quality visibly gives wa
 _OVERHEAD = 40  # bytes of a packet that changes nothing
 _FORGET = 0.3  # weight of the latest packet in the bytes an anchor takes
 _FIRST_GUESS = 8.0  # bytes an anchor, before any packet was seen
+_CHANGES = 5  # of anchors that are there already, which take as many bytes as one that is added
+_NEW = 0.25  # share of a packet that anchors may take which are added
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +37,15 @@ class RatePlan:
     def strained(self) -> bool:
         """Whether quality gives way so far that it has to be made good later."""
         return self.weight_factor >= _STRAINED
+
+    @property
+    def most_new(self) -> int:
+        """Anchors that may be added."""
+        return int(_NEW * self.most_anchors / _CHANGES)
+
+    def most_changes_beside(self, new: int) -> int:
+        """Anchors that may change where `new` are added."""
+        return max(self.most_anchors - _CHANGES * new, 0)
 
     def applied(self, config: PredictConfig) -> PredictConfig:
         """`config` under this plan: where packets are too large, bits weigh more and only surer anchors are trained."""

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from core.arrays import Float32, Int16, Int32
-from core.scene.anchors import AnchorLevel, SceneHeader
+from core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
 from core.train.field.field import Field
 from core.train.growth.gradient import NewAnchors
 
@@ -40,22 +40,8 @@ def first_values(parents: Field, new: NewAnchors, generator: torch.Generator) ->
     }
 
 
-def with_new_anchors(base: Field, parents: Field, new: NewAnchors, header: SceneHeader) -> Field:
-    """`base` with `new` appended, their first values rounded to the steps of `header`.
-
-    Args:
-        base: the dynamic anchors, without residuals.
-        parents: the same rows with residuals, whose features the new anchors start with.
-    """
-    values = first_values(parents, new, torch.Generator().manual_seed(len(base)))
-    values["feature"] = _on_grid(values["feature"], header.feature_steps)
-    values["offset"] = _on_grid(values["offset"].flatten(1), header.offset_steps).reshape(values["offset"].shape)
-    values["scaling"] = _on_grid(values["scaling"], header.scaling_steps)
-    return base.with_appended(values)
-
-
-def added_levels(field: Field, latent: Int32, position: Int32, header: SceneHeader) -> tuple[AnchorLevel, ...]:
-    """Anchors of `field` with their trained `latent` [n,24] and `position` [n,3], by level, as they are sent."""
+def added_levels(field: Field, position: Int32, header: SceneHeader) -> tuple[AnchorLevel, ...]:
+    """Anchors of `field`, `position` [n,3] steps from their nodes, by level, as they are sent."""
     levels = []
     of_anchor = field.level.cpu().numpy()
     for number in range(field.octree.levels):
@@ -69,16 +55,11 @@ def added_levels(field: Field, latent: Int32, position: Int32, header: SceneHead
                 offset=_integers(field.offset[rows].flatten(1), header.offset_steps),
                 scaling=_integers(field.scaling[rows], header.scaling_steps),
                 extra_level=np.zeros(count, np.int16),
-                latent=latent[rows].clip(-32768, 32767).astype(np.int16),
+                latent=np.zeros((count, LATENTS), np.int16),
                 alive=np.ones(count, np.bool_),
             )
         )
     return tuple(levels)
-
-
-def _on_grid(values: Tensor, steps: Float32) -> Tensor:
-    width = torch.from_numpy(steps).to(values.device)
-    return (values / width).round() * width
 
 
 def _integers(values: Tensor, steps: Float32) -> Int16:

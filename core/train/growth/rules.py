@@ -11,7 +11,7 @@ from typing import Protocol
 from torch import Tensor
 
 from core.errors import InputError
-from core.train.config import KeyframeConfig, PredictConfig
+from core.train.config import KeyframeConfig
 from core.train.field.field import Field
 from core.train.growth.gradient import GrowthStatistics, NewAnchors, earned_extra_level, grow
 from core.train.growth.new_anchors import strongest
@@ -79,8 +79,8 @@ class _MakeRule(Protocol):
 GROWTH_RULES: dict[str, _MakeRule] = {"gradient": GradientGrowth}
 
 
-def growth_rule(config: KeyframeConfig | PredictConfig) -> GrowthRule:
-    """The rule that a configuration names; later frames only add anchors by it.
+def growth_rule(config: KeyframeConfig) -> GrowthRule:
+    """The rule that a configuration names; `core.train.growth.later` has those of later frames.
 
     Raises:
         InputError: no rule has that name.
@@ -89,6 +89,4 @@ def growth_rule(config: KeyframeConfig | PredictConfig) -> GrowthRule:
         known = ", ".join(GROWTH_RULES)
         raise InputError(f"growth rule {config.growth_rule!r}", f"unknown; choose one of {known}")
     make = GROWTH_RULES[config.growth_rule]
-    if isinstance(config, PredictConfig):
-        return make(config.growth_threshold)
     return make(config.growth_threshold, config.prune_opacity, config.extra_level_gain)

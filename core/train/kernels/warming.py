@@ -9,6 +9,7 @@ from core.scene.entropy_model import BINS
 from core.train.kernels.adam import adam_step
 from core.train.kernels.decode import activate, differentiate
 from core.train.kernels.rate import residual_bits
+from core.train.kernels.windows import best_depths
 
 
 def warm() -> None:
@@ -25,3 +26,6 @@ def warm() -> None:
     activate(1, zeros(1, 11), zeros(1, 3), zeros(1, 6), zeros(1, 3), zeros(1, 6), *parts)
     known = (zeros(1, 3), zeros(1, 6), zeros(1, 6), *parts[2:])
     differentiate(1, *known, *parts, zeros(1, 11), zeros(1, 3), zeros(1, 6), zeros(1, 3))
+    pixel, ends = np.zeros(1, np.int64), np.linspace(0.5, 1.0, 2)
+    poses = (np.eye(3)[None], np.zeros((1, 3)))
+    best_depths(1, zeros(1, 1, 3), zeros(1, 1, 1, 3), *poses, ends, pixel, pixel, pixel.copy(), zeros(1))

@@ -33,7 +33,7 @@ def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConf
     )
     return replace(
         config,
-        model=replace(config.model, levels=field.octree.levels, max_anchors=len(field)),
+        model=replace(config.model, levels=field.octree.levels, max_anchors=min(len(field), config.model.max_anchors)),
         keyframe=keyframe,
         seed=config.seed + version,
     )

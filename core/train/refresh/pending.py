@@ -45,6 +45,10 @@ class PendingRefresh:
         trained = self._background is not None and self._background.complete
         return self.is_due and (trained or not self._beside(state))
 
+    def is_beside(self, state: State) -> bool:
+        """Whether a keyframe is in training beside the stream, or will be after this frame: no anchor may be added."""
+        return self.is_due and self._beside(state)
+
     def train(self, before: State, after: State, views: Views, exposure: Exposure) -> None:
         """Some steps in the time that is left of a frame that led from `before` to `after`; the first only begins.
 
@@ -68,5 +72,5 @@ class PendingRefresh:
         return background if background is not None and background.complete else None
 
     def _beside(self, state: State) -> bool:
-        """Whether it is trained a few steps a frame; anchors that come with a frame would have no counterpart in it."""
-        return self._budget is not None and self._config.predict.growth_share == 0 and self.needs_training(state)
+        """Whether a keyframe of `state` is trained a few steps a frame."""
+        return self._budget is not None and self.needs_training(state)

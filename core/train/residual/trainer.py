@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from core.arrays import Float32, Int32
 from core.render.backends import Backend
@@ -24,8 +23,8 @@ from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.field.rounding import dead_zone
 from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.new_anchors import added_levels, with_new_anchors
-from core.train.growth.rules import growth_rule
+from core.train.growth.later import HalfTrained, LaterGrowth, later_growth
+from core.train.growth.new_anchors import added_levels
 from core.train.motion.partition import Partition
 from core.train.optimise.convergence import EpochProgress
 from core.train.optimise.loop import run_steps
@@ -36,6 +35,7 @@ from core.train.optimise.schedule import ViewOrder
 from core.train.pictures.views import Views
 from core.train.residual.apply import UnitChange, applied
 from core.train.residual.groups import Groups, neighbourhoods
+from core.train.residual.newcomers import Newcomers
 from core.train.residual.state import State
 from core.train.residual.tile_cache import TileCache, make_tile_cache
 from core.train.residual.update import IntegerUpdate, no_update
@@ -52,6 +52,7 @@ class ResidualTrainer:
         partition: which anchors to train.
         views: pictures of the instant.
         exposure: of the cameras.
+        masks: [C,H,W] bool, pixels that changed.
         useful: cameras to train on, the most important first.
         optimiser: of latents and positions.
         group_cells: width of the neighbourhoods that also move as one, in level-0 cells; 0 for none.
@@ -63,6 +64,7 @@ class ResidualTrainer:
         partition: Partition,
         views: Views,
         exposure: Exposure,
+        masks: Tensor,
         useful: list[int],
         optimiser: Optimiser = Adam(),  # noqa: B008 (frozen)
         group_cells: float = 0.0,
@@ -72,7 +74,7 @@ class ResidualTrainer:
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
         self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
         self._known, self._useful = len(rows), useful
-        self._header = scene.header
+        self._scene, self._alive, self._masks, self._new_optimiser = scene, state.alive, masks, optimiser
         device = field.feature.device
         black = torch.zeros(3, device=device)
         self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
@@ -91,6 +93,8 @@ class ResidualTrainer:
         self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
         self._shown = state.shown
         self._caches: dict[int, TileCache] = {}
+        self._drawn: dict[int, Tensor] = {}
+        self._newcomers: Newcomers | None = None
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
 
     def run(
@@ -99,11 +103,13 @@ class ResidualTrainer:
         backend: Backend,
         generator: torch.Generator,
         progress_of: Callable[[int], FrameProgress] = FixedSteps,
+        most_new: int = 0,
     ) -> IntegerUpdate:
         """Train as configured and round.
 
         Args:
             progress_of: makes the pace of a number of steps.
+            most_new: anchors that may be added.
         """
         total = max(config.epochs * len(self._useful), config.minimum_steps)
         pace = progress_of(total)
@@ -111,7 +117,8 @@ class ResidualTrainer:
         if not views:
             return no_update(self._known)
         order, epochs = ViewOrder(views, generator), EpochProgress(len(views), config.least_gain)
-        progress, has_grown = 0.0, False
+        growth = later_growth(config) if most_new else None
+        progress = 0.0
 
         def reached(_: int) -> float:
             nonlocal progress
@@ -119,12 +126,12 @@ class ResidualTrainer:
             return progress
 
         def step() -> Tensor:
-            nonlocal has_grown
-            loss = self._step(order.next(), config, config.final_rate**progress)
+            nonlocal growth
+            loss = self._step(order.next(), config, config.final_rate**progress, growth)
             epochs.advance(loss)
-            if config.growth_share and not has_grown and progress >= config.growth_at:
-                has_grown = True
-                self._grow(config)
+            if growth is not None and progress >= config.growth_at and len(self._drawn) == len(views):
+                self._grow(growth, config, most_new)
+                growth = None
             return loss
 
         losses = run_steps(step, reached)
@@ -155,19 +162,24 @@ class ResidualTrainer:
                 pictures[number] = cache.render(self._exposure.before(splats, number))[0].image
         return pictures
 
-    def _step(self, number: int, config: PredictConfig, decay: float) -> Tensor:
-        """One view, one update; returns the detached loss."""
-        raster, cache = self._caches[number].render(self._dynamic_splats(number))
+    def _step(self, number: int, config: PredictConfig, decay: float, growth: LaterGrowth | None = None) -> Tensor:
+        """One view, one update; returns the detached loss. `growth` will want to know of it, None for nobody."""
+        position = self._position()
+        raster, cache = self._caches[number].render(self._dynamic_splats(number, position))
         self._caches[number] = cache
         loss = photometric_loss(raster.image, self._views.targets[number], config.dssim_weight, cache.region)
         if config.rate_weight:
-            bits = residual_bits(self._optimiser.parameters["latent"], self._position())
+            bits = residual_bits(self._optimiser.parameters["latent"], position)
             loss = loss + config.rate_weight * bits / raster.image.numel()
         loss.backward()  # type: ignore[no-untyped-call]
-        if config.growth_share:
-            self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
+        if growth is not None:
+            self._drawn[number] = raster.image.detach()
+            if growth.uses_gradients:
+                self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
         rates = dict.fromkeys(("position", "shift", "turn"), config.position_rate * decay)
         self._optimiser.step(rates | {"latent": config.latent_rate * decay})
+        if self._newcomers is not None:
+            self._newcomers.step(config.position_rate, decay)
         return loss.detach()
 
     def _cache_of(self, number: int, dynamic: Splats, backend: Backend) -> TileCache:
@@ -176,55 +188,64 @@ class ResidualTrainer:
         before = dynamic if known is None else self._base.decode(self._centres[number])
         return make_tile_cache(camera, dynamic, self._static[number], self._backgrounds[number], backend, known, before)
 
-    def _dynamic_field(self) -> Field:
-        """The dynamic anchors with their residuals, rounded as they will be sent."""
-        return applied(self._base, self._optimiser.parameters["latent"], self._position(), self._unit_change)
+    def _dynamic_field(self, position: Tensor | None = None) -> Field:
+        """The dynamic anchors as they will be sent: with their residuals, and then the new ones.
+
+        Args:
+            position: what `_position` gives, where it is at hand.
+        """
+        moved = self._position() if position is None else position
+        known = applied(self._base, self._optimiser.parameters["latent"], moved, self._unit_change)
+        return known if self._newcomers is None else known.with_appended(self._newcomers.rows)
 
     def _position(self) -> Tensor:
         """[n,3] how far each anchor goes in steps, by itself and with its group."""
         parameters = self._optimiser.parameters
         own = parameters["position"]
-        if self._groups is None:
-            return own
-        shared = self._groups.motion(parameters["shift"], parameters["turn"])
-        return own + functional.pad(shared, (0, 0, 0, len(own) - len(shared)))  # new anchors belong to no group
+        return own if self._groups is None else own + self._groups.motion(parameters["shift"], parameters["turn"])
 
-    def _dynamic_splats(self, number: int) -> Splats:
-        return self._exposure.before(self._dynamic_field().decode(self._centres[number]), number)
+    def _dynamic_splats(self, number: int, position: Tensor | None = None) -> Splats:
+        return self._exposure.before(self._dynamic_field(position).decode(self._centres[number]), number)
 
-    def _grow(self, config: PredictConfig) -> None:
-        """Add anchors where the dynamic Gaussians pull hardest: what has just come into view has none yet."""
+    def _grow(self, growth: LaterGrowth, config: PredictConfig, most: int) -> None:
+        """Add anchors where they are lacking: what has just come into view has none yet."""
         with torch.no_grad():
-            current = self._dynamic_field()
-        highest, most = self._all.octree.levels - 1, int(config.growth_share * len(self._all))
-        new = growth_rule(config).new_anchors(current, self._statistics, highest, most, occupied=self._all)
-        if len(new) == 0:
-            return
-        self._base = with_new_anchors(self._base, current, new, self._header)
-        device = current.feature.device
-        nothing = {"latent": torch.zeros(len(new), LATENTS, device=device)}
-        nothing["position"] = torch.zeros(len(new), 3, device=device)
-        self._optimiser.replace_rows(torch.arange(len(current), device=device), nothing)
-        self._statistics = GrowthStatistics(len(self._base), self._base.slots, device)
+            trained = self._dynamic_field()
+        seen = HalfTrained(
+            trained=trained,
+            living=self._all.with_rows(torch.nonzero(self._alive)[:, 0]),
+            every=self._all,
+            statistics=self._statistics,
+            views=self._views,
+            drawn=self._drawn,
+            masks=self._masks,
+            bit_weight=config.rate_weight,
+            most=most,
+        )
+        start = growth.new_anchors(seen, torch.Generator().manual_seed(self._known))
+        if len(start["level"]):
+            self._newcomers = Newcomers(start, self._all, self._scene, self._new_optimiser)
 
     def _integer_update(self, steps: int, loss: float) -> IntegerUpdate:
         latent, position = map(_finite_integers, (self._optimiser.parameters["latent"], self._position()))
         with torch.no_grad():
-            opacity = self._dynamic_splats(self._views.usable[0]).opacities.reshape(len(latent), -1).amax(dim=1)
+            field = self._dynamic_field()
+            opacity = field.decode(self._centres[self._views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
         # what looks different to every camera may be transparent to one only
         shown = (opacity > _TRANSPARENT).cpu().numpy() | (not self._all.looks_the_same)
-        known, new = slice(None, self._known), np.flatnonzero(shown[self._known :]) + self._known
-        added = None
-        if len(new):
-            chosen = self._base.with_rows(torch.from_numpy(new).to(opacity.device))
-            added = added_levels(chosen, latent[new], position[new], self._header)
-        broken, wanted = self._optimiser.broken, self._wanted()
-        return IntegerUpdate(latent[known], position[known], ~shown[known], added, steps, loss, broken, wanted=wanted)
+        added, broken = None, self._optimiser.broken
+        if self._newcomers is not None:
+            new = np.flatnonzero(shown[self._known :])
+            chosen = field.with_rows(torch.from_numpy(new + self._known).to(opacity.device))
+            added = added_levels(chosen, self._newcomers.moved[new], self._scene.header)
+            broken += self._newcomers.broken
+        gone = ~shown[: self._known]
+        return IntegerUpdate(latent, position, gone, added, steps, loss, broken, wanted=self._wanted())
 
     def _wanted(self) -> Float32:
         """[n,27] latents and positions before rounding, of the anchors that were there before."""
         wanted = torch.cat([self._optimiser.parameters["latent"], self._position()], dim=1).detach()
-        return np.asarray(wanted[: self._known].nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
+        return np.asarray(wanted.nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
 
 
 def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:

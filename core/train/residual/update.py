@@ -39,6 +39,11 @@ class IntegerUpdate:
     wanted: Float32 | None = None
 
     @property
+    def new(self) -> int:
+        """Anchors that are added."""
+        return 0 if self.added is None else sum(len(level) for level in self.added)
+
+    @property
     def sent(self) -> Float32:
         """[n,27] the integers of latents and positions."""
         return np.concatenate([self.latent, self.position], axis=1).astype(np.float32)

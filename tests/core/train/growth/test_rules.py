@@ -12,7 +12,7 @@ from core.errors import InputError
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import KeyframeConfig, PredictConfig, Trainer, preset
 from core.train.field.field import Field
-from core.train.growth import rules
+from core.train.growth import later, rules
 from core.train.growth.gradient import GrowthStatistics, NewAnchors
 from tests.core.true_points import true_points
 
@@ -59,9 +59,12 @@ def test_a_toy_rule_refines_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> 
 def test_the_rule_takes_its_settings_from_the_configuration() -> None:
     first = KeyframeConfig(growth_threshold=1.0, prune_opacity=2.0, extra_level_gain=3.0)
     assert rules.growth_rule(first) == rules.GradientGrowth(1.0, 2.0, 3.0)
-    assert rules.growth_rule(PredictConfig(growth_threshold=4.0)) == rules.GradientGrowth(4.0)
+    assert later.later_growth(PredictConfig(growth_rule="gradient", growth_threshold=4.0)) == later.ByGradient(4.0)
+    assert later.later_growth(PredictConfig()) == later.ByError()
 
 
 def test_an_unknown_rule_is_refused_and_the_known_are_named() -> None:
     with pytest.raises(InputError, match="choose one of gradient"):
         rules.growth_rule(KeyframeConfig(growth_rule="random"))
+    with pytest.raises(InputError, match="choose one of error, gradient"):
+        later.later_growth(PredictConfig(growth_rule="random"))

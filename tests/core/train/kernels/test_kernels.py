@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
+from core.camera import pinhole
 from core.scene.anchors import LATENTS
-from core.train.kernels import adam, decode, rate
+from core.train.growth.depth_search import matched_pixels
+from core.train.kernels import adam, decode, rate, windows
 from core.train.kernels.warming import warm
 from core.train.optimise.adam import update, update_reference
 from core.train.optimise.rate import residual_bits, residual_bits_reference
+from core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 from tests.threads import MAX_THREADS, kernel_threads
 
@@ -77,7 +81,7 @@ def test_rate_of_broken_values_stays_in_its_table() -> None:
 
 def test_warming_compiles_what_training_uses() -> None:
     warm()
-    kernels = (adam.adam_step, rate.residual_bits, decode.activate, decode.differentiate)
+    kernels = (adam.adam_step, rate.residual_bits, decode.activate, decode.differentiate, windows.best_depths)
     signatures = [len(kernel.signatures) for kernel in kernels]
     value, moments = torch.ones(3, 2), [torch.zeros(3, 2), torch.zeros(3, 2)]
     update(value, torch.ones(3, 2), *moments, 0.1, 0.001)
@@ -85,4 +89,8 @@ def test_warming_compiles_what_training_uses() -> None:
     field = random_field(6)
     field.network.hidden_weight.requires_grad_()
     field.decode(torch.zeros(3)).means.sum().backward()  # type: ignore[no-untyped-call]
+    camera = pinhole("cam00", (8.0, 8.0), (4.0, 3.0), (8, 6), np.eye(4))
+    views = Views((camera, camera), torch.rand(2, 6, 8, 3), [0, 1])
+    rows, columns = np.nonzero(np.ones((6, 8)))
+    matched_pixels(random_field(6), views, 0, rows * 1, columns * 1)
     assert [len(kernel.signatures) for kernel in kernels] == signatures

@@ -59,11 +59,12 @@ def test_groups_follow_a_motion_that_single_anchors_lose() -> None:
     blank = Views(cameras, torch.zeros(3, HEIGHT, WIDTH, 3), [0, 1, 2])
     views = replace(blank, targets=rendered(moved, state.alive, blank, "cpu"))
     everything = np.ones(len(state.field), np.bool_)
+    changed = torch.ones(3, HEIGHT, WIDTH, dtype=torch.bool)
 
     def missing(group_cells: float) -> float:
         """Mean distance that is left, as a share of the motion."""
         trainer = ResidualTrainer(
-            state, Partition(None, everything), views, neutral(3), [0, 1, 2], group_cells=group_cells
+            state, Partition(None, everything), views, neutral(3), changed, [0, 1, 2], group_cells=group_cells
         )
         update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
         went = torch.from_numpy(update.position) * scene.header.position_steps[0]

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 
 from core.camera import pinhole
-from core.scene.anchors import LATENTS
 from core.scene.residual import apply
 from core.train.config import PredictConfig
 from core.train.field.convert import level_starts, scene_of
@@ -25,8 +24,8 @@ def test_added_anchors_leave_the_changes_of_others_with_them() -> None:
     state = fresh_state(scene, "cpu")
     rows = torch.tensor([2, 12, 25])  # one of each level
     assert np.searchsorted(level_starts(scene), rows.numpy(), side="right").tolist() == [1, 2, 3]
-    new = np.zeros((2, LATENTS), np.int32), np.zeros((2, 3), np.int32)
-    added = added_levels(state.field.with_rows(torch.tensor([0, 15])), *new, scene.header)
+    new = state.field.with_rows(torch.tensor([0, 15]))
+    added = added_levels(new, np.zeros((2, 3), np.int32), scene.header)
     position = np.array([[1, 0, 0], [0, 2, 0], [0, 0, 3]], np.int32)
     update = replace(no_update(3), position=position, added=added)
     residual = residual_of(scene, rows.numpy(), update, 1)

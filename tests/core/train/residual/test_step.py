@@ -23,6 +23,7 @@ from core.camera import pinhole
 from core.train.config import PredictConfig
 from core.train.field.convert import scene_of
 from core.train.field.exposure import neutral
+from core.train.growth.later import ByError
 from core.train.keyframe.trainer import Views
 from core.train.motion.partition import Partition
 from core.train.optimise.schedule import ViewOrder
@@ -83,8 +84,9 @@ def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, vie
         loss = trainer._step(0, config, 0.9)
     assert loss.device.type == "meta"
     assert trainer._optimiser.parameters["latent"] is before
+    trainer._step(0, config, 0.9, ByError())
     with NoNumbers(), NoMemory(), pytest.raises((AssertionError, RuntimeError, NotImplementedError)):
-        trainer._step(0, replace(config, growth_share=0.01), 0.9)  # growth does ask, which is why it is not the default
+        trainer._grow(ByError(), config, 5)  # growth does ask, once a frame
 
 
 def prepared(view_dependent: bool) -> ResidualTrainer:
@@ -96,7 +98,8 @@ def prepared(view_dependent: bool) -> ResidualTrainer:
     state: State = fresh_state(scene_of(field, PredictConfig(), (camera,), 30.0, 0), "cpu")
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
-    trainer = ResidualTrainer(state, Partition(None, some), views, neutral(1), [0])
+    masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
+    trainer = ResidualTrainer(state, Partition(None, some), views, neutral(1), masks, [0])
     trainer._caches[0] = trainer._cache_of(0, trainer._dynamic_splats(0), "cuda")
     return trainer
 

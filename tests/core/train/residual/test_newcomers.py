@@ -1,0 +1,181 @@
+"""Anchors that a later frame adds: trained as they are sent, decoded as they were trained, and worth having."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from core.camera import look_at, pinhole
+from core.frames import FrameSet
+from core.scene.anchors import Scene
+from core.scene.keyframe import coarseness
+from core.scene.residual import apply
+from core.train import ModelConfig, PredictConfig, TrainConfig, TrainedFrame, Trainer
+from core.train.field.convert import field_of, level_starts, scene_of
+from core.train.field.exposure import neutral
+from core.train.field.field import Field
+from core.train.field.rendered import rendered
+from core.train.growth.gradient import NewAnchors
+from core.train.growth.new_anchors import first_values
+from core.train.motion.partition import Partition
+from core.train.optimise.optimisers import Adam
+from core.train.pictures.views import Views
+from core.train.residual.newcomers import Newcomers
+from core.train.residual.state import State, fresh_state
+from core.train.residual.trainer import ResidualTrainer
+from core.train.residual.update import IntegerUpdate, residual_of
+from tests.core.train.fields import random_field
+
+WIDTH, HEIGHT = 96, 64
+CONFIG = PredictConfig(epochs=15, minimum_steps=0, least_gain=0.0, rate_weight=0.0005)
+CAMERAS = tuple(
+    pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),
+            look_at(np.array([x, -0.4, -3.0]), np.zeros(3), np.array([0.0, -1.0, 0.0])))
+    for i, x in enumerate((-0.6, -0.2, 0.2, 0.6))
+)  # fmt: skip
+
+
+def few_new(scene: Scene) -> tuple[Newcomers, Field]:
+    known = field_of(scene)
+    new = NewAnchors(np.array([[1, 2, 3], [4, 5, 6]], np.int32), np.array([0, 2]), np.array([3, 4]))
+    start = first_values(known, new, torch.Generator().manual_seed(0))
+    start["position"] = start["position"] + 0.013
+    return Newcomers(start, known, scene, Adam()), known
+
+
+def test_their_numbers_are_multiples_of_the_usual_steps() -> None:
+    scene = scene_of(random_field(60), CONFIG, CAMERAS, 30.0, 0)
+    new, _ = few_new(scene)
+    header = scene.header
+    shifts = np.concatenate([coarseness(level, np.arange(len(level))) for level in scene.levels])
+    times = 2.0 ** np.floor(np.median(shifts))
+    rows = new.rows
+    for values, steps in (
+        (rows["feature"], header.feature_steps),
+        (rows["offset"].flatten(1), header.offset_steps),
+        (rows["scaling"], header.scaling_steps),
+    ):
+        numbers = values.detach().numpy() / (steps * times)
+        np.testing.assert_allclose(numbers, np.round(numbers), atol=1e-3)
+    assert np.abs(new.moved).max() >= 1
+
+
+def test_a_step_moves_all_of_their_numbers_and_nothing_else() -> None:
+    scene = scene_of(random_field(60), CONFIG, CAMERAS, 30.0, 0)
+    new, _ = few_new(scene)
+    before = {name: value.detach().clone() for name, value in new.rows.items()}
+    for _ in range(20):
+        rows = new.rows
+        sum(rows[name].sum() for name in ("feature", "offset", "scaling", "position")).backward()
+        new.step(1.0, 1.0)
+    after = new.rows
+    for name in ("feature", "offset", "scaling", "position"):
+        assert (after[name] < before[name]).all()
+    for name in ("level", "voxel", "extra_level"):
+        assert torch.equal(after[name], before[name])
+    assert new.broken == 0
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """A scene without the thing that comes in."""
+    return scene_of(random_field(200), CONFIG, CAMERAS, 30.0, 0)
+
+
+@pytest.fixture(scope="module")
+def targets(scene: Scene) -> Tensor:
+    """[4,H,W,3] the scene, and a striped block before it."""
+    state = fresh_state(scene, "cpu")
+    blank = Views(CAMERAS, torch.zeros(4, HEIGHT, WIDTH, 3), [0, 1, 2, 3])
+    shown = rendered(state.field, state.alive, blank, "cpu")
+    for number, camera in enumerate(CAMERAS):
+        middle = camera.intrinsics @ (camera.world_to_camera[:3, :3] @ [0.0, 0.0, -1.5] + camera.world_to_camera[:3, 3])
+        x, y = (middle[:2] / middle[2]).astype(int)
+        stripes = torch.tensor([[0.9, 0.2, 0.1], [0.1, 0.3, 0.9], [0.9, 0.9, 0.2]])[torch.arange(20) // 3 % 3]
+        shown[number, y - 10 : y + 10, x - 10 : x + 10] = stripes[None]
+    return shown
+
+
+def trained(scene: Scene, targets: Tensor, most_new: int) -> tuple[ResidualTrainer, IntegerUpdate, State]:
+    state = fresh_state(scene, "cpu")
+    views = Views(CAMERAS, targets, [0, 1, 2, 3])
+    some = Partition(None, np.arange(len(state.field)) % 2 == 0)
+    masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
+    trainer = ResidualTrainer(state, some, views, neutral(4), masks, [0, 1, 2, 3])
+    return trainer, trainer.run(CONFIG, "cpu", torch.Generator().manual_seed(0), most_new=most_new), state
+
+
+def test_what_is_decoded_is_what_was_trained(scene: Scene, targets: Tensor) -> None:
+    trainer, update, state = trained(scene, targets, 40)
+    assert 0 < update.new <= 40
+    rows = torch.nonzero(torch.arange(len(state.field)) % 2 == 0)[:, 0]
+    after = apply(scene, residual_of(scene, rows.numpy(), update, 1))
+    decoded = field_of(after)
+    starts = level_starts(after)
+    sizes = [len(level) for level in scene.levels]
+    new = torch.cat([torch.arange(starts[i] + size, starts[i + 1]) for i, size in enumerate(sizes)])
+    wanted = trainer._dynamic_field().with_rows(torch.arange(len(rows), len(rows) + update.new))
+    order = torch.argsort(wanted.level, stable=True)
+    for name in ("feature", "offset", "scaling", "position"):
+        one, other = (getattr(field, name).detach() for field in (decoded.with_rows(new), wanted.with_rows(order)))
+        torch.testing.assert_close(one, other, atol=2e-4, rtol=0)
+
+
+def test_what_comes_in_is_shown_better_with_them(scene: Scene, targets: Tensor) -> None:
+    errors = []
+    for most_new in (0, 60):
+        _, update, state = trained(scene, targets, most_new)
+        rows = np.flatnonzero(np.arange(len(state.field)) % 2 == 0)
+        after = fresh_state(apply(scene, residual_of(scene, rows, update, 1)), "cpu")
+        pictures = rendered(after.field, after.alive, Views(CAMERAS, targets, [0, 1, 2, 3]), "cpu")
+        errors.append(float((pictures.clamp(0, 1) - targets).square().mean()))
+        assert (update.new == 0) == (most_new == 0)
+    assert errors[1] < 0.95 * errors[0]
+
+
+def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
+    state = fresh_state(scene, "cpu")
+    masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
+    everything = Partition(None, np.ones(len(state.field), np.bool_))
+    trainer = ResidualTrainer(state, everything, Views(CAMERAS, targets, [0, 1, 2, 3]), neutral(4), masks, [0, 1, 2, 3])
+    update = trainer.run(replace(CONFIG, epochs=0), "cpu", torch.Generator().manual_seed(0), most_new=40)
+    assert update.new == 0
+
+
+@pytest.mark.parametrize(("share", "room", "most"), [(0.1, 1000, 20), (0.0, 1000, 0), (0.1, 205, 5), (0.1, 200, 0)])
+def test_a_frame_adds_a_share_of_the_anchors_while_there_is_room(
+    scene: Scene, targets: Tensor, share: float, room: int, most: int
+) -> None:
+    trainer = Trainer(CAMERAS, configuration(share, room), 30.0, "cpu")
+    trainer.resume(scene)
+    assert (len(added(trainer.predict(pictures(1, targets)))) > 0) == (most > 0)
+    assert trainer.scene.anchor_count <= scene.anchor_count + most
+
+
+def test_none_is_added_while_a_keyframe_trains_beside_the_stream(scene: Scene, targets: Tensor) -> None:
+    trainer = Trainer(CAMERAS, configuration(0.1, 1000), 30.0, "cpu", frame_budget_ms=60_000)
+    trainer.resume(scene)
+    assert added(trainer.predict(pictures(1, targets)))
+    trainer.request_refresh()
+    turned = targets.roll(3, dims=2)
+    for index in (2, 3):
+        assert not added(trainer.predict(pictures(index, turned.roll(index, dims=1))))
+
+
+def configuration(share: float, room: int) -> TrainConfig:
+    return TrainConfig(ModelConfig(max_anchors=room, exposure=False), predict=replace(CONFIG, growth_share=share))
+
+
+def pictures(index: int, targets: Tensor) -> FrameSet:
+    images = (targets.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+    return FrameSet(index, index, images, np.ones(4, np.bool_))
+
+
+def added(frame: TrainedFrame) -> list[int]:
+    """Numbers of added anchors by level, of the levels that have any."""
+    assert frame.residual is not None
+    return [len(level.added) for level in frame.residual.levels if len(level.added)]
