@@ -32,12 +32,13 @@ def test_a_still_scene_is_renewed_by_time_alone() -> None:
 
 def test_churn_counts_added_and_removed_anchors() -> None:
     grown = grow(KEY, added=6, removed=5)
+    rule = replace(RULE, churn_share=0.1)
     assert churn(KEY, KEY) == 0
     assert churn(KEY, grown) == sum(len(level) for level in grown.levels) - KEY.anchor_count + 10
-    assert RULE.reason(KEY, replace(grown, version=5), keyframe_bytes) is None
+    assert rule.reason(KEY, replace(grown, version=5), keyframe_bytes) is None
     much = grow(KEY, added=90, removed=60)
-    assert RULE.reason(KEY, replace(much, version=5), keyframe_bytes) == "churn"
-    assert RULE.reason(KEY, replace(much, version=2), keyframe_bytes) is None  # too soon
+    assert rule.reason(KEY, replace(much, version=5), keyframe_bytes) == "churn"
+    assert rule.reason(KEY, replace(much, version=2), keyframe_bytes) is None  # too soon
 
 
 def test_a_catch_up_packet_that_outgrows_its_share_calls_for_a_keyframe() -> None:
