@@ -25,6 +25,7 @@ from core.train.field.exposure import fitted, neutral
 from core.train.field.field import Field
 from core.train.field.rendered import rendered
 from core.train.field.rounding import Precision
+from core.train.growth.later import later_growth
 from core.train.growth.near_space import near_space
 from core.train.keyframe.seeding import seed_field
 from core.train.keyframe.trainer import KeyframeTrainer
@@ -240,7 +241,8 @@ class Trainer:
                     config.group_cells,
                 )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
-                update = trainer.run(config, self._backend, generator, self._pace, self._most_new(config, plan, state))
+                growth = later_growth(self._config.predict), self._most_new(plan, state)
+                update = trainer.run(config, self._backend, generator, self._pace, *growth)
         with watch.stage("round"):
             if plan is not None:
                 assert partition.dynamic is not None
@@ -309,7 +311,7 @@ class Trainer:
         plan = None if self._rate is None else self._rate.plan()
         return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
 
-    def _most_new(self, config: PredictConfig, plan: RatePlan | None, state: State) -> int:
+    def _most_new(self, plan: RatePlan | None, state: State) -> int:
         """Anchors that the next frame may add.
 
         None while a refresh keyframe trains beside the stream, which has no counterpart of them.
@@ -317,7 +319,7 @@ class Trainer:
         if self._pending.is_beside(state):
             return 0
         alive = state.scene.anchor_count
-        most = min(int(config.growth_share * alive), max(self._config.model.max_anchors - alive, 0))
+        most = min(int(self._config.predict.growth_share * alive), max(self._config.model.max_anchors - alive, 0))
         return most if plan is None else min(most, plan.most_new)
 
     def _partition(

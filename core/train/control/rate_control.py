@@ -18,7 +18,7 @@ _OVERHEAD = 40  # bytes of a packet that changes nothing
 _FORGET = 0.3  # weight of the latest packet in the bytes an anchor takes
 _FIRST_GUESS = 8.0  # bytes an anchor, before any packet was seen
 _CHANGES = 5  # of anchors that are there already, which take as many bytes as one that is added
-_NEW = 0.25  # share of a packet that anchors may take which are added
+_NEW = 0.1  # share of a packet that anchors may take which are added
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,6 @@ class HalfTrained:
         statistics: of the gradients of `trained` so far.
         views: the pictures. drawn: [H,W,3] what was last drawn, by the number of the view.
         masks: [C,H,W] bool, pixels that changed.
-        bit_weight: of a bit, in units of one picture's sum of absolute errors.
         most: anchors that may be added.
     """
 
@@ -42,7 +41,6 @@ class HalfTrained:
     views: Views
     drawn: Mapping[int, Tensor]
     masks: Tensor
-    bit_weight: float
     most: int
 
 
@@ -59,7 +57,14 @@ class LaterGrowth(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ByError:
-    """Where the changed pixels' error lies, as long as it is worth an anchor's bits (our default)."""
+    """Where the changed pixels' error lies, as long as it is worth an anchor's bits (our default).
+
+    Attributes:
+        bit_weight: of a bit, in units of one picture's sum of absolute errors. Under rate control it stays as it is: an
+            anchor serves for longer than a burst lasts.
+    """
+
+    bit_weight: float
 
     @property
     def uses_gradients(self) -> bool:
@@ -68,7 +73,7 @@ class ByError:
 
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """As `LaterGrowth.new_anchors`."""
-        spots = wrong_spots(seen.living, seen.views, seen.drawn, seen.masks, seen.most, seen.bit_weight)
+        spots = wrong_spots(seen.living, seen.views, seen.drawn, seen.masks, seen.most, self.bit_weight)
         return values_at(seen.living, spots, generator)
 
 
@@ -95,7 +100,7 @@ class ByGradient:
 
 
 LATER_RULES: dict[str, Callable[[PredictConfig], LaterGrowth]] = {
-    "error": lambda _: ByError(),
+    "error": lambda config: ByError(config.rate_weight),
     "gradient": lambda config: ByGradient(config.growth_threshold),
 }
 

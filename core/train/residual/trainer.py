@@ -23,7 +23,7 @@ from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.field.rounding import dead_zone
 from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.later import HalfTrained, LaterGrowth, later_growth
+from core.train.growth.later import HalfTrained, LaterGrowth
 from core.train.growth.new_anchors import added_levels
 from core.train.motion.partition import Partition
 from core.train.optimise.convergence import EpochProgress
@@ -103,13 +103,14 @@ class ResidualTrainer:
         backend: Backend,
         generator: torch.Generator,
         progress_of: Callable[[int], FrameProgress] = FixedSteps,
+        growth: LaterGrowth | None = None,
         most_new: int = 0,
     ) -> IntegerUpdate:
         """Train as configured and round.
 
         Args:
             progress_of: makes the pace of a number of steps.
-            most_new: anchors that may be added.
+            growth: adds anchors, at most `most_new`; None adds none.
         """
         total = max(config.epochs * len(self._useful), config.minimum_steps)
         pace = progress_of(total)
@@ -117,8 +118,7 @@ class ResidualTrainer:
         if not views:
             return no_update(self._known)
         order, epochs = ViewOrder(views, generator), EpochProgress(len(views), config.least_gain)
-        growth = later_growth(config) if most_new else None
-        progress = 0.0
+        progress, waiting = 0.0, growth if most_new else None
 
         def reached(_: int) -> float:
             nonlocal progress
@@ -126,12 +126,12 @@ class ResidualTrainer:
             return progress
 
         def step() -> Tensor:
-            nonlocal growth
-            loss = self._step(order.next(), config, config.final_rate**progress, growth)
+            nonlocal waiting
+            loss = self._step(order.next(), config, config.final_rate**progress, waiting)
             epochs.advance(loss)
-            if growth is not None and progress >= config.growth_at and len(self._drawn) == len(views):
-                self._grow(growth, config, most_new)
-                growth = None
+            if waiting is not None and progress >= config.growth_at and len(self._drawn) == len(views):
+                self._grow(waiting, most_new)
+                waiting = None
             return loss
 
         losses = run_steps(step, reached)
@@ -207,7 +207,7 @@ class ResidualTrainer:
     def _dynamic_splats(self, number: int, position: Tensor | None = None) -> Splats:
         return self._exposure.before(self._dynamic_field(position).decode(self._centres[number]), number)
 
-    def _grow(self, growth: LaterGrowth, config: PredictConfig, most: int) -> None:
+    def _grow(self, growth: LaterGrowth, most: int) -> None:
         """Add anchors where they are lacking: what has just come into view has none yet."""
         with torch.no_grad():
             trained = self._dynamic_field()
@@ -219,7 +219,6 @@ class ResidualTrainer:
             views=self._views,
             drawn=self._drawn,
             masks=self._masks,
-            bit_weight=config.rate_weight,
             most=most,
         )
         start = growth.new_anchors(seen, torch.Generator().manual_seed(self._known))

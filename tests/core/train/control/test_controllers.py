@@ -127,4 +127,4 @@ def test_a_burst_stays_within_the_buffer_and_quality_returns(
         scores.append(quality(result.scene, clip, images))
         sizes.append(size)
     assert max(sizes) > drain  # the burst does want more than the channel carries
-    assert scores[-1] > unbound_quality - 0.3
+    assert scores[-1] > unbound_quality - 0.4  # which adds more anchors than this channel carries

@@ -20,6 +20,7 @@ from core.train.field.exposure import neutral
 from core.train.field.field import Field
 from core.train.field.rendered import rendered
 from core.train.growth.gradient import NewAnchors
+from core.train.growth.later import later_growth
 from core.train.growth.new_anchors import first_values
 from core.train.motion.partition import Partition
 from core.train.optimise.optimisers import Adam
@@ -106,7 +107,9 @@ def trained(scene: Scene, targets: Tensor, most_new: int) -> tuple[ResidualTrain
     some = Partition(None, np.arange(len(state.field)) % 2 == 0)
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, some, views, neutral(4), masks, [0, 1, 2, 3])
-    return trainer, trainer.run(CONFIG, "cpu", torch.Generator().manual_seed(0), most_new=most_new), state
+    growth = later_growth(CONFIG) if most_new else None
+    update = trainer.run(CONFIG, "cpu", torch.Generator().manual_seed(0), growth=growth, most_new=most_new)
+    return trainer, update, state
 
 
 def test_what_is_decoded_is_what_was_trained(scene: Scene, targets: Tensor) -> None:
@@ -142,7 +145,9 @@ def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     everything = Partition(None, np.ones(len(state.field), np.bool_))
     trainer = ResidualTrainer(state, everything, Views(CAMERAS, targets, [0, 1, 2, 3]), neutral(4), masks, [0, 1, 2, 3])
-    update = trainer.run(replace(CONFIG, epochs=0), "cpu", torch.Generator().manual_seed(0), most_new=40)
+    update = trainer.run(
+        replace(CONFIG, epochs=0), "cpu", torch.Generator().manual_seed(0), growth=later_growth(CONFIG), most_new=40
+    )
     assert update.new == 0
 
 

@@ -84,9 +84,9 @@ def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, vie
         loss = trainer._step(0, config, 0.9)
     assert loss.device.type == "meta"
     assert trainer._optimiser.parameters["latent"] is before
-    trainer._step(0, config, 0.9, ByError())
+    trainer._step(0, config, 0.9, ByError(0.0))
     with NoNumbers(), NoMemory(), pytest.raises((AssertionError, RuntimeError, NotImplementedError)):
-        trainer._grow(ByError(), config, 5)  # growth does ask, once a frame
+        trainer._grow(ByError(0.0), 5)  # growth does ask, once a frame
 
 
 def prepared(view_dependent: bool) -> ResidualTrainer:
