@@ -98,6 +98,11 @@ class KeyframeConfig:
         "weight of the mean volume of the Gaussians in the loss",
         reading(0.01, "equation 10 has no such term, but Octree-GS does (docs/method.md, reading 20)"),
     )
+    opacity_weight: float = setting(
+        0.03,
+        "weight of the mean opacity of the Gaussians in the loss: what the pictures do not need fades and is pruned",
+        reading(0.0, "not mentioned: equation 10 has no such term"),
+    )
     dropout_base: float = setting(
         0.05,
         "rate gamma = base + slope * level at which Gaussians are left out, ramped over the run",

@@ -31,14 +31,21 @@ class ViewLoss:
         camera = self.views.cameras[number]
         return rasterise(*splats.astuple(), camera, torch.zeros(3, device=splats.means.device), backend=self.backend)
 
-    def loss(self, raster: Raster, splats: Splats, number: int) -> Tensor:
-        """Equation 10 of the paper, with Scaffold-GS's regulariser of the volume (docs/method.md, reading 20)."""
+    def loss(self, raster: Raster, number: int) -> Tensor:
+        """Equation 10 of the paper for camera `number`."""
         image = self.exposure.apply(raster.image, number)
-        loss = photometric_loss(image, self.views.targets[number], self.config.dssim_weight)
-        if self.config.scale_weight:
-            drawn = splats.opacities.detach() > 0
-            loss = loss + self.config.scale_weight * splats.scales.prod(dim=1)[drawn].sum() / drawn.sum().clamp_min(1)
-        return loss
+        return photometric_loss(image, self.views.targets[number], self.config.dssim_weight)
+
+    def penalty(self, splats: Splats) -> Tensor:
+        """What Gaussians cost whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity.
+
+        With few views much of a model can be anything without a loss. A price on opacity takes out what no picture
+        asks for, as in Kheradmand et al. 2024.
+        """
+        config, opacity = self.config, splats.opacities.clamp(min=0)
+        drawn = (opacity.detach() > 0).float()
+        volume = (splats.scales.prod(dim=1) * drawn).sum() / drawn.sum().clamp_min(1)
+        return config.scale_weight * volume + config.opacity_weight * opacity.mean()
 
     @torch.no_grad()
     def squared_error(self, raster: Raster, number: int) -> float:

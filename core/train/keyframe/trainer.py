@@ -137,7 +137,7 @@ class KeyframeTrainer:
         level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
         opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
         raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
-        loss = self._view_loss.loss(raster, splats, number)
+        loss = self._view_loss.loss(raster, number) + self._view_loss.penalty(splats)
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
@@ -218,7 +218,7 @@ class KeyframeTrainer:
             losses = []
             for number in judges:
                 splats = self._decode(field, number, rows, rounded=False)
-                losses.append(float(self._view_loss.loss(self._view_loss.draw(splats, number), splats, number)))
+                losses.append(float(self._view_loss.loss(self._view_loss.draw(splats, number), number)))
             return sum(losses) / len(losses)
 
         needed = needed_levels(field.octree.levels, loss)
