@@ -25,11 +25,12 @@ _SCRATCH = bytearray(1 << 20)
 
 @dataclass(slots=True)
 class Viewer:
-    """One connection; `left` bytes of the packet of `version` are still to come."""
+    """One connection; `left` bytes of a frame of the packet of `version` are still to come."""
 
     peer: socket.socket
     waiting: bytearray = field(default_factory=bytearray)
     left: int = 0
+    final: bool = True
     version: int = 0
     acked_at: float = 0.0
     packets: int = 0
@@ -43,7 +44,7 @@ class Viewer:
             if not taken:
                 raise ConnectionError("closed")
             self.left -= taken
-            return None if self.left else self.complete()
+            return self._complete_if_whole()
         data = self.peer.recv(64)
         if not data:
             raise ConnectionError("closed")
@@ -61,13 +62,17 @@ class Viewer:
                 return None
             size = short if head == 2 else int.from_bytes(self.waiting[2:head], "big")
             opcode = self.waiting[0] & 15
-            if opcode == 2 and len(self.waiting) >= head + _HEAD_BYTES:
-                (self.version,) = struct.unpack_from("<I", self.waiting, head + _VERSION_AT)
+            if opcode == 0 or (opcode == 2 and len(self.waiting) >= head + _HEAD_BYTES):
+                if opcode == 2:
+                    (self.version,) = struct.unpack_from("<I", self.waiting, head + _VERSION_AT)
+                self.final = self.waiting[0] >= 0x80
                 self.received += size
                 here = min(size, len(self.waiting) - head)
                 del self.waiting[: head + here]
                 self.left = size - here
-                return None if self.left else self.complete()
+                if self.left or self.final:
+                    return self._complete_if_whole()
+                continue
             if opcode == 2 or len(self.waiting) < head + size:
                 return None
             if opcode == 8:
@@ -78,6 +83,10 @@ class Viewer:
                 self.peer.sendall(masked(10, bytes(self.waiting[head : head + size])))
             del self.waiting[: head + size]
         return None
+
+    def _complete_if_whole(self) -> int | None:
+        """A large keyframe comes in several frames, the last of which is final."""
+        return self.complete() if self.final and not self.left else None
 
     def complete(self) -> int:
         """A packet is whole: acknowledge now and then; its version."""
