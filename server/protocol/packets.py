@@ -13,6 +13,7 @@ from codec.packet.info import PacketInfo, peek
 from codec.packet.levels import drop_levels
 from codec.packet.packet import PacketKind
 
+_PACKET_OBJECTS_BYTES = 1000  # that a packet takes beside its data: small ones would fill the memory otherwise
 PIECE_BYTES = 32_768  # of a refresh keyframe, sent per frame interval
 
 
@@ -121,13 +122,13 @@ class PacketWindow:
     """The most recent packets of a stream, dropped from the front in whole groups of pictures.
 
     Args:
-        limit_bytes: sum of packet sizes to keep; the newest group is kept whatever its size.
+        limit_bytes: memory of the packets to keep; the newest group is kept whatever its size.
     """
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit = limit_bytes
         self._packets: list[StreamPacket] = []
-        self._ends: list[int] = []  # running total of bytes up to and with each packet
+        self._ends: list[int] = []  # running total of memory up to and with each packet
         self._dropped_bytes = 0
 
     @property
@@ -147,7 +148,7 @@ class PacketWindow:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes kept."""
+        """Memory of the packets kept."""
         return self._ends[-1] - self._dropped_bytes if self._ends else 0
 
     def append(self, packet: StreamPacket) -> None:
@@ -166,7 +167,7 @@ class PacketWindow:
             raise ValueError(f"packet {packet.position} does not apply to the newest state")
         total = self._ends[-1] if self._ends else self._dropped_bytes
         self._packets.append(packet)
-        self._ends.append(total + len(packet.data))
+        self._ends.append(total + len(packet.data) + _PACKET_OBJECTS_BYTES)
         while self.size_bytes > self._limit and self._drop_oldest_group():
             pass
 
