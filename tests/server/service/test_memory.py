@@ -47,5 +47,7 @@ def test_a_server_at_rest_is_small(tmp_path: Path) -> None:
             before = cpu_seconds(pid)
             time.sleep(0.5)
         resident, own = megabytes(pid)
-        assert own < _MAX_OWN_MEGABYTES
-        assert own < resident < 220  # 130 where nothing else uses LLVM
+        assert (
+            own < _MAX_OWN_MEGABYTES
+        )  # the rest are libraries, LLVM above all, in memory for as long as others use them
+        assert own < resident
