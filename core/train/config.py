@@ -99,7 +99,7 @@ class KeyframeConfig:
         reading(0.01, "equation 10 has no such term, but Octree-GS does (docs/method.md, reading 20)"),
     )
     opacity_weight: float = setting(
-        0.03,
+        0.02,
         "weight of the mean opacity of the Gaussians in the loss: what the pictures do not need fades and is pruned",
         reading(0.0, "not mentioned: equation 10 has no such term"),
     )

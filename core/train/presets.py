@@ -9,7 +9,7 @@ from core.train.paper import paper
 PRESETS = {
     "live": TrainConfig(
         ModelConfig(max_anchors=24_000),
-        KeyframeConfig(steps=600, growth_interval=25),
+        KeyframeConfig(steps=800, growth_interval=25),
         PredictConfig(epochs=10, minimum_steps=40),
     ),
     "balanced": TrainConfig(),
