@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
 
 from core.errors import InputError
 
@@ -109,26 +111,10 @@ def read(kind: type[_Answer], values: object) -> _Answer:
     Raises:
         InputError: a field is missing or of another type.
     """
-    if not isinstance(values, dict):
-        raise not_ours("lists something else than objects")
-    hints = get_type_hints(kind)
-    known = {}
-    for field in fields(kind):
-        if field.name in values:
-            known[field.name] = _value(field.name, hints[field.name], values[field.name])
-        elif field.default is MISSING:
-            raise not_ours(f"leaves out `{field.name}`")
-    return kind(**known)
-
-
-def _value(name: str, hint: Any, value: Any) -> Any:
-    """`value` as the type `hint`."""
     try:
-        if hint is datetime:
-            return datetime.fromisoformat(value)
-    except (TypeError, ValueError) as error:
-        raise not_ours(f"sends a `{name}` that is no time") from error
-    expected = {float: int | float, Mapping[str, Any]: dict}.get(hint, hint)
-    if not isinstance(value, expected):
-        raise not_ours(f"sends a `{name}` of another type")
-    return value
+        # from text, as only there may a time be a string without a string being anything else
+        return TypeAdapter(kind).validate_json(json.dumps(values), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        name = ".".join(str(part) for part in first["loc"]) or kind.__name__
+        raise not_ours(f"sends a `{name}` that cannot be used ({first['msg']})") from error

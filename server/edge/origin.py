@@ -24,14 +24,12 @@ _ADDRESS = re.compile(r"https?://[A-Za-z0-9.:\[\]-]+/?")
 _ANSWER_SECONDS = 5.0
 _MAX_LIST_BYTES = 4 << 20
 _MAX_PAGES = 100
-
-
-_INCARNATION = r"^[0-9a-f]{16}$"
+_INCARNATION = r"[0-9a-f]{16}"
 
 
 def is_incarnation(text: str) -> bool:
     """Whether a stream's incarnation can look like that."""
-    return re.match(_INCARNATION, text) is not None and len(text) == 16
+    return re.fullmatch(_INCARNATION, text) is not None
 
 
 class OriginStream(BaseModel):
@@ -40,7 +38,7 @@ class OriginStream(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     id: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
-    incarnation: str = Field(pattern=_INCARNATION)
+    incarnation: str = Field(pattern=f"^{_INCARNATION}$")
     source: Literal["cameras", "data", "recording"]
     loop: bool = False
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]

@@ -27,11 +27,11 @@ from core.background_log import log_in_background
 from core.errors import BackendUnavailable, BitstreamError, InputError, StreamlodError
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
+from server.worker.camera_pictures import CameraPictures
 
 if TYPE_CHECKING:
     from core.scene.anchors import Scene
     from server.pipeline.stages import OpenJob
-    from server.worker.camera_pictures import CameraPictures
 
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
@@ -192,8 +192,6 @@ def train(
 
     opened, pictures = open_job(job, push_socket), None
     if camera_pictures:
-        from server.worker.camera_pictures import CameraPictures
-
         pictures = CameraPictures(opened.dataset.names)
         opened = replace(opened, on_read=pictures.note)
     frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=tell)
