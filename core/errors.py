@@ -14,6 +14,8 @@ Each carries the facts as fields and writes one sentence: what was wrong, and wh
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class StreamlodError(Exception):
     """Base of the tree; catch it to catch everything that streamlod refuses."""
@@ -34,6 +36,11 @@ class InputError(StreamlodError):
 
     def __str__(self) -> str:
         return f"{self.subject}: {self.fault}"
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
+    """The error for a part of the method, of this `kind`, that a configuration names and that is not `known`."""
+    return InputError(f"{kind} {name!r}", f"unknown; choose one of {', '.join(known)}")
 
 
 class StorageError(InputError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from core.errors import InputError
+from core.errors import unknown_name
 from core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
 from core.train.paper import paper
 
@@ -29,5 +29,5 @@ def preset(name: str) -> TrainConfig:
         InputError: no such preset.
     """
     if name not in PRESETS:
-        raise InputError(f"preset {name!r}", f"unknown; choose one of {', '.join(PRESETS)}")
+        raise unknown_name("preset", name, PRESETS)
     return PRESETS[name]

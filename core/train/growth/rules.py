@@ -10,7 +10,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from core.errors import InputError
+from core.errors import unknown_name
 from core.train.config import KeyframeConfig
 from core.train.field.field import Field
 from core.train.growth.gradient import GrowthStatistics, NewAnchors, earned_extra_level, grow
@@ -86,7 +86,6 @@ def growth_rule(config: KeyframeConfig) -> GrowthRule:
         InputError: no rule has that name.
     """
     if config.growth_rule not in GROWTH_RULES:
-        known = ", ".join(GROWTH_RULES)
-        raise InputError(f"growth rule {config.growth_rule!r}", f"unknown; choose one of {known}")
+        raise unknown_name("growth rule", config.growth_rule, GROWTH_RULES)
     make = GROWTH_RULES[config.growth_rule]
     return make(config.growth_threshold, config.prune_opacity, config.extra_level_gain)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from core.arrays import Bool
-from core.errors import InputError
+from core.errors import unknown_name
 from core.train.config import PredictConfig
 from core.train.motion.masks import dynamic_anchors, moved_pixels
 from core.train.motion.partition import Observation, Partition, all_static
@@ -151,5 +151,5 @@ def cue_of(config: PredictConfig) -> MotionCue:
     if config.everything:
         return Everything()
     if config.cue not in CUES:
-        raise InputError(f"motion cue {config.cue!r}", f"unknown; choose one of {', '.join(CUES)}")
+        raise unknown_name("motion cue", config.cue, CUES)
     return CUES[config.cue](config)

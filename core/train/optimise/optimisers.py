@@ -11,7 +11,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from core.errors import InputError
+from core.errors import unknown_name
 from core.train.optimise.adam import RowAdam
 
 
@@ -68,5 +68,5 @@ def optimiser(name: str, memory: float = 0.9) -> Optimiser:
         InputError: there is none.
     """
     if name not in OPTIMISERS:
-        raise InputError(f"optimiser {name!r}", f"unknown; choose one of {', '.join(OPTIMISERS)}")
+        raise unknown_name("optimiser", name, OPTIMISERS)
     return OPTIMISERS[name](memory)
