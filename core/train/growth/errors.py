@@ -27,15 +27,15 @@ from core.train.pictures.views import Views
 _WINDOW = 3  # pixels whose error a new anchor may mend
 _LATTICE = 2  # every second pixel of every second row is asked
 _PIXELS_A_NODE = 2  # pixels that are looked for in space, for each anchor that may be added
-_AGREEING = 0.7  # share of the views that see a node, whose error must lie there
-_QUARTER = 0.25  # of the mean error of these views, from which a view agrees
+_AGREEING_SHARE = 0.7  # share of the views that see a node, whose error must lie there
+_AGREEING_ERROR = 0.25  # of the mean error of these views, from which a view agrees
 _BITS = 120.0  # that a new anchor takes
 _MENDED = 0.4  # share of its error that an anchor mends
 _OPAQUE, _ALIKE = 0.3, 0.1  # of anchors whose features new ones take: least opacity, largest difference of colours
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spots:
+class ErrorNodes:
     """n nodes: voxel [n,3] of level [n], mean position [n,3] in the world and colour [n,3] of the pixels seen there."""
 
     voxel: Int32
@@ -47,9 +47,9 @@ class Spots:
         return len(self.level)
 
 
-def wrong_spots(
+def error_nodes(
     living: Field, views: Views, drawn: Mapping[int, Tensor], masks: Tensor, most: int, bit_weight: float
-) -> Spots:
+) -> ErrorNodes:
     """At most `most` nodes on which the error of pictures lies, the worst first.
 
     Args:
@@ -63,7 +63,7 @@ def wrong_spots(
     worst = _worst_pixels(errors, _PIXELS_A_NODE * most)
     found = [matched_pixels(living, views, number, *pixels) for number, pixels in worst.items() if len(pixels[0])]
     if not found:
-        return Spots(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), *np.zeros((2, 0, 3)))
+        return ErrorNodes(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), *np.zeros((2, 0, 3)))
     position, width = (np.concatenate([getattr(part, name) for part in found]) for name in ("position", "width"))
     colour = np.concatenate([views.targets[part.view].cpu().numpy()[part.row, part.column] for part in found])
     nodes, at = np.unique(_nodes(living, position, _LATTICE * width), axis=0, return_inverse=True)
@@ -71,12 +71,12 @@ def wrong_spots(
     error, agreeing = _witnesses(errors, views, position)
     price = bit_weight * _BITS / _MENDED
     best = np.argsort(-error, kind="stable")
-    best = best[((_LATTICE / _WINDOW) ** 2 * error[best] > price) & (agreeing[best] >= _AGREEING)][:most]
-    return Spots(nodes[best, 1:].astype(np.int32), nodes[best, 0], position[best], colour[best])
+    best = best[((_LATTICE / _WINDOW) ** 2 * error[best] > price) & (agreeing[best] >= _AGREEING_SHARE)][:most]
+    return ErrorNodes(nodes[best, 1:].astype(np.int32), nodes[best, 0], position[best], colour[best])
 
 
-def values_at(living: Field, spots: Spots, generator: torch.Generator) -> dict[str, Tensor]:
-    """The seven arrays of anchors at `spots`: as wide as their cells, with the features of anchors of their colours."""
+def values_at(living: Field, nodes: ErrorNodes, generator: torch.Generator) -> dict[str, Tensor]:
+    """The seven arrays of anchors at `nodes`: as wide as their cells, with the features of anchors of their colours."""
     device = living.feature.device
     with torch.no_grad():
         splats = living.decode(torch.zeros(3, device=device))
@@ -84,10 +84,10 @@ def values_at(living: Field, spots: Spots, generator: torch.Generator) -> dict[s
     colours = splats.colours.reshape(len(living), -1, 3)
     plain = (opacity > _OPAQUE) & ((colours.amax(dim=1) - colours.amin(dim=1)).amax(dim=1) < _ALIKE)
     models = torch.nonzero(plain)[:, 0] if bool(plain.any()) else torch.arange(len(living), device=device)
-    _, nearest = cKDTree(colours[models].mean(dim=1).cpu().numpy()).query(spots.colour)
+    _, nearest = cKDTree(colours[models].mean(dim=1).cpu().numpy()).query(nodes.colour)
     parents = models[torch.from_numpy(nearest).to(device)].cpu().numpy()
-    values = first_values(living, NewAnchors(spots.voxel, spots.level, parents), generator)
-    return values | {"position": torch.from_numpy(spots.position).float().to(device)}
+    values = first_values(living, NewAnchors(nodes.voxel, nodes.level, parents), generator)
+    return values | {"position": torch.from_numpy(nodes.position).float().to(device)}
 
 
 def _error(drawn: Tensor, target: Tensor, mask: Tensor) -> Float32:
@@ -139,5 +139,5 @@ def _witnesses(errors: Mapping[int, Float32], views: Views, position: Float64) -
         seen[i, within], there[i, within] = 1.0, error[row, column]
     count = np.maximum(seen.sum(axis=0), 1.0)
     mean = there.sum(axis=0) / count
-    agreeing = np.where(seen.sum(axis=0) > 1, (seen * (there >= _QUARTER * mean)).sum(axis=0) / count, 0.0)
+    agreeing = np.where(seen.sum(axis=0) > 1, (seen * (there >= _AGREEING_ERROR * mean)).sum(axis=0) / count, 0.0)
     return mean, agreeing

@@ -12,10 +12,10 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from core.errors import InputError
+from core.errors import unknown_name
 from core.train.config import PredictConfig
 from core.train.field.field import Field
-from core.train.growth.errors import values_at, wrong_spots
+from core.train.growth.errors import error_nodes, values_at
 from core.train.growth.gradient import GrowthStatistics
 from core.train.growth.new_anchors import first_values
 from core.train.growth.rules import GradientGrowth
@@ -73,8 +73,8 @@ class ByError:
 
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """As `LaterGrowth.new_anchors`."""
-        spots = wrong_spots(seen.living, seen.views, seen.drawn, seen.masks, seen.most, self.bit_weight)
-        return values_at(seen.living, spots, generator)
+        nodes = error_nodes(seen.living, seen.views, seen.drawn, seen.masks, seen.most, self.bit_weight)
+        return values_at(seen.living, nodes, generator)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +112,5 @@ def later_growth(config: PredictConfig) -> LaterGrowth:
         InputError: no rule has that name.
     """
     if config.growth_rule not in LATER_RULES:
-        known = ", ".join(LATER_RULES)
-        raise InputError(f"growth rule {config.growth_rule!r}", f"unknown; choose one of {known}")
+        raise unknown_name("growth rule", config.growth_rule, LATER_RULES)
     return LATER_RULES[config.growth_rule](config)

@@ -33,9 +33,9 @@ from core.train.optimise.optimisers import Adam, Optimiser
 from core.train.optimise.rate import residual_bits
 from core.train.optimise.schedule import ViewOrder
 from core.train.pictures.views import Views
+from core.train.residual.added_anchors import AddedAnchors
 from core.train.residual.apply import UnitChange, applied
 from core.train.residual.groups import Groups, neighbourhoods
-from core.train.residual.newcomers import Newcomers
 from core.train.residual.state import State
 from core.train.residual.tile_cache import TileCache, make_tile_cache
 from core.train.residual.update import IntegerUpdate, no_update
@@ -94,7 +94,7 @@ class ResidualTrainer:
         self._shown = state.shown
         self._caches: dict[int, TileCache] = {}
         self._drawn: dict[int, Tensor] = {}
-        self._newcomers: Newcomers | None = None
+        self._added: AddedAnchors | None = None
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
 
     def run(
@@ -178,8 +178,8 @@ class ResidualTrainer:
                 self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
         rates = dict.fromkeys(("position", "shift", "turn"), config.position_rate * decay)
         self._optimiser.step(rates | {"latent": config.latent_rate * decay})
-        if self._newcomers is not None:
-            self._newcomers.step(config.position_rate, decay)
+        if self._added is not None:
+            self._added.step(config.position_rate, decay)
         return loss.detach()
 
     def _cache_of(self, number: int, dynamic: Splats, backend: Backend) -> TileCache:
@@ -196,7 +196,7 @@ class ResidualTrainer:
         """
         moved = self._position() if position is None else position
         known = applied(self._base, self._optimiser.parameters["latent"], moved, self._unit_change)
-        return known if self._newcomers is None else known.with_appended(self._newcomers.rows)
+        return known if self._added is None else known.with_appended(self._added.rows)
 
     def _position(self) -> Tensor:
         """[n,3] how far each anchor goes in steps, by itself and with its group."""
@@ -223,7 +223,7 @@ class ResidualTrainer:
         )
         start = growth.new_anchors(seen, torch.Generator().manual_seed(self._known))
         if len(start["level"]):
-            self._newcomers = Newcomers(start, self._all, self._scene, self._new_optimiser)
+            self._added = AddedAnchors(start, self._all, self._scene, self._new_optimiser)
 
     def _integer_update(self, steps: int, loss: float) -> IntegerUpdate:
         latent, position = map(_finite_integers, (self._optimiser.parameters["latent"], self._position()))
@@ -233,11 +233,11 @@ class ResidualTrainer:
         # what looks different to every camera may be transparent to one only
         shown = (opacity > _TRANSPARENT).cpu().numpy() | (not self._all.looks_the_same)
         added, broken = None, self._optimiser.broken
-        if self._newcomers is not None:
+        if self._added is not None:
             new = np.flatnonzero(shown[self._known :])
             chosen = field.with_rows(torch.from_numpy(new + self._known).to(opacity.device))
-            added = added_levels(chosen, self._newcomers.moved[new], self._scene.header)
-            broken += self._newcomers.broken
+            added = added_levels(chosen, self._added.moved[new], self._scene.header)
+            broken += self._added.broken
         gone = ~shown[: self._known]
         return IntegerUpdate(latent, position, gone, added, steps, loss, broken, wanted=self._wanted())
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from core.camera import Camera
 from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from core.train.field.field import Field
-from core.train.growth.errors import Spots, values_at, wrong_spots
+from core.train.growth.errors import ErrorNodes, error_nodes, values_at
 from core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 
@@ -37,10 +37,10 @@ def case() -> Case:
     return living, views, drawn, torch.ones(4, SPEC.height, SPEC.width, dtype=torch.bool)
 
 
-def distance_to_surface(spots: Spots, camera: Camera, number: int) -> tuple[Tensor, Tensor]:
+def distance_to_surface(nodes: ErrorNodes, camera: Camera, number: int) -> tuple[Tensor, Tensor]:
     """[n] relative depth of each spot behind what `camera` sees there, and whether it lies in the picture."""
     rotation, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    seen = spots.position @ rotation.T + shift
+    seen = nodes.position @ rotation.T + shift
     pixel = seen @ camera.intrinsics.T
     column, row = (pixel[:, :2] / pixel[:, 2:]).astype(int).T
     inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
@@ -50,39 +50,39 @@ def distance_to_surface(spots: Spots, camera: Camera, number: int) -> tuple[Tens
 
 def test_they_lie_on_the_surface_that_is_lacking(case: Case) -> None:
     living, views, drawn, masks = case
-    spots = wrong_spots(living, views, drawn, masks, 60, 0.0)
-    assert 10 < len(spots) <= 60
-    away, inside = distance_to_surface(spots, views.cameras[0], 0)
+    nodes = error_nodes(living, views, drawn, masks, 60, 0.0)
+    assert 10 < len(nodes) <= 60
+    away, inside = distance_to_surface(nodes, views.cameras[0], 0)
     near = away[inside].abs() < 0.06
     assert near.float().mean() > 0.6
-    cell = living.octree.root_cell / 2.0**spots.level
-    node = living.octree.origin + spots.voxel * cell[:, None]
-    assert (np.abs(spots.position - node) <= 0.5 * cell[:, None] + 1e-6).all()
-    assert len(np.unique(np.concatenate([spots.level[:, None], spots.voxel], axis=1), axis=0)) == len(spots)
+    cell = living.octree.root_cell / 2.0**nodes.level
+    node = living.octree.origin + nodes.voxel * cell[:, None]
+    assert (np.abs(nodes.position - node) <= 0.5 * cell[:, None] + 1e-6).all()
+    assert len(np.unique(np.concatenate([nodes.level[:, None], nodes.voxel], axis=1), axis=0)) == len(nodes)
 
 
 def test_only_error_that_counts_and_is_worth_an_anchor_gets_one(case: Case) -> None:
     living, views, drawn, masks = case
-    many = len(wrong_spots(living, views, drawn, masks, 60, 0.0))
-    few = len(wrong_spots(living, views, drawn, masks, 60, 0.02))
+    many = len(error_nodes(living, views, drawn, masks, 60, 0.0))
+    few = len(error_nodes(living, views, drawn, masks, 60, 0.02))
     assert 0 < few < many
-    assert len(wrong_spots(living, views, drawn, masks, 60, 1e3)) == 0
-    assert len(wrong_spots(living, views, drawn, torch.zeros_like(masks), 60, 0.0)) == 0
+    assert len(error_nodes(living, views, drawn, masks, 60, 1e3)) == 0
+    assert len(error_nodes(living, views, drawn, torch.zeros_like(masks), 60, 0.0)) == 0
     right = dict(enumerate(views.targets))
-    assert len(wrong_spots(living, views, right, masks, 60, 0.0)) == 0
-    assert len(wrong_spots(living, views, drawn, masks, 7, 0.0)) <= 7
+    assert len(error_nodes(living, views, right, masks, 60, 0.0)) == 0
+    assert len(error_nodes(living, views, drawn, masks, 7, 0.0)) <= 7
 
 
 def test_they_begin_with_the_features_of_an_anchor_of_their_colour(case: Case) -> None:
     living, views, drawn, masks = case
-    spots = wrong_spots(living, views, drawn, masks, 20, 0.0)
-    values = values_at(living, spots, torch.Generator().manual_seed(0))
-    assert all(len(value) == len(spots) for value in values.values())
+    nodes = error_nodes(living, views, drawn, masks, 20, 0.0)
+    values = values_at(living, nodes, torch.Generator().manual_seed(0))
+    assert all(len(value) == len(nodes) for value in values.values())
     rows = [int((living.feature == feature).all(dim=1).nonzero()[0, 0]) for feature in values["feature"]]
     splats = living.decode(torch.zeros(3))
     opacity = splats.opacities.reshape(len(living), -1).amin(dim=1)
     colours = splats.colours.reshape(len(living), -1, 3)
     plain = (opacity > 0.3) & ((colours.amax(dim=1) - colours.amin(dim=1)).amax(dim=1) < 0.1)
-    away = (colours.mean(dim=1)[None] - torch.from_numpy(spots.colour).float()[:, None]).norm(dim=2)
+    away = (colours.mean(dim=1)[None] - torch.from_numpy(nodes.colour).float()[:, None]).norm(dim=2)
     models = plain if bool(plain.any()) else torch.ones_like(plain)
-    assert torch.allclose(away[torch.arange(len(spots)), torch.tensor(rows)], away[:, models].amin(dim=1))
+    assert torch.allclose(away[torch.arange(len(nodes)), torch.tensor(rows)], away[:, models].amin(dim=1))

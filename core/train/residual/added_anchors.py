@@ -21,7 +21,7 @@ _RATES = {"feature": 0.02, "offset": 0.04, "scaling": 0.03}  # those of the firs
 _SLOWLY = ("feature", "scaling")  # decay to the square root of what the others decay to, as there
 
 
-class Newcomers:
+class AddedAnchors:
     """n new anchors.
 
     Args:

@@ -25,7 +25,7 @@ from core.train.growth.new_anchors import first_values
 from core.train.motion.partition import Partition
 from core.train.optimise.optimisers import Adam
 from core.train.pictures.views import Views
-from core.train.residual.newcomers import Newcomers
+from core.train.residual.added_anchors import AddedAnchors
 from core.train.residual.state import State, fresh_state
 from core.train.residual.trainer import ResidualTrainer
 from core.train.residual.update import IntegerUpdate, residual_of
@@ -40,12 +40,12 @@ CAMERAS = tuple(
 )  # fmt: skip
 
 
-def few_new(scene: Scene) -> tuple[Newcomers, Field]:
+def few_new(scene: Scene) -> tuple[AddedAnchors, Field]:
     known = field_of(scene)
     new = NewAnchors(np.array([[1, 2, 3], [4, 5, 6]], np.int32), np.array([0, 2]), np.array([3, 4]))
     start = first_values(known, new, torch.Generator().manual_seed(0))
     start["position"] = start["position"] + 0.013
-    return Newcomers(start, known, scene, Adam()), known
+    return AddedAnchors(start, known, scene, Adam()), known
 
 
 def test_their_numbers_are_multiples_of_the_usual_steps() -> None:
