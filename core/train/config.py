@@ -282,6 +282,11 @@ class PredictConfig:
         "added anchors a frame, at most this share of all, 0 to 1; 0 adds none",
         reading(0.01, "no limit is given; this one bounds a packet"),
     )
+    growth_room: float = setting(
+        0.5,
+        "share by which the anchors of later frames may outnumber those of the first: what errors attract forever",
+        reading(100.0, "no limit is given but that of memory"),
+    )
     everything: bool = setting(
         False, "treat all anchors as dynamic, for studies", given(False, "IV-B", "static anchors are frozen")
     )

@@ -83,6 +83,7 @@ class Trainer:
         self._device = backends.GPU if self._backend == "cuda" else "cpu"
         self._exposure = neutral(len(cameras), self._device)
         self._refit_exposure = False
+        self._first_count = 0  # anchors of the first frame
         self._clock = clock
         self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
@@ -122,7 +123,7 @@ class Trainer:
             losses = _run(trainer, "first frame", on_progress, preview)
         with watch.stage("round"):
             scene = preview()
-            self._exposure = trainer.exposure
+            self._exposure, self._first_count = trainer.exposure, scene.anchor_count
             self._adopt(scene, views)
         report = FrameReport(
             watch.seconds,
@@ -195,6 +196,7 @@ class Trainer:
             keep_references: the scene shows what this trainer's state showed.
         """
         self._pending.take()
+        self._first_count = self._first_count or scene.anchor_count
         if keep_references and self._state is not None:
             self._state = self._fresh(scene, self._state.references, self._state.shown)
         else:
@@ -318,8 +320,9 @@ class Trainer:
         """
         if self._pending.is_beside(state):
             return 0
-        alive = state.scene.anchor_count
-        most = min(int(self._config.predict.growth_share * alive), max(self._config.model.max_anchors - alive, 0))
+        alive, config = state.scene.anchor_count, self._config
+        limit = min(config.model.max_anchors, round((1 + config.predict.growth_room) * self._first_count))
+        most = min(int(config.predict.growth_share * alive), max(limit - alive, 0))
         return most if plan is None else min(most, plan.most_new)
 
     def _partition(

@@ -2,7 +2,7 @@
 
 It starts as a floating-point copy of the state. Every later frame's residual is added to it, while training improves
 what residuals cannot change (sizes and the network) or what was not worth its bytes. No anchor is added or removed
-meanwhile, so its rows stay those of the state.
+meanwhile, so its rows stay those of the state; in the end, those that have faded are left out.
 """
 
 from __future__ import annotations
@@ -47,6 +47,8 @@ class BackgroundRefresh:
         run = replace(run, keyframe=replace(run.keyframe, growth_from=_NEVER))
         self.steps, self.taken, self._by_frames = max(1, run.keyframe.steps // FRAMES), 0, _ProgressByFrames()
         known = precision_of(state.scene, self._rows)
+        self._centres = [torch.from_numpy(camera.centre).float().to(field.feature.device) for camera in views.cameras]
+        self._least_opacity = run.keyframe.prune_opacity
         self._trainer = KeyframeTrainer(field, views, run, backend, exposure, self._by_frames, known)
 
     @property
@@ -60,10 +62,10 @@ class BackgroundRefresh:
         return self._trainer.exposure
 
     def result(self, alive: Tensor) -> tuple[Field, Precision]:
-        """The trained anchors that are still `alive` [N] in the state, and how they are rounded."""
-        kept = torch.nonzero(alive[self._rows])[:, 0]
-        precision = self._trainer.precision
-        return self._trainer.field.with_rows(kept), replace(precision, shift=precision.shift[kept])
+        """The trained anchors that are still `alive` [N] in the state and not too faint, and how they are rounded."""
+        field, precision = self._trainer.field, self._trainer.precision
+        kept = torch.nonzero(alive[self._rows] & (_opacity(field, self._centres) >= self._least_opacity))[:, 0]
+        return field.with_rows(kept), replace(precision, shift=precision.shift[kept])
 
     def train(self, before: Field, after: Field, views: Views, pace: FrameProgress) -> int:
         """Follow the state from `before` to `after`, both of all its rows, and train on the frame's pictures.
@@ -86,6 +88,16 @@ class BackgroundRefresh:
         self._by_frames.next_frame()
         self.taken += count
         return count
+
+
+@torch.no_grad()
+def _opacity(field: Field, centres: list[Tensor]) -> Tensor:
+    """[N] of each anchor's Gaussians together, as the camera sees them that sees most of them."""
+    seen = [
+        field.decode(centre).opacities.clamp(min=0).reshape(len(field), -1).sum(dim=1)
+        for centre in (centres[:1] if field.looks_the_same else centres)
+    ]
+    return torch.stack(seen).amax(dim=0)
 
 
 class _ProgressByFrames:

@@ -19,10 +19,12 @@ _REFINEMENTS = 8  # of one run, in which anchors are added and removed
 def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConfig:
     """What a first frame's run becomes for `field`, the living anchors of a state at `version`.
 
-    As many steps as configured, at full size and with all levels from the start. The number of levels stays, and no
-    more anchors are added than removed: otherwise their number would grow with every run.
+    As many steps as configured, at full size and with all levels from the start. The number of levels stays. Anchors
+    that the pictures do not need go. Where later frames add anchors, none is added here; otherwise no more than go, or
+    their number would grow with every run.
     """
     steps = config.keyframe.refresh_steps
+    most = 0 if config.predict.growth_share > 0 else min(len(field), config.model.max_anchors)
     keyframe = replace(
         config.keyframe,
         steps=steps,
@@ -33,7 +35,7 @@ def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConf
     )
     return replace(
         config,
-        model=replace(config.model, levels=field.octree.levels, max_anchors=min(len(field), config.model.max_anchors)),
+        model=replace(config.model, levels=field.octree.levels, max_anchors=most),
         keyframe=keyframe,
         seed=config.seed + version,
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
@@ -20,6 +21,7 @@ from core.scene.keyframe import as_keyframe, coarseness
 from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import TrainConfig, Trainer, preset
 from core.train.field.convert import field_of, scene_of
+from core.train.field.field import Field
 from core.train.refresh.background import FRAMES
 from tests.core.train.fields import random_field
 from tests.core.true_points import true_points
@@ -54,10 +56,10 @@ def first(clip: Dataset, frames: list[FrameSet]) -> Scene:
 
 
 def trainer_at(
-    clip: Dataset, first: Scene, pictures: list[FrameSet], budget_ms: float | None = None, refresh_steps: int = 60
+    clip: Dataset, first: Scene, pictures: list[FrameSet], budget_ms: float | None = None, **keyframe: float
 ) -> Trainer:
-    """A trainer that has seen `pictures`."""
-    chosen = replace(config(), keyframe=replace(config().keyframe, refresh_steps=refresh_steps))
+    """A trainer that has seen `pictures`, with other settings of its keyframes."""
+    chosen = replace(config(), keyframe=replace(config().keyframe, **keyframe))  # type: ignore[arg-type]
     trainer = Trainer(clip.cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget_ms)
     trainer.resume(first)
     for frame in pictures:
@@ -70,6 +72,11 @@ def quality(scene: Scene, clip: Dataset, frame: FrameSet) -> float:
     pictures = [render(expand(scene, c.centre), c, np.zeros(3, np.float32)).image.clip(0, 1) for c in clip.cameras]
     truths = frame.images.astype(np.float32) / 255
     return float(np.mean([psnr(picture, truth) for picture, truth in zip(pictures, truths, strict=True)]))
+
+
+def opacity(field: Field) -> Tensor:
+    """[N] of each anchor's Gaussians together."""
+    return field.decode(torch.zeros(3)).opacities.clamp(min=0).reshape(len(field), -1).sum(dim=1)
 
 
 def test_catches_up_and_goes_on(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
@@ -125,7 +132,8 @@ class Clock:
 
 def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
     """As many steps as without one, spread over frames in which things move; the frames after it lead on from it."""
-    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, refresh_steps=8 * FRAMES)
+    settings = {"refresh_steps": 8 * FRAMES, "prune_opacity": 0.0}  # all anchors stay, so that rows can be compared
+    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, **settings)
     trainer.request_refresh()
     last = 1 + 1 + FRAMES  # it begins with a frame, and has the next ones
     for frame in pictures[2 : last + 1]:
@@ -149,6 +157,19 @@ def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: lis
     decoder.push(encode_residual(renewed.scene, after.residual, time_ns=1))
     assert decoder.scene is not None
     assert [level.digest() for level in decoder.scene.levels] == [level.digest() for level in after.scene.levels]
+
+
+def test_anchors_that_have_faded_are_left_out(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
+    """Also where the keyframe is trained beside the stream: else a stream that adds anchors would only grow."""
+    least = 0.3
+    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, prune_opacity=least)
+    trainer.request_refresh()
+    for frame in pictures[2 : 3 + FRAMES]:
+        trainer.predict(frame)
+    before, renewed = trainer.scene, trainer.refresh(pictures[2 + FRAMES]).scene
+    assert 0.5 * before.anchor_count < renewed.anchor_count < before.anchor_count
+    assert opacity(field_of(before)).min() < 0.5 * least
+    assert opacity(field_of(renewed)).min() > 0.9 * least  # rounding may take a little
 
 
 def test_no_time_at_all_sends_the_state_as_it_is(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:

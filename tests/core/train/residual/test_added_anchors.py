@@ -12,7 +12,7 @@ from torch import Tensor
 from core.camera import look_at, pinhole
 from core.frames import FrameSet
 from core.scene.anchors import Scene
-from core.scene.keyframe import coarseness
+from core.scene.keyframe import as_keyframe, coarseness
 from core.scene.residual import apply
 from core.train import ModelConfig, PredictConfig, TrainConfig, TrainedFrame, Trainer
 from core.train.field.convert import field_of, level_starts, scene_of
@@ -159,6 +159,20 @@ def test_a_frame_adds_a_share_of_the_anchors_while_there_is_room(
     trainer.resume(scene)
     assert (len(added(trainer.predict(pictures(1, targets)))) > 0) == (most > 0)
     assert trainer.scene.anchor_count <= scene.anchor_count + most
+
+
+@pytest.mark.parametrize(("room", "most"), [(0.0, 0), (0.03, 6)])
+def test_later_frames_have_hardly_more_anchors_than_the_first(
+    scene: Scene, targets: Tensor, room: float, most: int
+) -> None:
+    """However long the stream is, and whatever keeps on being wrong."""
+    limited = configuration(0.1, 1000)
+    trainer = Trainer(CAMERAS, replace(limited, predict=replace(limited.predict, growth_room=room)), 30.0, "cpu")
+    trainer.resume(scene)
+    for index in (1, 2, 3):
+        trainer.predict(pictures(index, targets.roll(index, dims=2)))
+        trainer.resume(as_keyframe(trainer.scene, index), keep_references=True)
+    assert trainer.scene.anchor_count == scene.anchor_count + most
 
 
 def test_none_is_added_while_a_keyframe_trains_beside_the_stream(scene: Scene, targets: Tensor) -> None:
