@@ -66,7 +66,7 @@ class PlainConfig:
     densify_until: float = 0.65
     prune: float = 0.01
     opacity_weight: float = 0.01
-    half_size_until: float = 0.4
+    half_size_until: float = 0.2
     average_from: float = 0.8
     exposure_rate: float = 0.002
 

@@ -73,18 +73,18 @@ class KeyframeConfig:
         given(0.0, "V-A", "the number of epochs is fixed"),
     )
     half_size_until: float = setting(
-        0.4,
+        0.2,
         "moment until which pictures have half the width and height: a third of the time a step",
         reading(0.0, "not mentioned: pictures of full size from the start"),
     )
     feature_rate: float = setting(
-        0.02,
+        0.03,
         "Adam's rate of features",
         reading(0.02, "none given; those of Octree-GS are for 40,000 steps (docs/method.md, reading 12)"),
     )
-    offset_rate: float = setting(0.04, "Adam's rate of offsets, in cells", reading(0.04, "as feature_rate"))
-    scaling_rate: float = setting(0.03, "Adam's rate of log-scales", reading(0.03, "as feature_rate"))
-    network_rate: float = setting(0.005, "Adam's rate of the network", reading(0.005, "as feature_rate"))
+    offset_rate: float = setting(0.06, "Adam's rate of offsets, in cells", reading(0.04, "as feature_rate"))
+    scaling_rate: float = setting(0.045, "Adam's rate of log-scales", reading(0.03, "as feature_rate"))
+    network_rate: float = setting(0.0075, "Adam's rate of the network", reading(0.005, "as feature_rate"))
     final_rate: float = setting(
         0.1,
         "share of themselves to which rates decay; those of features and scalings to its square root",
@@ -99,8 +99,9 @@ class KeyframeConfig:
         reading(0.01, "equation 10 has no such term, but Octree-GS does (docs/method.md, reading 20)"),
     )
     opacity_weight: float = setting(
-        0.02,
-        "weight of the mean opacity of the Gaussians in the loss: what the pictures do not need fades and is pruned",
+        0.06,
+        "weight of the mean opacity of the Gaussians in the loss summed over all cameras: what the pictures do not need"
+        " fades and is pruned",
         reading(0.0, "not mentioned: equation 10 has no such term"),
     )
     dropout_base: float = setting(
