@@ -140,8 +140,8 @@ def turned_away(port: int) -> str:
 
 
 @contextlib.contextmanager
-def filming(folder: Path, port: int, cameras: int) -> Iterator[None]:
-    """A capture node with that many cameras, which sends what it films until the context ends."""
+def filming(folder: Path, port: int) -> Iterator[None]:
+    """A capture node that sends what the cameras of `write_film` film until the context ends."""
     url = f"ws://127.0.0.1:{port}/v1/streams/rig/ingest"
     command = [*PROGRAM, "push", url, str(folder), "--loop"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as node:
@@ -151,16 +151,22 @@ def filming(folder: Path, port: int, cameras: int) -> Iterator[None]:
             node.terminate()
 
 
-def write_settings(folder: Path, cameras: int) -> Path:
-    """The settings file of the server, with what its streams are made from beside it."""
-    clip = make_clip(folder / "scene.slod", _CLIP_FRAMES, (20, 80, 300), key_every=_KEY_EVERY, frame_ns=_FRAME_NS)
+def write_film(folder: Path, cameras: int) -> Path:
+    """What so many cameras film, in the folder "film" of `folder`, and the rig file of these cameras."""
     write_clip(SyntheticSpec(cameras=cameras, frames=30, width=96, height=54, fps=_CAMERA_FPS), folder / "film")
     names = [f"cam{number:02d}" for number in range(cameras)]
     rig: dict[str, Any] = {"fps": _CAMERA_FPS, "policy": {"quorum": cameras - 1}, "calibration": str(folder / "film")}
     rig["cameras"] = [{"name": name, "source": "push:"} for name in names]
-    (folder / "rig.json").write_text(json.dumps(rig))
+    path = folder / "rig.json"
+    path.write_text(json.dumps(rig))
+    return path
+
+
+def write_settings(folder: Path, cameras: int) -> Path:
+    """The settings file of the server, with what its streams are made from beside it."""
+    clip = make_clip(folder / "scene.slod", _CLIP_FRAMES, (20, 80, 300), key_every=_KEY_EVERY, frame_ns=_FRAME_NS)
     path = folder / "server.toml"
-    path.write_text(_SETTINGS.format(clip=clip.path, rig=folder / "rig.json"))
+    path.write_text(_SETTINGS.format(clip=clip.path, rig=write_film(folder, cameras)))
     return path
 
 
@@ -194,7 +200,7 @@ def main() -> None:  # noqa: PLR0915  a script
         config = write_settings(folder, options.cameras)
         process, port = stack.enter_context(serving("--config", config, "--state-dir", folder / "state"))
         threading.Thread(target=drain, args=(process.stderr,), daemon=True).start()
-        stack.enter_context(filming(folder / "film", port, options.cameras))
+        stack.enter_context(filming(folder / "film", port))
         for name in _STREAMS:
             until_live(port, name)
         before = {name: json.loads(get(port, f"/v1/streams/{name}"))["restarts"] for name in _STREAMS}

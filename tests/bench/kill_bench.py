@@ -2,13 +2,13 @@
 
     python -m tests.bench.kill_bench [--kills 20 --seed 1 --longest 3]
 
-The server trains a synthetic clip ("trained"), plays a file ("played"), runs a stream that was created over REST
-("made") and keeps another one that was created and stopped. A viewer follows each of the three that run. Columns:
-seconds that the server had run after all were live; from the start of the next one until it listens, and until each of
-the three delivers again, in a new epoch; processor seconds that the server and its workers had taken by then; seconds
-until a frame is trained after that; packets that viewers had got and the recordings were asked for, and what of them
-they do not hold to the byte. The load is that of the machine, a minute's mean. Exit code 1 where something was lost, or
-the stopped stream was not stopped.
+The server trains what three cameras film, which `streamlod push` goes on sending ("rig"), plays a file ("played"), runs
+a stream that was created over REST ("made") and keeps another one that was created and stopped. A viewer follows each
+of the three that run. Columns: seconds that the server had run after all were live; from the start of the next one
+until it listens, and until each of the three delivers again, in a new epoch; processor seconds that the server and its
+workers had taken by then; seconds until a frame is trained after that; packets that viewers had got and the recordings
+were asked for, and what of them they do not hold to the byte. The load is that of the machine, a minute's mean. Exit
+code 1 where something was lost, or the stopped stream was not stopped.
 """
 
 from __future__ import annotations
@@ -29,21 +29,22 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from codec.packet.info import peek
-from tests.bench.abuse_bench import drain
+from tests.bench.abuse_bench import drain, filming, write_film
 from tests.bench.idle_bench import cpu_seconds
 from tests.e2e.test_server_process import family, serving
 from tests.server.conftest import Clip, Viewer, make_clip
+from tests.server.ingest.rig import free_ports
 
 _MAX_SECONDS = 400.0
 _CHECKED = 200  # newest packets of a stream that are compared
-_RUNNING, _STOPPED = ("trained", "played", "made"), "stopped"
+_RUNNING, _STOPPED = ("rig", "played", "made"), "stopped"
 _CONFIG = """roots = ["{folder}"]
 [[streams]]
 id = "played"
 play = "{clip}"
 [[streams]]
-id = "trained"
-synthetic = {{cameras = 3, width = 96, height = 54, frames = 100000}}
+id = "rig"
+live = "{rig}"
 """
 
 Packets = dict[tuple[int, int], bytes]  # by epoch and version
@@ -88,7 +89,7 @@ def until_live(client: httpx.Client, since: dict[str, dict[str, Any]], begin: fl
 
 def until_trained(client: httpx.Client, begin: float) -> float:
     """Wait for a frame that was trained, not repeated; seconds from `begin`."""
-    while not (report := client.get("/v1/streams/trained").json()["report"]) or report.get("resumed"):
+    while not (report := client.get("/v1/streams/rig").json()["report"]) or report.get("resumed"):
         assert time.monotonic() < begin + _MAX_SECONDS
         time.sleep(0.1)
     return time.monotonic() - begin
@@ -114,23 +115,26 @@ def main() -> None:
     options = parser.parse_args()
     chooser, ran, failures = random.Random(options.seed), 0.0, 0
     slowest = dict.fromkeys(_RUNNING, 0.0)
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, ExitStack() as cameras:
         folder = Path(name)
         clip = make_clip(folder / "scene.slod", 200, (20, 80, 300), key_every=50)
         config = folder / "server.toml"
-        config.write_text(_CONFIG.format(clip=clip.path, folder=folder))
+        config.write_text(_CONFIG.format(clip=clip.path, folder=folder, rig=write_film(folder, cameras=3)))
+        (at,) = free_ports(1)  # the same for all, so that the cameras find the next server
         before: dict[str, dict[str, Any]] = {}
         got: dict[str, Packets] = {}
-        print("kill  ran s  listens  played    made trained  cpu s  next frame  packets  lost     load")
+        print("kill  ran s  listens  played    made     rig  cpu s  next frame  packets  lost     load")
         for number in range(options.kills + 1):
             begin = time.monotonic()
             with ExitStack() as stack:
-                process, port = stack.enter_context(serving("--config", config, "--state-dir", folder / "state"))
+                started = serving("--config", config, "--state-dir", folder / "state", "--port", at)
+                process, port = stack.enter_context(started)
                 listens = time.monotonic() - begin
                 threading.Thread(target=drain, args=(process.stderr,), daemon=True).start()
                 client = stack.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60))
                 if number == 0:
                     _create(client, clip)
+                    cameras.enter_context(filming(folder / "film", port))
                 live = until_live(client, before, begin)
                 spent = sum(cpu_seconds(pid) for pid in family(process.pid))
                 trained = until_trained(client, begin)
@@ -141,7 +145,7 @@ def main() -> None:
                     slowest = {each: max(slowest[each], live[each]) for each in _RUNNING}
                     count = sum(min(_CHECKED, len(packets)) for packets in got.values())
                     times = (
-                        f"{live['played']:6.2f} {live['made']:6.2f} {live['trained']:8.2f} {spent:6.2f} {trained:11.2f}"
+                        f"{live['played']:6.2f} {live['made']:6.2f} {live['filmed']:7.2f} {spent:6.2f} {trained:11.2f}"
                     )
                     found = ", ".join(missing[:3]) or "nothing"
                     print(
