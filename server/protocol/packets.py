@@ -14,7 +14,7 @@ from codec.packet.levels import drop_levels
 from codec.packet.packet import PacketKind
 
 _PACKET_OBJECTS_BYTES = 1000  # that a packet takes beside its data: small ones would fill the memory otherwise
-PIECE_BYTES = 32_768  # of a refresh keyframe, sent per frame interval
+PIECE_BYTES = 32_768  # of a refresh keyframe, sent at intervals
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -136,9 +136,9 @@ class Delivery:
         self.blocked_seconds += now - begin
         self.free_at = now + self._throttle.spend(self._account(frame), now)
 
-    async def send_in_pieces(self, packet: StreamPacket, levels: int, interval_seconds: float) -> None:
-        """Send a large packet as one message in pieces, one per interval; the viewer plays on until it is complete."""
-        for number, frame in enumerate(packet.pieces(levels)):
+    async def send_in_pieces(self, packet: StreamPacket, pieces: tuple[bytes, ...], interval_seconds: float) -> None:
+        """Send a large packet as one message in `pieces`, one per interval; the old picture stays meanwhile."""
+        for number, frame in enumerate(pieces):
             if number:
                 await asyncio.sleep(interval_seconds)
             await self.send(frame)

@@ -9,6 +9,8 @@ from server.stream.stream import Stream
 from server.viewer.delivery import Delivery
 from server.viewer.pacing import LevelControl
 
+_REFRESH_SHARE = 0.5  # of the time that a viewer may lag, at most, is for a refresh keyframe
+
 
 class Follower:
     """Follows the hub for one viewer.
@@ -104,16 +106,16 @@ class Follower:
         await self._send_parts(parts, residual)
 
     async def _send_refresh(self, keyframe: StreamPacket) -> None:
-        """Send a refresh keyframe, one piece per frame interval, then one residual to the newest state."""
-        scene, levels = self._hub.scene, self.shown_levels
+        """Send a refresh keyframe in pieces.
+
+        They are sent so fast that, on a good connection, what came meanwhile can follow packet by packet.
+        """
+        scene = self._hub.scene
         assert scene is not None
-        await self._delivery.send_in_pieces(keyframe, levels, 1 / scene.header.fps)
+        pieces = keyframe.pieces(self.shown_levels)
+        interval = min(1 / scene.header.fps, _REFRESH_SHARE * self._limits.viewer_lag_seconds / len(pieces))
+        await self._delivery.send_in_pieces(keyframe, pieces, interval)
         self._sequence = keyframe.sequence
-        if self._hub.keyframe is keyframe:
-            newest, residual = await self._hub.catch_up(0, levels - 1)
-            if residual is not None:
-                self._sequence = newest.sequence
-                await self._delivery.send(residual, newest)
 
     async def _skip_ahead(self, now: float) -> None:
         """The viewer fell behind: send fewer levels, and one residual over everything that it missed."""

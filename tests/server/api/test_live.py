@@ -58,18 +58,21 @@ def test_joins_coarse_first_and_follows_every_frame(server: Running, clip: Clip)
         assert all(later in {earlier + 1, 0, 60} for earlier, later in itertools.pairwise(seen))
 
 
-def test_a_new_keyframe_comes_in_pieces_while_the_old_picture_stays(tmp_path: Path) -> None:
-    """No burst at the live edge: one message of many frames, then one residual over what has come since."""
+def test_a_new_keyframe_comes_in_pieces_and_no_version_is_lost(tmp_path: Path) -> None:
+    """No burst at the live edge: one message of many frames, then every version that has come since."""
     clip = make_clip(tmp_path / "scene.slod", 60, counts=(200, 600, 2500), key_every=20)
     with running(Settings(limits=LIMITS), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
         viewer.hello().until("caught_up")
-        renewed = 0
-        while renewed < 2:
+        renewed, version = 0, viewer.decoder.versions[0]
+        while renewed < 3:
             parts = [part for part in viewer.connection.recv_streaming() if isinstance(part, bytes)]
             if not parts:  # an event
                 continue
             packet = b"".join(parts)
-            key = peek(packet).kind is PacketKind.KEY
+            info = peek(packet)
+            key = info.kind is PacketKind.KEY
+            assert key or info.to_version == version + 1
+            version = info.to_version
             viewer.decoder.push(packet)
             if key:
                 assert len(packet) > 3 * PIECE
