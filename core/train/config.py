@@ -104,6 +104,12 @@ class KeyframeConfig:
         " fades and is pruned",
         reading(0.0, "not mentioned: equation 10 has no such term"),
     )
+    usual_contrast: float = setting(
+        0.115,
+        "contrast of pictures (mean absolute deviation of their values) below which `opacity_weight` and"
+        " `growth_threshold` fall with it, as losses and gradients do; 0: they never fall",
+        reading(0.0, "not mentioned: the same for all pictures"),
+    )
     dropout_base: float = setting(
         0.05,
         "rate gamma = base + slope * level at which Gaussians are left out, ramped over the run",

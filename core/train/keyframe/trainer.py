@@ -10,7 +10,7 @@ from torch import Tensor
 
 from core.render.backends import Backend
 from core.render.raster import Raster
-from core.train.config import TrainConfig
+from core.train.config import KeyframeConfig, TrainConfig
 from core.train.field.decode import Network, Splats, decode
 from core.train.field.exposure import Exposure, neutral
 from core.train.field.field import Field, visible_levels
@@ -28,6 +28,7 @@ from core.train.optimise.optimisers import optimiser
 from core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from core.train.pictures.views import Views
 
+_LEAST_CONTRAST = 0.05  # share of the usual one: below it, pictures hold hardly more than noise
 _JUDGES = 4  # views, evenly spread, that say whether a level carries anything
 
 
@@ -56,7 +57,7 @@ class KeyframeTrainer:
         precision: Precision | None = None,
         space: NearSpace | None = None,
     ) -> None:
-        self._config, self._model = config.keyframe, config.model
+        self._config, self._model = _at_contrast(config.keyframe, views.contrast), config.model
         device = field.feature.device
         self._generator = torch.Generator(device).manual_seed(config.seed)
         self._chances = torch.Generator().manual_seed(config.seed)  # what the host decides
@@ -225,6 +226,16 @@ class KeyframeTrainer:
         if needed < field.octree.levels:
             self._learned.shallower(needed)
             self._statistics = _no_statistics(self._learned.live)
+
+
+def _at_contrast(config: KeyframeConfig, contrast: float) -> KeyframeConfig:
+    """What is weighed against losses and gradients, for pictures in which these are smaller than usual."""
+    if contrast >= config.usual_contrast:
+        return config
+    share = max(contrast / config.usual_contrast, _LEAST_CONTRAST)
+    return replace(
+        config, opacity_weight=share * config.opacity_weight, growth_threshold=share * config.growth_threshold
+    )
 
 
 def _no_statistics(field: Field) -> GrowthStatistics:

@@ -18,6 +18,12 @@ class Views:
     targets: Tensor
     usable: list[int]
 
+    @property
+    def contrast(self) -> float:
+        """Mean absolute deviation of values from the mean of their picture and channel, over the usable pictures."""
+        pictures = self.targets[self.usable]
+        return float((pictures - pictures.mean(dim=(1, 2), keepdim=True)).abs().mean())
+
     def halved(self) -> Views:
         """The same pictures at half the width and height: each pixel is the mean of those it covers."""
         height, width = (max(size // 2, 1) for size in self.targets.shape[1:3])
