@@ -9,7 +9,8 @@ from server.stream.stream import Stream
 from server.viewer.delivery import Delivery
 from server.viewer.pacing import LevelControl
 
-_REFRESH_SHARE = 0.5  # of the time that a viewer may lag, at most, is for a refresh keyframe
+_REFRESH_SHARE = 0.5  # of the time that a viewer may lag is for a refresh keyframe,
+_LEAST_INTERVAL = 0.01  # as long as that takes no more than 26 Mbit/s
 
 
 class Follower:
@@ -113,9 +114,9 @@ class Follower:
         scene = self._hub.scene
         assert scene is not None
         pieces = keyframe.pieces(self.shown_levels)
-        interval = min(1 / scene.header.fps, _REFRESH_SHARE * self._limits.viewer_lag_seconds / len(pieces))
-        await self._delivery.send_in_pieces(keyframe, pieces, interval)
-        self._sequence = keyframe.sequence
+        fast = max(_REFRESH_SHARE * self._limits.viewer_lag_seconds / len(pieces), _LEAST_INTERVAL)
+        await self._delivery.send_in_pieces(keyframe, pieces, min(1 / scene.header.fps, fast))
+        self._sequence, self._delivery.blocked_seconds = keyframe.sequence, 0.0
 
     async def _skip_ahead(self, now: float) -> None:
         """The viewer fell behind: send fewer levels, and one residual over everything that it missed."""

@@ -22,7 +22,7 @@ from server.settings import Limits, Settings
 from tests.codec.scenes import assert_same_level, assert_same_state
 from tests.server.conftest import Clip, Running, Viewer, make_clip, running, viewing
 
-PIECE = 32_768  # bytes of a keyframe in one frame's time
+PIECE = 32_768  # bytes of a keyframe in one websocket frame
 LIMITS = Limits(hello_seconds=0.4, messages_per_second=20, viewer_lag_seconds=30)
 
 
@@ -58,29 +58,37 @@ def test_joins_coarse_first_and_follows_every_frame(server: Running, clip: Clip)
         assert all(later in {earlier + 1, 0, 60} for earlier, later in itertools.pairwise(seen))
 
 
-def test_a_new_keyframe_comes_in_pieces_and_no_version_is_lost(tmp_path: Path) -> None:
-    """No burst at the live edge: one message of many frames, then every version that has come since."""
-    clip = make_clip(tmp_path / "scene.slod", 60, counts=(200, 600, 2500), key_every=20)
-    with running(Settings(limits=LIMITS), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
+@pytest.mark.parametrize(("frame_ns", "key_every", "lag_seconds"), [(20_000_000, 20, 30.0), (400_000_000, 5, 1.0)])
+def test_a_new_keyframe_comes_in_pieces_and_no_version_is_lost(
+    tmp_path: Path, frame_ns: int, key_every: int, lag_seconds: float
+) -> None:
+    """No burst at the live edge: one message of many frames, then every version that has come since.
+
+    With 2.5 frames a second, a piece in a frame's time would take longer than the viewer may lag.
+    """
+    counts, limits = (200, 600, 2500), Limits(viewer_lag_seconds=lag_seconds)
+    clip = make_clip(tmp_path / "scene.slod", 4 * key_every, counts=counts, key_every=key_every, frame_ns=frame_ns)
+    with running(Settings(limits=limits), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
         viewer.hello().until("caught_up")
-        renewed, version = 0, viewer.decoder.versions[0]
-        while renewed < 3:
+        renewed, followed, version = 0, 0, viewer.decoder.versions[0]
+        while renewed < 2 or followed < 3:
             parts = [part for part in viewer.connection.recv_streaming() if isinstance(part, bytes)]
             if not parts:  # an event
                 continue
             packet = b"".join(parts)
             info = peek(packet)
-            key = info.kind is PacketKind.KEY
-            assert key or info.to_version == version + 1
-            version = info.to_version
             viewer.decoder.push(packet)
-            if key:
+            if info.kind is PacketKind.KEY:
+                renewed, followed = renewed + 1, 0
                 assert len(packet) > 3 * PIECE
                 assert [len(part) for part in parts] == [PIECE] * (len(packet) // PIECE) + [len(packet) % PIECE]
+                assert info.to_version in {version, version + 1, 0}
             else:
+                followed += 1
+                assert info.to_version == version + 1
                 assert len(set(viewer.decoder.versions)) == 1
                 check(viewer, clip)
-            renewed += key
+            version = info.to_version
 
 
 def test_fewer_levels_are_sent_on_request_and_come_back(server: Running, clip: Clip) -> None:
