@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -105,6 +106,12 @@ def items_in(page: dict[str, Any]) -> list[Any]:
     return items
 
 
+@cache
+def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    """The checks for a class, which take a hundred times as long to make as to use."""
+    return TypeAdapter(kind)
+
+
 def read(kind: type[_Answer], values: object) -> _Answer:
     """One of the classes above from JSON.
 
@@ -113,7 +120,8 @@ def read(kind: type[_Answer], values: object) -> _Answer:
     """
     try:
         # from text, as only there may a time be a string without a string being anything else
-        return TypeAdapter(kind).validate_json(json.dumps(values), strict=True)
+        found: _Answer = _adapter(kind).validate_json(json.dumps(values), strict=True)
+        return found
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         name = ".".join(str(part) for part in first["loc"]) or kind.__name__
