@@ -144,9 +144,7 @@ def main() -> None:
                     failures += len(missing)
                     slowest = {each: max(slowest[each], live[each]) for each in _RUNNING}
                     count = sum(min(_CHECKED, len(packets)) for packets in got.values())
-                    times = (
-                        f"{live['played']:6.2f} {live['made']:6.2f} {live['filmed']:7.2f} {spent:6.2f} {trained:11.2f}"
-                    )
+                    times = f"{live['played']:6.2f} {live['made']:6.2f} {live['rig']:7.2f} {spent:6.2f} {trained:11.2f}"
                     found = ", ".join(missing[:3]) or "nothing"
                     print(
                         f"{number:4d} {ran:6.2f} {listens:8.2f}  {times} {count:8d}  {found} {os.getloadavg()[0]:6.1f}",
