@@ -100,8 +100,8 @@ class KeyframeConfig:
     )
     opacity_weight: float = setting(
         0.06,
-        "weight of the mean opacity of the Gaussians in the loss summed over all cameras: what the pictures do not need"
-        " fades and is pruned",
+        "weight in the loss of the mean opacity of the Gaussians, divided by the number of cameras: what the pictures"
+        " do not need fades and is pruned",
         reading(0.0, "not mentioned: equation 10 has no such term"),
     )
     usual_contrast: float = setting(
@@ -291,7 +291,8 @@ class PredictConfig:
     )
     growth_room: float = setting(
         0.5,
-        "share by which the anchors of later frames may outnumber those of the first: what errors attract forever",
+        "share by which the anchors of later frames may outnumber those of the first frame since the start: some errors"
+        " never end, and attract anchors in every frame",
         reading(100.0, "no limit is given but that of memory"),
     )
     everything: bool = setting(

@@ -44,6 +44,7 @@ from core.train.residual.trainer import ResidualTrainer
 from core.train.residual.update import no_update, residual_of, strongest_changes
 
 _REPORT_EVERY = 25
+_ALWAYS_ROOM = 0.25  # share of the most anchors that a scene may always grow to: it may have begun empty
 _AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
 
 
@@ -83,7 +84,7 @@ class Trainer:
         self._device = backends.GPU if self._backend == "cuda" else "cpu"
         self._exposure = neutral(len(cameras), self._device)
         self._refit_exposure = False
-        self._first_count = 0  # anchors of the first frame
+        self._first_count = 0  # anchors of the first frame since the start
         self._clock = clock
         self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
@@ -321,7 +322,8 @@ class Trainer:
         if self._pending.is_beside(state):
             return 0
         alive, config = state.scene.anchor_count, self._config
-        limit = min(config.model.max_anchors, round((1 + config.predict.growth_room) * self._first_count))
+        room = config.model.max_anchors
+        limit = min(room, max(round((1 + config.predict.growth_room) * self._first_count), int(_ALWAYS_ROOM * room)))
         most = min(int(config.predict.growth_share * alive), max(limit - alive, 0))
         return most if plan is None else min(most, plan.most_new)
 

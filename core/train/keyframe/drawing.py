@@ -40,8 +40,8 @@ class ViewLoss:
         """What Gaussians cost whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity.
 
         With few views much of a model can be anything without a loss. A price on opacity takes out what no picture
-        asks for, as in Kheradmand et al. 2024. The scene pays it once, not once for each of its
-        views: the more of them say what is there, the less it decides.
+        asks for, as in Kheradmand et al. 2024. The scene pays it once, not once for each of its views: the more of them
+        say what is there, the less it decides.
         """
         config, opacity = self.config, splats.opacities.clamp(min=0)
         drawn = (opacity.detach() > 0).float()

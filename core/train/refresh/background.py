@@ -64,7 +64,9 @@ class BackgroundRefresh:
     def result(self, alive: Tensor) -> tuple[Field, Precision]:
         """The trained anchors that are still `alive` [N] in the state and not too faint, and how they are rounded."""
         field, precision = self._trainer.field, self._trainer.precision
-        kept = torch.nonzero(alive[self._rows] & (_opacity(field, self._centres) >= self._least_opacity))[:, 0]
+        living = alive[self._rows]
+        shown = living & (_opacity(field, self._centres) >= self._least_opacity)
+        kept = torch.nonzero(shown if bool(shown.any()) else living)[:, 0]  # from nothing, nothing would ever grow
         return field.with_rows(kept), replace(precision, shift=precision.shift[kept])
 
     def train(self, before: Field, after: Field, views: Views, pace: FrameProgress) -> int:
@@ -92,7 +94,8 @@ class BackgroundRefresh:
 
 @torch.no_grad()
 def _opacity(field: Field, centres: list[Tensor]) -> Tensor:
-    """[N] of each anchor's Gaussians together, as the camera sees them that sees most of them."""
+    """[N] of each anchor's Gaussians together, drawn or not, as the camera sees them that sees most of them."""
+    field = replace(field, by_distance=False)
     seen = [
         field.decode(centre).opacities.clamp(min=0).reshape(len(field), -1).sum(dim=1)
         for centre in (centres[:1] if field.looks_the_same else centres)

@@ -172,6 +172,15 @@ def test_anchors_that_have_faded_are_left_out(clip: Dataset, pictures: list[Fram
     assert opacity(field_of(renewed)).min() > 0.9 * least  # rounding may take a little
 
 
+def test_a_scene_that_has_faded_altogether_stays(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
+    """Without an anchor nothing could ever grow again."""
+    trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, prune_opacity=1e6)
+    trainer.request_refresh()
+    for frame in pictures[2 : 3 + FRAMES]:
+        trainer.predict(frame)
+    assert trainer.refresh(pictures[2 + FRAMES]).scene.anchor_count == trainer.scene.anchor_count > 0
+
+
 def test_no_time_at_all_sends_the_state_as_it_is(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
     clock = Clock()
     trainer = Trainer(clip.cameras, config(), clip.fps, "cpu", frame_budget_ms=1000, clock=clock)

@@ -166,7 +166,7 @@ def test_later_frames_have_hardly_more_anchors_than_the_first(
     scene: Scene, targets: Tensor, room: float, most: int
 ) -> None:
     """However long the stream is, and whatever keeps on being wrong."""
-    limited = configuration(0.1, 1000)
+    limited = configuration(0.1, 400)
     trainer = Trainer(CAMERAS, replace(limited, predict=replace(limited.predict, growth_room=room)), 30.0, "cpu")
     trainer.resume(scene)
     for index in (1, 2, 3):
