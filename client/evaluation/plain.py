@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -46,7 +46,6 @@ class PlainConfig:
         densify_interval: in steps; densify_until: no more after it.
         prune: opacity below which a Gaussian goes.
         opacity_weight: weight in the loss of the mean opacity.
-        usual_contrast: of pictures (mean absolute deviation); below it `threshold` and `opacity_weight` fall with it.
         half_size_until: pictures of half the width and height up to here.
         average_from: the result is the mean over the steps from here on.
         exposure_rate: of a gain and an offset a channel for each training camera; 0 fits none.
@@ -67,7 +66,6 @@ class PlainConfig:
     densify_until: float = 0.65
     prune: float = 0.01
     opacity_weight: float = 0.01
-    usual_contrast: float = 0.115
     half_size_until: float = 0.2
     average_from: float = 0.8
     exposure_rate: float = 0.002
@@ -101,10 +99,7 @@ class PlainGaussians:
     """Trains one instant from first points."""
 
     def __init__(self, points: PointCloud, views: Views, config: PlainConfig | None = None, *, seed: int = 0) -> None:
-        config = config or PlainConfig()
-        share = min(1.0, views.contrast / config.usual_contrast)
-        config = replace(config, threshold=share * config.threshold, opacity_weight=share * config.opacity_weight)
-        self._config = config
+        self._config = config = config or PlainConfig()
         self._whole, self._views = views, views.halved() if config.half_size_until > 0 else views
         self._generator = torch.Generator().manual_seed(seed)
         self._order = ViewOrder(views.usable, self._generator)
