@@ -119,7 +119,7 @@ def read(kind: type[_Answer], values: object) -> _Answer:
         InputError: a field is missing or of another type.
     """
     try:
-        # from text, as only there may a time be a string without a string being anything else
+        # strict checks take a time from a string in JSON only, and nothing else from a string anywhere
         found: _Answer = _adapter(kind).validate_json(json.dumps(values), strict=True)
         return found
     except ValidationError as error:

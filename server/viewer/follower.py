@@ -9,8 +9,8 @@ from server.stream.stream import Stream
 from server.viewer.delivery import Delivery
 from server.viewer.pacing import LevelControl
 
-_REFRESH_SHARE = 0.5  # of the time that a viewer may lag is for a refresh keyframe,
-_LEAST_INTERVAL = 0.01  # as long as that takes no more than 26 Mbit/s
+_REFRESH_SHARE = 0.5  # share of the time that a viewer may lag, in which a refresh keyframe is sent
+_MIN_INTERVAL = 0.01  # seconds between its pieces: 26 Mbit/s at most
 
 
 class Follower:
@@ -114,7 +114,7 @@ class Follower:
         scene = self._hub.scene
         assert scene is not None
         pieces = keyframe.pieces(self.shown_levels)
-        fast = max(_REFRESH_SHARE * self._limits.viewer_lag_seconds / len(pieces), _LEAST_INTERVAL)
+        fast = max(_REFRESH_SHARE * self._limits.viewer_lag_seconds / len(pieces), _MIN_INTERVAL)
         await self._delivery.send_in_pieces(keyframe, pieces, min(1 / scene.header.fps, fast))
         self._sequence, self._delivery.blocked_seconds = keyframe.sequence, 0.0
 

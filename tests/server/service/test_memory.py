@@ -47,7 +47,6 @@ def test_a_server_at_rest_is_small(tmp_path: Path) -> None:
             before = cpu_seconds(pid)
             time.sleep(0.5)
         resident, own = megabytes(pid)
-        assert (
-            own < _MAX_OWN_MEGABYTES
-        )  # the rest are libraries, LLVM above all, in memory for as long as others use them
+        # the rest are libraries, LLVM above all, which stay in memory for as long as other processes use them
+        assert own < _MAX_OWN_MEGABYTES
         assert own < resident
