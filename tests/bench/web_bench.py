@@ -22,13 +22,17 @@ from codec.container import SlodWriter
 from codec.encoder import encode_keyframe, encode_residual
 from core.scene.anchors import AnchorLevel, Scene, append_rows
 from core.scene.octree import morton_key
+from server.pipeline.spec import StreamSpec
+from server.settings import Limits, Settings
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_quality import SLOW_DRAG
+from tests.client.web.test_thin import TIMED_SEEK
 from tests.codec import scenes as codec_scenes
+from tests.server.conftest import running
 
-FRAMES, ROUNDS, JOINS = 12, 4, 5
+FRAMES, ROUNDS, JOINS, SEEKS = 12, 4, 5, 30
 MEASURE = """async ([address, rounds]) => {
   const { walkRecords } = await import("/decode/container.js");
   const { Engine } = await import("/view/engine.js");
@@ -94,6 +98,7 @@ ORBIT = """async (seconds) => {
   const fps = 1000 * drawn / (performance.now() - start);
   return { fps, size: `${canvas.width}x${canvas.height}`, splats: streamlod.state.splats };
 }"""
+NEWEST_SHOWN = "((s) => s?.window && s.version === s.window.newest.version)(window.streamlod?.state)"
 WATCH_JOIN = """addEventListener("DOMContentLoaded", () => {
   const stage = document.getElementById("stage");
   const shown = () => requestAnimationFrame(() => requestAnimationFrame(() => (window.joinedMs = performance.now())));
@@ -211,13 +216,45 @@ def join_time(browser: Any, address: str) -> None:
     print(f"  join to first picture: {median(times):.0f} ms (least {min(times):.0f})", flush=True)
 
 
+def thin_seeks(browser: Any, recording: Path) -> None:
+    """From the wish for another frame until its picture is on the page, where the server draws."""
+    with running(Settings(limits=Limits(thin_viewers=1)), StreamSpec(play=recording, loop=False)) as server:
+        server.wait(lambda stream: stream["state"] == "ended")
+        page = browser.new_page(viewport={"width": 640, "height": 360})
+        page.goto(f"{server.url}/?ui=0")
+        page.wait_for_function(NEWEST_SHOWN, timeout=60_000)
+        window = page.evaluate("streamlod.state.window")
+        retained = np.arange(window["oldest"]["version"], window["newest"]["version"])
+        for prepare in ("pause", "play"):
+            page.evaluate(f"streamlod.{prepare}()")
+            # none twice: it would already be there
+            versions = np.random.default_rng(0).permutation(retained)[:SEEKS].tolist()
+            times = [page.evaluate(TIMED_SEEK, version) for version in versions]
+            label = {"pause": "paused", "play": "while it plays"}[prepare]
+            print(
+                f"server draws 640x360, {len(retained) + 1} frames, seek {label}: median {median(times):.0f} ms, "
+                f"worst of {len(times)} {max(times):.0f} ms",
+                flush=True,
+            )
+        page.close()
+
+
 def main() -> None:
     """Print all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="*", type=Path, help="recordings to measure too")
     parser.add_argument("--drag", action="store_true", help="only how fast a drag is answered on a slow device")
+    parser.add_argument("--seek", action="store_true", help="only how fast seeks of FILE are where the server draws")
     arguments = parser.parse_args()
     files = arguments.files
+    if arguments.seek:
+        with sync_playwright() as playwright:
+            flags = [flag for flag in CHROMIUM_FLAGS if "swiftshader" not in flag]
+            browser = playwright.chromium.launch(executable_path=chromium_path(), args=[*flags, "--disable-3d-apis"])
+            for file in files:
+                thin_seeks(browser, file)
+            browser.close()
+        return
     if arguments.drag:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)
