@@ -14,10 +14,10 @@ from starlette.websockets import WebSocket
 
 from core.close_codes import CloseCode
 from core.errors import SessionError
+from server.api.registry import Registry
 from server.auth.gate import Gate, Grant, Right
 from server.http.problems import Problem
 from server.http.site_policy import is_own_host
-from server.registry import Registry
 from server.stream.stream import Stream
 from server.stream.worker_stream import WorkerStream
 

@@ -13,10 +13,10 @@ from fastapi.responses import StreamingResponse
 
 from core.errors import SessionError
 from server.api.access import grant_of, need, registry_of, until_withdrawn
+from server.api.registry import Registry
 from server.auth.gate import Grant, Right
 from server.http.head import is_head
 from server.http.problems import PROBLEMS, Problem
-from server.registry import Registry
 from server.stream.feed import ServerEvent
 
 _TYPE = "text/event-stream"

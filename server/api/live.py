@@ -14,11 +14,11 @@ from uvicorn.protocols.utils import ClientDisconnected
 from core.close_codes import CloseCode
 from core.errors import SessionError
 from server.api.access import address_of, admit, registry_of, until_withdrawn
+from server.api.registry import Registry
 from server.auth.gate import Right
 from server.http.websocket import CONNECTION, Connection
 from server.protocol.messages import SUBPROTOCOL, Hello, parse_control, parse_hello
 from server.protocol.packets import text_frame
-from server.registry import Registry
 from server.viewer.session import ViewerSession
 from server.viewer.thin_session import ThinSession
 

@@ -16,13 +16,13 @@ from core.errors import BitstreamError, InputError, StorageError
 from server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
 from server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
 from server.api.reach import check_reach
+from server.api.registry import Registry
 from server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from server.auth.gate import Right
 from server.http.problems import PROBLEMS, Problem
 from server.pipeline.new_stream import NewStream, StreamChange
 from server.pipeline.spec import StreamSpec
 from server.protocol.packets import Position
-from server.registry import Registry
 from server.stream.sealing import masked
 from server.stream.stream import Stream
 

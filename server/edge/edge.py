@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 
+from server.api.registry import Registry
 from server.edge.origin import Origin, OriginStream
 from server.edge.stream import EdgeStream
-from server.registry import Registry
 from server.settings import EdgeSettings
 
 _LOG = logging.getLogger(__name__)

@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 
 from server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
 from server.api.access import grant_of, need, registry_of
-from server.api.openapi import describe, operation_id
+from server.api.registry import Registry
 from server.api.schemas import Health
 from server.auth.gate import Right
 from server.edge import passing
@@ -27,9 +27,9 @@ from server.http.problems import PROBLEMS, Problem, problem_page, problem_respon
 from server.http.site_policy import SitePolicy
 from server.http.static_page import PageFiles
 from server.pipeline.spec import StreamSpec
-from server.registry import Registry
 from server.service.docs_page import add_docs
 from server.service.metrics import collector_registry
+from server.service.openapi import describe, operation_id
 from server.service.webhooks import webhooks
 from server.settings import Settings
 

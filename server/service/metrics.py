@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from server.api.registry import Registry
 from server.auth.gate import EVERYTHING, Grant, Right
-from server.registry import Registry
 from server.service.ingest_metrics import ingest_families
 
 _GAUGES = {

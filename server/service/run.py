@@ -20,11 +20,11 @@ from prometheus_client.exposition import ThreadingWSGIServer
 
 from core.background_log import log_in_background
 from core.errors import InputError, StreamlodError
+from server.api.registry import Registry
 from server.http.limits import http_class
 from server.http.websocket import websocket_class
 from server.pipeline.spec import StreamSpec
 from server.pipeline.warming import warm_codec
-from server.registry import Registry
 from server.service.app import create_app
 from server.service.memory import bound_arenas, leave_out_linear_algebra, page_out_compiler
 from server.service.metrics import collector_registry

@@ -22,9 +22,9 @@ from codec.decoder import SceneDecoder
 from codec.encoder import encode_keyframe, encode_residual
 from core.scene.anchors import Scene
 from core.scene.residual import difference
+from server.api.registry import Registry
 from server.pipeline.spec import StreamSpec
 from server.protocol.packets import PacketWindow, Position
-from server.registry import Registry
 from server.service.app import create_app
 from server.service.run import Server, server_config
 from server.settings import Settings
