@@ -82,7 +82,7 @@ def test_a_viewer_whose_token_ends_is_closed(
         viewer.next_packet()
         if change != "expired":
             write_tokens(tmp_path, **({"viewer": {"rights": ["metrics"]}} if change == "fewer rights" else {}))
-            server.api.registry.gate.reload()
+            server.registry.gate.reload()
         assert close_code(viewer.step) == (4403 if change == "fewer rights" else 4401)
 
 

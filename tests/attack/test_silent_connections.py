@@ -71,7 +71,7 @@ def test_a_long_upgrade_header_gets_431() -> None:
     with running(Settings(limits=_LIMITS), _STREAM) as server:
         with connected(server, upgrade(f"X-Long: {'x' * 9000}")) as peer:
             assert peer.recv(4096).startswith(b"HTTP/1.1 431 ")
-        assert server.api.registry.turned_away["large"] == 1
+        assert server.registry.turned_away["large"] == 1
 
 
 def partial(chooser: random.Random) -> bytes:

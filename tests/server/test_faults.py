@@ -68,7 +68,7 @@ def test_a_stuck_viewer_is_cut_off_and_others_go_on(heavy: Clip) -> None:
             stuck.sendall(masked(1, b'{"type":"hello","versions":[1]}'))
             viewer.hello()
             viewer.until("caught_up")
-            counters = server.api.registry.streams["main"].counters
+            counters = server.registry.streams["main"].counters
             limit = time.monotonic() + 15
             while counters.stuck == 0:
                 viewer.step()
@@ -193,7 +193,7 @@ def test_a_websocket_too_many_is_refused() -> None:
         with socket.create_connection(("127.0.0.1", server.port), 10) as peer:
             peer.sendall(HANDSHAKE.encode())
             assert peer.recv(4096).startswith(b"HTTP/1.1 503")
-        assert server.api.registry.turned_away["many"] == 1
+        assert server.registry.turned_away["many"] == 1
 
 
 @pytest.mark.parametrize("client", ["a\nINFO server: all is well", "\x1b[2J", "\ud800"])

@@ -43,7 +43,7 @@ def test_metrics_count_and_are_documented(clip: Clip) -> None:
         with viewing(server) as viewer:
             viewer.hello()
             viewer.until("caught_up")
-            text = generate_latest(collector_registry(server.api.registry)).decode()
+            text = generate_latest(collector_registry(server.registry)).decode()
         assert 'streamlod_viewers{stream="main"} 1.0' in text
         assert 'streamlod_joins_total{stream="main"} 1.0' in text
         names = {line.split("{")[0].split(" ")[0] for line in text.splitlines() if not line.startswith("#")}
@@ -55,7 +55,7 @@ def test_metrics_count_and_are_documented(clip: Clip) -> None:
 def test_the_dashboard_and_its_containers_ask_for_what_exists(clip: Clip) -> None:
     folder = Path(__file__).parents[2] / "docker" / "observe"
     with running(Settings(), StreamSpec(play=clip.path)) as server:
-        text = generate_latest(collector_registry(server.api.registry)).decode()
+        text = generate_latest(collector_registry(server.registry)).decode()
     names = {line.split()[2] for line in text.splitlines() if line.startswith("# TYPE")}
     panels = json.loads((folder / "dashboard.json").read_text())["panels"]
     asked = {name for p in panels for t in p["targets"] for name in re.findall(r"streamlod_\w+", t["expr"])}

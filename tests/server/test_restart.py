@@ -206,7 +206,7 @@ def test_what_a_viewer_got_is_on_the_disk_already(tmp_path: Path, clip: Clip) ->
     with running(Settings(state=tmp_path), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
         viewer.hello()
         viewer.until("caught_up")
-        store = server.api.registry.store
+        store = server.registry.store
         assert store is not None
         for number in range(12):
             if number % 4 == 0:
@@ -222,7 +222,7 @@ def test_a_disk_that_stands_still_holds_viewers_up_once(tmp_path: Path, clip: Cl
     with running(Settings(state=tmp_path), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
         viewer.hello()
         viewer.until("caught_up")
-        store, free = server.api.registry.store, threading.Event()
+        store, free = server.registry.store, threading.Event()
         assert store is not None
         store.submit(lambda: free.wait(20) and None)
         begin = time.monotonic()

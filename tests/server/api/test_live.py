@@ -200,7 +200,7 @@ def test_worker_killed_in_mid_frame_is_replaced_and_viewers_stay(clip: Clip, tmp
         server.wait(lambda stream: stream["state"] == "live")
         viewer.hello()
         viewer.until("caught_up")
-        pid = server.api.registry.streams["main"].worker_pid
+        pid = server.registry.streams["main"].worker_pid
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
         killed = time.monotonic()
@@ -229,8 +229,8 @@ def test_stopping_the_server_tells_viewers_to_come_back(clip: Clip) -> None:
         server.wait(lambda stream: stream["state"] == "live")
         with viewing(server) as viewer:
             viewer.hello()
-            server.api.registry.draining = True
-            for session in server.api.registry.sessions:
+            server.registry.draining = True
+            for session in server.registry.sessions:
                 session.end(SessionError(CloseCode.STOPPING, "the server is stopping"))
             assert closed(viewer)[0] == 1001
             with server.client() as client:

@@ -100,7 +100,7 @@ def test_a_stream_on_demand_runs_while_somebody_watches(server: Running, client:
     made = client.post("/v1/streams", json={"id": "asked", "play": str(clip.path), "on_demand": True, "start": True})
     assert (made.json()["state"], made.json()["detail"]) == ("idle", "it starts with its first viewer")
     assert client.get("/v1/streams/asked/ready").status_code == 200
-    asked = server.api.registry.streams["asked"]
+    asked = server.registry.streams["asked"]
     assert isinstance(asked, WorkerStream)
     assert not asked.is_running
     for epoch in (1, 2):

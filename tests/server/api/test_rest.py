@@ -209,7 +209,7 @@ def test_a_window_that_moved_on_is_gone_not_unknown(clip: Clip) -> None:
     settings = Settings.model_validate({"retention": {"memory_bytes": 1_000_000}})
     with running(settings, StreamSpec(play=clip.path)) as server, server.client() as client:
         server.wait(lambda stream: stream["epoch"] is not None and (stream["epoch"], stream["version"]) >= (2, 0))
-        bus = server.api.registry.streams["main"].bus
+        bus = server.registry.streams["main"].bus
         newest = bus.window.newest
         assert newest is not None
         bus.window = kept_from(bus.window, newest.position)
@@ -275,7 +275,7 @@ def test_rights_are_kept_apart(clip: Clip, tmp_path: Path) -> None:
         assert status("GET", "/v1/streams/main", expired) == 401
         assert status("GET", "/v1/streams/main", "wrong") == 401
         assert status("GET", "/v1/streams/main", "reader") == 429
-        server.api.registry.gate.reload()
+        server.registry.gate.reload()
 
 
 def test_unsafe_settings_are_refused(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def ended(viewer: Viewer) -> int | None:
 
 
 def viewers_of(server: Running) -> int:
-    return server.api.registry.streams["main"].viewers
+    return server.registry.streams["main"].viewers
 
 
 @contextmanager

@@ -36,7 +36,7 @@ def peer_of(server: Running, *, upgraded: bool) -> Iterator[socket.socket]:
 
 def until_away(server: Running, reason: str) -> None:
     limit = time.monotonic() + 10
-    while server.api.registry.turned_away[reason] != 1:
+    while server.registry.turned_away[reason] != 1:
         assert time.monotonic() < limit
         time.sleep(0.02)
 
@@ -59,7 +59,7 @@ def test_a_message_in_endless_parts_is_refused() -> None:
         frame = peer.recv(4096)
         assert frame[0] == 0x88
         assert int.from_bytes(frame[2:4], "big") == 1008
-        assert server.api.registry.turned_away["1008"] == 1
+        assert server.registry.turned_away["1008"] == 1
 
 
 @pytest.mark.parametrize("upgraded", [False, True])
@@ -88,10 +88,10 @@ def test_a_download_that_is_read_too_slowly_is_cut_and_a_slow_one_is_not(tmp_pat
                 peer.sendall(request)
                 end = time.monotonic() + 2
                 with contextlib.suppress(ConnectionError):
-                    while time.monotonic() < end and server.api.registry.turned_away["stalled"] == 0:
+                    while time.monotonic() < end and server.registry.turned_away["stalled"] == 0:
                         peer.recv(bytes_at_once)
                         time.sleep(0.005)
-            assert server.api.registry.turned_away["stalled"] == cut, bytes_at_once
+            assert server.registry.turned_away["stalled"] == cut, bytes_at_once
 
 
 def test_requests_that_wait_for_each_other_are_not_piled_up() -> None:
@@ -103,4 +103,4 @@ def test_requests_that_wait_for_each_other_are_not_piled_up() -> None:
                 answers += more
         assert b"400 Bad Request" in answers
         assert answers.count(b'"status":"ok"') <= 130
-        assert server.api.registry.turned_away["crowded"] == 1
+        assert server.registry.turned_away["crowded"] == 1

@@ -215,11 +215,11 @@ def test_one_picture_on_its_way_and_the_newest_view_wins(server: Running, states
 
 
 def test_places_are_limited_counted_and_given_back(server: Running) -> None:
-    refused = server.api.registry.streams["main"].counters.thin_refused
+    refused = server.registry.streams["main"].counters.thin_refused
     with viewing(server) as one, viewing(server) as two, viewing(server) as three, viewing(server) as packets:
         for plain in (one, two):
             ThinViewer(plain.connection).hello()
-        text = generate_latest(collector_registry(server.api.registry)).decode()
+        text = generate_latest(collector_registry(server.registry)).decode()
         assert 'streamlod_thin_viewers{stream="main"} 2.0' in text
         with pytest.raises(ConnectionClosed) as closed:
             ThinViewer(three.connection).hello()
@@ -227,9 +227,9 @@ def test_places_are_limited_counted_and_given_back(server: Running) -> None:
         assert closed.value.rcvd.code == 1013
         assert "2 viewers already" in closed.value.rcvd.reason
         packets.hello().until("caught_up")
-    assert server.api.registry.streams["main"].counters.thin_refused == refused + 1
+    assert server.registry.streams["main"].counters.thin_refused == refused + 1
     limit = time.monotonic() + 10
-    while server.api.registry.renderer.taken:
+    while server.registry.renderer.taken:
         assert time.monotonic() < limit
         time.sleep(0.01)
     with viewing(server) as plain:
@@ -300,8 +300,8 @@ def test_who_shows_nothing_loses_the_place(states: tuple[Path, list[Scene]]) -> 
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1013
         assert "no picture was acknowledged" in closed.value.rcvd.reason
-        assert server.api.registry.renderer.taken == 0
-        assert server.api.registry.streams["main"].counters.stuck == 1
+        assert server.registry.renderer.taken == 0
+        assert server.registry.streams["main"].counters.stuck == 1
 
 
 def test_pace_follows_the_viewer() -> None:

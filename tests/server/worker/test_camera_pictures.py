@@ -61,7 +61,7 @@ def test_who_may_watch_sees_them_while_the_stream_runs(clip: Clip, tmp_path: Pat
     stills = msgpack.packb({"cam 1": b"jpeg"})
     address = "/v1/streams/main/cameras/cam%201.jpg"
     with running(settings, StreamSpec(play=clip.path, loop=True)) as server, server.client() as client:
-        stream = server.api.registry.streams["main"]
+        stream = server.registry.streams["main"]
         assert isinstance(stream, WorkerStream)
         limit = time.monotonic() + 20
         while stream.state != "live":
