@@ -104,6 +104,12 @@ class KeyframeConfig:
         " do not need fades and is pruned",
         reading(0.0, "not mentioned: equation 10 has no such term"),
     )
+    random_background: bool = setting(
+        True,
+        "whether every step draws over another colour, so that no surface stays half transparent where what is behind"
+        " it happens to fit; what is sent and drawn later has a black one",
+        reading(False, "not mentioned: one background"),
+    )
     usual_contrast: float = setting(
         0.115,
         "contrast of pictures (mean absolute deviation of their values) below which `opacity_weight` and"

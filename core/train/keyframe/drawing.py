@@ -26,10 +26,10 @@ class ViewLoss:
     config: KeyframeConfig
     backend: Backend
 
-    def draw(self, splats: Splats, number: int) -> Raster:
-        """What camera `number` would see at a neutral exposure."""
-        camera = self.views.cameras[number]
-        return rasterise(*splats.astuple(), camera, torch.zeros(3, device=splats.means.device), backend=self.backend)
+    def draw(self, splats: Splats, number: int, background: Tensor | None = None) -> Raster:
+        """What camera `number` would see at a neutral exposure, over `background` [3], or over black."""
+        behind = torch.zeros(3, device=splats.means.device) if background is None else background
+        return rasterise(*splats.astuple(), self.views.cameras[number], behind, backend=self.backend)
 
     def loss(self, raster: Raster, number: int) -> Tensor:
         """Equation 10 of the paper for camera `number`."""
