@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
@@ -12,7 +13,16 @@ from typing import Any
 from core.errors import InputError
 
 _log = logging.getLogger(__name__)
-SCHEMA = 1
+SCHEMA = 2
+_PACKAGES = ("core", "client/evaluation")  # what decides over a cell's figures
+
+
+def program_digest() -> str:
+    """Names the source that measures: two runs of which one has another line of it may differ."""
+    root, digest = Path(__file__).parents[3], hashlib.sha256()
+    for path in sorted(path for package in _PACKAGES for path in (root / package).rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +45,18 @@ class CellKey:
 
 
 class Cells:
-    """The cells of one file. A cell does not know which program measured it: after a change, take a new folder.
+    """The cells of one file, all measured by one program.
+
+    Args:
+        path: of the file; it need not be there.
+        program: the digest of this one.
 
     Raises:
-        InputError: the file holds something else.
+        InputError: the file holds something else, or another program measured it.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, program: str) -> None:
+        self._path, self._program = path, program
         self._known: dict[CellKey, dict[str, Any]] = {}
         if path.is_file():
             self._read()
@@ -60,7 +74,8 @@ class Cells:
 
     def add(self, key: CellKey, figures: dict[str, Any]) -> None:
         """Append a cell; one write, so that a run that is stopped leaves whole lines."""
-        line = json.dumps({"schema": SCHEMA, "key": asdict(key), "figures": figures}, allow_nan=False) + "\n"
+        value = {"schema": SCHEMA, "program": self._program, "key": asdict(key), "figures": figures}
+        line = json.dumps(value, allow_nan=False) + "\n"
         try:
             descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
             try:
@@ -81,9 +96,12 @@ class Cells:
         for number, line in enumerate(data[:whole].decode("utf-8", "replace").splitlines(), 1):
             try:
                 value = json.loads(line)
-                schema, key, figures = value["schema"], CellKey(**value["key"]), dict(value["figures"])
+                schema, program = value["schema"], value.get("program")
+                key, figures = CellKey(**value["key"]), dict(value["figures"])
             except (ValueError, TypeError, KeyError) as error:
                 raise InputError(self._path, f"line {number} is no cell of the zoo; name another folder") from error
             if schema != SCHEMA:
                 raise InputError(self._path, f"line {number} has another schema; name another folder")
+            if program != self._program:
+                raise InputError(self._path, f"line {number} was measured by another program; name another folder")
             self._known[key] = figures

@@ -14,7 +14,7 @@ import numpy as np
 from client.evaluation.measure.footage import footage_of
 from client.evaluation.measure.scores import Perception, load_perception
 from client.evaluation.report.output import result_folder
-from client.evaluation.zoo.cells import CellKey, Cells
+from client.evaluation.zoo.cells import CellKey, Cells, program_digest
 from client.evaluation.zoo.contenders import Contest, Measured
 from client.evaluation.zoo.scenes import SCENES, ZooScene, view_counts
 from client.evaluation.zoo.tables import zoo_report
@@ -69,7 +69,7 @@ def run_zoo(root: Path | None, out: Path, options: ZooOptions) -> str:
     """
     out = result_folder(out)
     pictures = result_folder(out / "pictures")
-    cells, perception = Cells(out / "cells.jsonl"), load_perception()
+    cells, perception = Cells(out / "cells.jsonl", program_digest()), load_perception()
     missing = []
     for scene in (scene for scene in SCENES if scene.name in options.scenes):
         whole = scene.open(root, options.downscale)

@@ -107,29 +107,37 @@ def cell(psnr: float, cpu: float = 10.0) -> dict[str, Any]:
 
 def test_a_line_that_was_cut_off_is_measured_again(tmp_path: Path) -> None:
     path = tmp_path / "cells.jsonl"
-    cells = Cells(path)
+    cells = Cells(path, "now")
     cells.add(key("ours"), cell(30))
     cells.add(key("plain"), cell(29))
     path.write_bytes(path.read_bytes()[:-20])
-    cells = Cells(path)
+    cells = Cells(path, "now")
     assert key("ours") in cells
     assert key("plain") not in cells
     cells.add(key("plain"), cell(28))
-    assert Cells(path).get(key("plain")) == cell(28)
+    assert Cells(path, "now").get(key("plain")) == cell(28)
 
 
 def test_another_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "cells.jsonl"
     path.write_text("shopping\nlist\n")
     with pytest.raises(InputError, match="line 1"):
-        Cells(path)
+        Cells(path, "now")
     path.write_text(json.dumps({"schema": 99, "key": asdict(key("ours")), "figures": {}}) + "\n")
     with pytest.raises(InputError, match="schema"):
-        Cells(path)
+        Cells(path, "now")
+
+
+def test_a_run_goes_on_with_the_program_that_began_it(tmp_path: Path) -> None:
+    path = tmp_path / "cells.jsonl"
+    Cells(path, "before").add(key("ours"), cell(30))
+    with pytest.raises(InputError, match="another program"):
+        Cells(path, "now")
+    assert key("ours") in Cells(path, "before")
 
 
 def test_means_are_over_the_rows_that_both_have(tmp_path: Path) -> None:
-    cells = Cells(tmp_path / "cells.jsonl")
+    cells = Cells(tmp_path / "cells.jsonl", "now")
     for seed, psnr in ((0, 30.0), (1, 32.0)):
         cells.add(key("ours", seed=seed), cell(psnr))
         cells.add(key("plain", seed=seed), cell(29.0))
