@@ -9,8 +9,11 @@ from dataclasses import dataclass
 
 from codec.packet.info import PacketInfo
 from codec.packet.packet import PacketKind
+from core.errors import BitstreamError
 
-FILE_HEAD = b"SLOD\x01\x00\x00\x00"
+FILE_MAGIC = b"SLOD"
+FILE_VERSION = 1
+FILE_HEAD = FILE_MAGIC + bytes([FILE_VERSION, 0, 0, 0])
 SIZE = struct.Struct("<I")  # before each packet
 INDEX_MARK = 0xFFFFFFFF  # in place of a packet's size
 FOOTER = struct.Struct("<QI4s")
@@ -40,6 +43,20 @@ class Entry:
     time_ns: int
     level_mask: int
     coarse_bytes: int
+
+
+def check_head(head: bytes, name: str) -> None:
+    """Refuse a file called `name` whose first bytes, `head`, are not those of a file of this version.
+
+    Raises:
+        BitstreamError: `bad_file`, or `unsupported_version` for a `.slod` file of another version.
+    """
+    if head[:4] == FILE_MAGIC and len(head) == len(FILE_HEAD) and head[4] != FILE_VERSION:
+        raise BitstreamError(
+            "unsupported_version", f"{name} has file version {head[4]}; only version {FILE_VERSION} is known here"
+        )
+    if head != FILE_HEAD:
+        raise BitstreamError("bad_file", f"{name} does not begin like a .slod file")
 
 
 def entry_of(info: PacketInfo, offset: int) -> Entry:

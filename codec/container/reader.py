@@ -11,7 +11,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
-from codec.container.layout import FILE_HEAD, FOOTER, FOOTER_MAGIC, INDEX_MARK, SIZE, Entry, entries_in, entry_of
+from codec.container.layout import (
+    FILE_HEAD,
+    FOOTER,
+    FOOTER_MAGIC,
+    INDEX_MARK,
+    SIZE,
+    Entry,
+    check_head,
+    entries_in,
+    entry_of,
+)
 from codec.packet.info import peek
 from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from codec.packet.packet import PacketKind
@@ -28,7 +38,7 @@ class SlodReader:
 
     Raises:
         InputError: the file cannot be opened.
-        BitstreamError: `bad_file`, it is not a `.slod` file.
+        BitstreamError: `bad_file`, it is not a `.slod` file; `unsupported_version`, it is one of another version.
     """
 
     def __init__(self, path: Path | str, limits: DecoderLimits = DEFAULT_LIMITS) -> None:
@@ -39,8 +49,7 @@ class SlodReader:
             raise InputError(path, f"it cannot be opened ({error.strerror})") from error
         try:
             self._size = self._file.seek(0, os.SEEK_END)
-            if self._at(0, len(FILE_HEAD)) != FILE_HEAD:
-                raise BitstreamError("bad_file", f"{self._path.name} does not begin like a .slod file")
+            check_head(self._at(0, len(FILE_HEAD)), self._path.name)
             self.entries, self.records_end, self.torn = self._read_index() or self._walk()
         except BaseException:
             self._file.close()

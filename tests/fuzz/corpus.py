@@ -6,40 +6,46 @@ import json
 import random
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from client.playback import Playback
 from codec.container import SlodWriter
 from codec.packet.bytes import parse
 from core.errors import BitstreamError
-from tests.fuzz.targets import PACKET_TO_VIEWER, TEXT_TO_SERVER, TEXT_TO_VIEWER, joined
+from tests.fuzz.targets import CHUNKS, PACKET_TO_VIEWER, TEXT_TO_SERVER, TEXT_TO_VIEWER, addressed, joined, ready
 from tests.vectors.make import FOLDER, read_stream
 
 
 def packets() -> list[bytes]:
-    """The last packet of every conformance stream."""
-    return [read_stream(path)[-1] for path in sorted(FOLDER.glob("*.slps"))]
+    """The last packet of every conformance stream, for the state that it belongs to."""
+    return [addressed(number, last) for number, (_, last) in enumerate(ready())]
 
 
 def chunks() -> list[bytes]:
-    """The chunks of all packets that can be taken apart."""
+    """The chunks of all packets that can be taken apart, for the decoder that each is meant for."""
     found = []
-    for packet in packets():
-        try:
-            found += [chunk.data for chunk in parse(packet).chunks if chunk.kind > 1]
-        except BitstreamError:
-            continue
+    for _, packet in ready():
+        with suppress(BitstreamError):
+            found += [
+                addressed(CHUNKS.index(chunk.kind), chunk.data)
+                for chunk in parse(packet).chunks
+                if chunk.kind in CHUNKS
+            ]
     return sorted(set(found))
 
 
 def files() -> list[bytes]:
-    """A `.slod` file."""
+    """`.slod` files: with rows that come and go, in parts, with two keyframes."""
+    found = []
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "a.slod"
-        with SlodWriter(path) as writer:
-            for packet in read_stream(FOLDER / "valid-growth-profile1.slps"):
-                writer.append(packet)
-        return [path.read_bytes()]
+        for name in ("growth-profile1", "trickle", "second-keyframe"):
+            path = Path(folder) / f"{name}.slod"
+            with SlodWriter(path) as writer:
+                for packet in read_stream(FOLDER / f"valid-{name}.slps"):
+                    writer.append(packet)
+            found.append(path.read_bytes())
+    return found
 
 
 def sessions() -> list[bytes]:
@@ -93,7 +99,7 @@ def mutants(seeds: list[bytes], count: int, seed: int) -> Iterator[bytes]:
 
 
 def _damage(rng: random.Random, data: bytearray) -> None:
-    at = rng.randrange(len(data) + 1) if rng.random() < 0.5 else rng.randrange(min(len(data), 64) + 1)
+    at = rng.randrange(len(data) + 1) if rng.random() < 0.75 else rng.randrange(min(len(data), 64) + 1)
     match rng.randrange(5):
         case 0 | 1 if at < len(data):
             data[at] ^= 1 << rng.randrange(8)

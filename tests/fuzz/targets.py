@@ -7,7 +7,6 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from copy import copy
 from functools import cache
 from pathlib import Path
 
@@ -20,8 +19,9 @@ from codec.container import SlodReader
 from codec.decoder import SceneDecoder
 from codec.packet.bytes import HEADER_BYTES
 from codec.packet.limits import DecoderLimits, Room
+from codec.packet.packet import ChunkKind
 from core.errors import BitstreamError, InputError, SessionError
-from core.scene.anchors import AnchorLevel, empty_level
+from core.scene.anchors import AnchorLevel, SceneHeader, empty_level
 from server.protocol.messages import parse_control, parse_hello
 from tests.codec.scenes import make_header
 from tests.vectors.make import FOLDER, read_stream
@@ -85,64 +85,119 @@ def repair_file(data: bytes) -> bytes:
     return b"".join([*parts, rest])
 
 
+def addressed(number: int, data: bytes) -> bytes:
+    """An input of a target that has several subjects: `data` for subject `number`."""
+    return struct.pack("<H", number) + data
+
+
+def _subject(data: bytes, count: int) -> tuple[int, bytes]:
+    """Inverse of `addressed`, for any bytes."""
+    (number,) = struct.unpack("<H", data[:2].ljust(2, b"\0"))
+    return number % count, data[2:]
+
+
+def repair_addressed(data: bytes) -> bytes:
+    """An addressed packet with the right checksums and, three times in four, with lengths that fit."""
+    return data[:2] + repair(fit(data[2:]) if len(data) % 4 else data[2:])
+
+
+def fit(data: bytes) -> bytes:
+    """`data` with the length of the last chunk that its own directory asks for, so that insertions reach the inside."""
+    if len(data) < HEADER_BYTES + 8:
+        return data
+    (count,) = struct.unpack_from("<H", data, 30)
+    count = min(count, (len(data) - HEADER_BYTES) // 8)
+    words = [struct.unpack_from("<I", data, HEADER_BYTES + 8 * number)[0] for number in range(count)]
+    rest = len(data) - HEADER_BYTES - 8 * count - sum(word & 0xFFFFFF for word in words[:-1])
+    if not words or not 0 <= rest < 1 << 24:
+        return data
+    at = HEADER_BYTES + 8 * (count - 1)
+    return data[:at] + struct.pack("<I", words[-1] & 0xFF000000 | rest) + data[at + 4 :]
+
+
 @cache
-def _decoders() -> tuple[SceneDecoder, ...]:
-    """Decoders without a state, and with states that the last packet of a stream fits."""
-    decoders = [SceneDecoder(LIMITS)]
-    for name in ("valid-growth-profile1", "valid-extremes-profile1", "valid-levels-apart"):
-        decoder = SceneDecoder(LIMITS)
-        for earlier in read_stream(FOLDER / f"{name}.slps")[:-1]:
+def ready() -> tuple[tuple[SceneDecoder, bytes], ...]:
+    """For each conformance stream a decoder that has read all but its last packet, and that packet."""
+    found = []
+    for path in sorted(FOLDER.glob("*.slps")):
+        *before, last = read_stream(path)
+        decoder = SceneDecoder()
+        for earlier in before:
             decoder.push(earlier)
-        decoders.append(decoder)
-    return tuple(decoders)
+        if len(last) <= LIMITS.packet_bytes and sum(map(len, decoder.scene.levels if decoder.scene else ())) < 1000:
+            found.append((replaced(decoder, SceneDecoder(LIMITS)), last))
+    return tuple(found)
+
+
+def replaced(ready: SceneDecoder, decoder: SceneDecoder) -> SceneDecoder:
+    """`decoder` with the state of `ready`: scenes are values, so nothing is copied."""
+    limits = decoder.__dict__["_limits"]
+    decoder.__dict__.update(ready.__dict__, _limits=limits)
+    return decoder
 
 
 def packet(data: bytes) -> None:
-    """One packet, as it is and repaired, for a decoder without and with a state."""
-    for candidate in (data, repair(data)):
-        for ready in _decoders():
-            decoder = copy(ready)
-            before = decoder.scene, decoder.versions
-            try:
-                decoder.push(candidate)
-            except BitstreamError:
-                assert (decoder.scene, decoder.versions) == before, "a refused packet changed the state"
+    """A packet for a decoder in one of many states."""
+    number, candidate = _subject(data, len(ready()))
+    decoder = replaced(ready()[number][0], SceneDecoder(LIMITS))
+    before = decoder.scene, decoder.versions
+    try:
+        decoder.push(candidate)
+    except BitstreamError:
+        assert (decoder.scene, decoder.versions) == before, "a refused packet changed the state"
 
 
-def entropy(data: bytes) -> None:
-    """A chunk's content, for each chunk decoder in turn."""
-    header = make_header(2, 1, 2)
+@cache
+def _level() -> tuple[SceneHeader, AnchorLevel]:
+    """A header, and a level of 200 rows of which every second was touched."""
     rows = np.arange(200)
     voxel = np.stack([rows >> 5, rows >> 2 & 7, rows & 3], axis=1).astype(np.int32)
     empty, touched = empty_level(2, 1), np.tile(np.array([0, 1], np.int16), 100)[:, None].repeat(24, axis=1)
     columns = {n: np.zeros((200, *getattr(empty, n).shape[1:]), getattr(empty, n).dtype) for n in empty.__slots__}
-    level = AnchorLevel(**{**columns, "voxel": voxel, "latent": touched})
-    room = Room(4096, len(data))
-    for decode in (
-        lambda: chunks.decode_geometry(data, 1, room),
-        lambda: chunks.decode_base(data, 1, header, voxel, room),
-        lambda: chunks.decode_change(data, 1, level, Elapsed(9, 1), room),
-        lambda: chunks.decode_removed(data, 1, level.alive, room),
-        lambda: chunks.decode_added(data, 1, header, room),
-    ):
-        with suppress(BitstreamError):
-            decode()
+    return make_header(2, 1, 2), AnchorLevel(**{**columns, "voxel": voxel, "latent": touched})
+
+
+CHUNKS = (ChunkKind.GEOMETRY, ChunkKind.BASE, ChunkKind.CHANGE, ChunkKind.REMOVED, ChunkKind.ADDED)
+
+
+def entropy(data: bytes) -> None:
+    """A chunk's content, for one of the chunk decoders."""
+    number, content = _subject(data, len(CHUNKS))
+    header, level = _level()
+    room = Room(4096, len(content))
+    with suppress(BitstreamError):
+        match CHUNKS[number]:
+            case ChunkKind.GEOMETRY:
+                chunks.decode_geometry(content, 1, room)
+            case ChunkKind.BASE:
+                chunks.decode_base(content, 1, header, level.voxel, room)
+            case ChunkKind.CHANGE:
+                chunks.decode_change(content, 1, level, Elapsed(9, 1), room)
+            case ChunkKind.REMOVED:
+                chunks.decode_removed(content, 1, level.alive, room)
+            case ChunkKind.ADDED:
+                chunks.decode_added(content, 1, header, room)
+
+
+@cache
+def _folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="fuzz"))
 
 
 def container(data: bytes) -> None:
     """A `.slod` file."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "fuzz.slod"
-        path.write_bytes(data)
-        try:
-            with SlodReader(path, LIMITS) as reader:
-                for content in reader.packets():
-                    with suppress(BitstreamError):
-                        SceneDecoder(LIMITS).push(content)
-                with suppress(InputError):
-                    reader.plan(max((entry.to_version for entry in reader.entries), default=0))
-        except BitstreamError:
-            pass
+    path = _folder() / "fuzz.slod"
+    path.write_bytes(data)
+    try:
+        with SlodReader(path, LIMITS) as reader:
+            decoder = SceneDecoder(LIMITS)
+            for content in reader.packets():
+                with suppress(BitstreamError):
+                    decoder.push(content)
+            with suppress(InputError):
+                reader.plan(max((entry.to_version for entry in reader.entries), default=0))
+    except BitstreamError:
+        pass
 
 
 def session(data: bytes) -> None:
@@ -170,4 +225,4 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "container": container,
     "session": session,
 }
-REPAIRS = {"packet": repair, "container": repair_file, "session": repair_session}
+REPAIRS = {"packet": repair_addressed, "container": repair_file, "session": repair_session}

@@ -5,8 +5,18 @@ import { KEY, LIMITS, must, parseEnvelope } from "./packet.js";
 
 /** @typedef {{ offset: number, size: number, keyframe: number, fromVersion: number, toVersion: number, timeMs: number, kind: number, mask: number }} Entry */
 
+export const FILE_HEAD = 8; // bytes before the first record
 export const FOOTER = 16;
 const ENTRY = 40;
+
+/** Refuse what does not begin like a file of this version. @type {(head: Uint8Array) => void} */
+export function checkHead(head) {
+  const [s, l, o, d, version, ...reserved] = head;
+  const named = head.length === FILE_HEAD && s === 83 && l === 76 && o === 79 && d === 68;
+  must(named, "bad_file", "the file is not a .slod recording");
+  must(version === 1, "unsupported_version", `file version ${version}, this page knows 1`);
+  must(reserved.every((x) => x === 0), "bad_file", "the file is not a .slod recording");
+}
 
 /** Where the index lies. @type {(tail: Uint8Array, size: number) => { start: number, checksum: number } | null} null without a footer */
 export function readFooter(tail, size) {

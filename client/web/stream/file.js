@@ -1,6 +1,6 @@
 /** A `.slod` file at an address: its bytes by range where the server can, whole where it cannot; what it holds, and a part of it as a file of its own. */
 
-import { FOOTER, readFooter, readIndex, walkRecords } from "../decode/container.js";
+import { checkHead, FILE_HEAD, FOOTER, readFooter, readIndex, walkRecords } from "../decode/container.js";
 import { KEY, must } from "../decode/packet.js";
 
 const MAX_READ = 1 << 30; // bytes at once
@@ -74,12 +74,15 @@ export class FileReader {
   /** What the file holds. @returns {Promise<import("../decode/container.js").Entry[]>} */
   async entries() {
     const tail = await this.tail(FOOTER), { size } = this, footer = readFooter(tail, size);
-    const index = footer && readIndex(await this.read(footer.start, size - FOOTER), footer.checksum, footer.start);
-    return index ?? walkRecords(await this.read(0, size));
+    const [head, content] = await Promise.all([
+      this.read(0, Math.min(FILE_HEAD, size)), footer && this.read(footer.start, size - FOOTER),
+    ]);
+    checkHead(head);
+    return (footer && content && readIndex(content, footer.checksum, footer.start)) ?? walkRecords(await this.read(0, size));
   }
 }
 
-const FILE_HEAD = 8, LENGTH = 4; // bytes before the first record, and before each packet
+const LENGTH = 4; // bytes before each packet
 
 /**
  * A `.slod` file from the last keyframe at or before version `first` up to `last`. It has no index; every reader walks through such a file.
