@@ -1,14 +1,12 @@
-"""Fit the frozen tables: ``python -m tests.bench.codec_tables FILE.slod... [--write]``.
+"""What other tables would save: ``python -m tests.bench.codec_tables FILE.slod...``.
 
 Counts which symbols occur in which bin, apart for each file and kind of number, and finds the tables whose largest
 excess over the tables that each of these would have of its own is least. Fitted to even frames, judged on odd ones,
-beside today's tables. ``--write`` puts the new ones into the three places that hold them. Then `tests.vectors.make` has
-to write the vectors anew: what was coded with other tables cannot be read any more (profile 0 can).
+beside the tables of version 1 of the format, which are final.
 """
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -28,7 +26,6 @@ from core.scene.entropy_model import BINS, ESCAPE, FREQUENCIES, SCALES, SYMBOLS,
 from core.scene.residual import difference
 from tests.bench.codec_bench import load
 
-ROOT = Path(__file__).parents[2]
 _SKIP = 4  # frames of the skips that tables are fitted to, too
 _ROUNDS = 3000
 _WEIGHT = 1e5  # symbols that each group counts as
@@ -143,36 +140,16 @@ def whole(shares: Float64) -> Int64:
     return tables
 
 
-def write(tables: Int64) -> None:
-    """Put the tables where they are held."""
-    rows = [row.tolist() for row in tables]
-    python = "\n".join(f"    ({', '.join(map(str, row))})," for row in rows)
-    plain = [" ".join(map(str, row)) for row in rows]
-    listed = "\n".join(f"{number:2d}: {row}" for number, row in enumerate(plain))
-    for name, pattern, text in (
-        ("core/scene/entropy_model.py", r"(?<=FREQUENCIES: Int64 = np.array\(\(\n).*?(?=\n\), np.int64\))", python),
-        ("codec/FORMAT.md", r"(?<=sums to 4096.\n\n```\n).*?(?=\n```)", listed),
-        ("client/web/decode/tables.js", r"(?<=const FREQUENCIES = `).*?(?=`)", "\n".join(plain)),
-    ):
-        path = ROOT / name
-        new, found = re.subn(pattern, text, path.read_text(), count=1, flags=re.DOTALL)
-        if not found:
-            raise ValueError(f"{name} holds no tables where they were expected")
-        path.write_text(new)
-
-
 def main() -> None:
-    """Fit, judge and perhaps write."""
-    files = [Path(argument) for argument in sys.argv[1:] if not argument.startswith("-")]
+    """Fit and judge."""
+    files = [Path(argument) for argument in sys.argv[1:]]
     found = [(f"{path.stem}, {name}", counts) for path in files for name, counts in groups(path)]
     tables = whole(fitted([counts[0] for _, counts in found]))
-    print("excess over tables of its own, on odd frames: new, today's")
+    print("excess over tables of its own, on odd frames: new, version 1's")
     for name, (even, odd) in found:
         own, count = bits(odd, learned(even)), odd.sum()
         excess = [100 * (bits(odd, one.astype(np.float64)) / own - 1) for one in (tables, FREQUENCIES)]
         print(f"  {excess[0]:+5.2f} % {excess[1]:+5.2f} %  {name}: {count:.0f} symbols, {own / count:.3f} bit each")
-    if "--write" in sys.argv:
-        write(tables)
 
 
 if __name__ == "__main__":

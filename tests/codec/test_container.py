@@ -112,7 +112,7 @@ def test_seeking_takes_the_cheapest_way(tmp_path: Path, clip: tuple[list[Scene],
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.slod"
-    for content in (b"", b"SLO", b"PK\x03\x04 a zip archive", b"SLOD\x02\0\0\0"):
+    for content in (b"", b"SLO", b"PK\x03\x04 a zip archive", b"SLOD\x02", b"SLOD\1\0\0\1"):
         path.write_bytes(content)
         with pytest.raises(BitstreamError) as refused:
             SlodReader(path)

@@ -1,6 +1,7 @@
-"""Conformance vectors: `python -m tests.vectors.make` writes the streams and manifest.json into this folder.
+"""Conformance vectors: `python -m tests.vectors.make` writes new streams into this folder, and manifest.json.
 
-What the files hold is said in codec/FORMAT.md section 16.
+What the files hold is said in codec/FORMAT.md section 16. Those that frozen.json lists stay as they are, also where
+this encoder would write the same states in other bytes.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import hashlib
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 from codec.decoder import SceneDecoder
 from core.errors import BitstreamError
@@ -17,6 +19,7 @@ from tests.vectors.broken import broken_streams
 from tests.vectors.valid import valid_streams
 
 FOLDER = Path(__file__).parent
+FROZEN = FOLDER / "frozen.json"
 
 
 def level_hash(level: AnchorLevel) -> str:
@@ -49,31 +52,44 @@ def _write_stream(name: str, packets: list[bytes]) -> str:
     return path.name
 
 
+def _valid(name: str, packets: list[bytes]) -> dict[str, Any]:
+    """The manifest's entry of a stream, which is written."""
+    decoder, states = SceneDecoder(), []
+    for packet in packets:
+        decoder.push(packet)
+        states.append(state_of(decoder))
+    return {"name": name, "file": _write_stream(f"valid-{name}", packets), "states": states}
+
+
+def _broken(name: str, packets: list[bytes], code: str) -> dict[str, Any]:
+    """Likewise, for a stream whose last packet must be refused with this code."""
+    decoder = SceneDecoder()
+    for packet in packets[:-1]:
+        decoder.push(packet)
+    try:
+        decoder.push(packets[-1])
+    except BitstreamError as error:
+        if error.code != code:
+            raise ValueError(f"{name} is refused as {error.code}, not as {code}") from error
+    else:
+        raise ValueError(f"{name} is not refused")
+    return {"name": name, "file": _write_stream(f"broken-{name}", packets), "refused": code}
+
+
 def main() -> None:
-    """Write all streams and the manifest."""
+    """Write the streams that are not frozen, and the manifest of all."""
+    frozen, path = json.loads(FROZEN.read_text())["streams"], FOLDER / "manifest.json"
+    manifest = json.loads(path.read_text())
     for old in FOLDER.glob("*.slps"):
-        old.unlink()
-    valid, broken = [], []
-    for name, packets in valid_streams():
-        decoder, states = SceneDecoder(), []
-        for packet in packets:
-            decoder.push(packet)
-            states.append(state_of(decoder))
-        valid.append({"name": name, "file": _write_stream(f"valid-{name}", packets), "states": states})
-    for name, packets, code in broken_streams():
-        decoder = SceneDecoder()
-        for packet in packets[:-1]:
-            decoder.push(packet)
-        try:
-            decoder.push(packets[-1])
-        except BitstreamError as error:
-            if error.code != code:
-                raise ValueError(f"{name} is refused as {error.code}, not as {code}") from error
-        else:
-            raise ValueError(f"{name} is not refused")
-        broken.append({"name": name, "file": _write_stream(f"broken-{name}", packets), "refused": code})
-    manifest = {"format": 1, "valid": valid, "broken": broken}
-    (FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
+        if old.name not in frozen:
+            old.unlink()
+    for kind in ("valid", "broken"):
+        manifest[kind] = [entry for entry in manifest[kind] if entry["file"] in frozen]
+    made = (_valid(*stream) for stream in valid_streams() if f"valid-{stream[0]}.slps" not in frozen)
+    manifest["valid"] += made
+    refused = (_broken(*stream) for stream in broken_streams() if f"broken-{stream[0]}.slps" not in frozen)
+    manifest["broken"] += refused
+    path.write_text(json.dumps(manifest, indent=1) + "\n")
 
 
 if __name__ == "__main__":

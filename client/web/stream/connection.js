@@ -71,7 +71,7 @@ export class Connection extends Link {
   /** @param {string} text */
   #control(text) {
     const told = this.session.control(text, performance.now(), Date.now());
-    if (this.session.status.phase === "version") this.close();
+    if (this.session.verdict) this.close();
     if (!told) return;
     if (told.clamped && this.stopAt !== null) this.stopAt = told.version;
     if (told.clamped && this.aim !== null) this.aim = told.version;

@@ -2,10 +2,10 @@
  * The viewer's side of docs/protocol.md without a socket: messages in, messages to send and a status out.
  */
 
+import { heard, nameOf, VERSION } from "./heard.js";
 import { phaseOf } from "./phase.js";
 
 export const PROTOCOL = "streamlod.v1";
-const VERSION = 1;
 const CLIENT = "streamlod-web/1.0";
 const FIRST_WAIT_MS = 500, MAX_WAIT_MS = 15_000;
 const MIN_STALL_MS = 2500; // without a frame
@@ -86,17 +86,21 @@ export class Session {
   }
 
   /**
-   * A control message came.
+   * A control message came; one that cannot be read ends the session (`verdict`).
    * @param {string} text
    * @param {number} now - ms
    * @param {number} unixMs - this side's Unix time
    * @returns {{ mode: "live" | "replay" | "paused", version: number, clamped: boolean } | null} what a position event says
    */
   control(text, now = this.lastPacket, unixMs = NaN) {
-    const message = JSON.parse(text);
-    const { status } = this;
-    const name = message.type === "event" ? message.event : message.type;
-    switch (name) {
+    const message = heard(text), { status } = this;
+    if (!message) {
+      this.verdict = "failed";
+      status.detail = "the server said something that this page cannot read";
+      this.settle();
+      return null;
+    }
+    switch (nameOf(message)) {
       case "welcome":
         if (message.version !== VERSION) {
           this.verdict = "version";

@@ -4,6 +4,7 @@
  * `ThinLink` takes the place of the worker and `Screen` that of the renderer, so the rest of the page is the same.
  */
 
+import { heard } from "../stream/heard.js";
 import { Link } from "../stream/link.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
@@ -144,18 +145,18 @@ export class ThinLink extends Link {
 
   /** @param {string} text */
   #hear(text) {
-    const message = JSON.parse(text);
-    if (message.event === "scene") {
+    const message = heard(text);
+    if (message?.event === "scene") {
       const cameras = message.cameras.map((/** @type {any} */ { world_to_camera: worldToCamera, ...camera }) => ({ ...camera, worldToCamera }));
       const { background, fps, levels, view_dependent: viewDependent } = message;
       this.#tell({ type: "scene", cameras, background, fps, levels, viewDependent });
-    } else if (message.event === "picked") {
+    } else if (message?.event === "picked") {
       const kind = this.asked.get(message.id);
       this.asked.delete(message.id);
       this.#tell({ type: "picked", id: message.id, point: kind === "depth" ? [0, 0, message.depth] : message.point });
     } else {
       const told = this.session.control(text, performance.now(), Date.now());
-      if (this.session.status.phase === "version") this.close();
+      if (this.session.verdict) this.close();
       if (told?.mode === "paused") this.stopAt = null;
       if (told?.clamped && this.stopAt !== null) this.stopAt = told.version;
       // Where a replay begins that was not clamped is what is held, or was held before a later seek.

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { levelOf } from "../../../client/web/decode/container.js";
+import { checkHead, FILE_HEAD, FOOTER, levelOf, plan, readFooter, readIndex, walkRecords } from "../../../client/web/decode/container.js";
 import { SceneDecoder } from "../../../client/web/decode/decoder.js";
 import { BitstreamError } from "../../../client/web/decode/scene.js";
 
@@ -56,6 +56,42 @@ for (const { name, file, states } of manifest.valid) {
     assert.deepEqual(state(decoder), { versions: states[0].versions, levels: states[0].levels });
   });
 }
+
+const frozen = JSON.parse(readFileSync(new URL("frozen.json", folder), "utf8"));
+const read = (/** @type {string} */ file) => new Uint8Array(readFileSync(new URL(file, folder)));
+
+for (const [file, { states, packets }] of Object.entries(frozen.recordings)) {
+  test(`every version of a recording is what it was on the day of the freeze: ${file}`, () => {
+    const bytes = read(file), footer = readFooter(bytes.subarray(-FOOTER), bytes.length);
+    checkHead(bytes.subarray(0, FILE_HEAD));
+    const entries = readIndex(bytes.subarray(footer.start, -FOOTER), footer.checksum, footer.start);
+    assert.equal(entries.length, packets);
+    const places = (/** @type {{ offset: number, size: number }[]} */ found) => found.map(({ offset, size }) => ({ offset, size }));
+    assert.deepEqual(places(walkRecords(bytes.subarray(0, footer.start))), places(entries));
+    for (const [version, wanted] of Object.entries(states)) {
+      const decoder = new SceneDecoder();
+      for (const i of plan(entries, Number(version), null)) decoder.push(bytes.slice(entries[i].offset, entries[i].offset + entries[i].size));
+      assert.deepEqual(state(decoder), wanted);
+    }
+  });
+}
+
+test("a file of another version is refused as such, another file as none", () => {
+  const head = read("growth.slod").subarray(0, FILE_HEAD);
+  const other = (/** @type {number} */ at, /** @type {number} */ value) => head.with(at, value);
+  for (const version of [0, 2, 255]) assert.throws(() => checkHead(other(4, version)), { code: "unsupported_version" });
+  for (const wrong of [other(0, 0), other(7, 1), head.subarray(0, 7)]) assert.throws(() => checkHead(wrong), { code: "bad_file" });
+});
+
+test("a packet of another version is refused whatever else it holds", () => {
+  const packet = packets("valid-growth-profile1.slps")[0];
+  for (const version of [0, 2, 255]) {
+    for (const rest of [packet.subarray(5), new Uint8Array(60).fill(255)]) {
+      const later = Uint8Array.from([...packet.subarray(0, 4), version, ...rest]);
+      assert.throws(() => new SceneDecoder().push(later), { code: "unsupported_version" });
+    }
+  }
+});
 
 for (const { name, file, refused } of manifest.broken) {
   test(`broken: ${name}`, () => {
