@@ -153,7 +153,7 @@ class Viewer:
         self.connection.send(json.dumps(message))
 
     def hello(self, **fields: Any) -> Self:
-        self.send(type="hello", versions=[1], client="test/1", **fields)
+        self.send(**{"type": "hello", "versions": [1], "client": "test/1"} | fields)
         self.welcome = json.loads(self.connection.recv(10))
         assert self.welcome["type"] == "welcome"
         return self

@@ -35,7 +35,7 @@ export function decodeChange(chunk, level, elapsed, room) {
   const pairs = new Int32Array(level.latent.buffer, level.latent.byteOffset, level.latent.length / 2); // two latents at once
   const used = rowsWithAny(pairs, LATENTS / 2);
   const rows = decodeRowSet(coder, level, used);
-  must(rows.length); // a change without rows must be left out
+  must(rows.length);
   const position = decodePositions(coder, rows, level.position, elapsed, start);
   const latent = decodeLatents(coder, rows, used, scales);
   coder.end();
@@ -55,7 +55,7 @@ export function decodeRemoved(chunk, level, room) {
 /** The row count of a table of a level's own rows. @type {(reader: Reader, columns: number, level: Level, room: Room) => number} */
 function existing(reader, columns, level, room) {
   const rows = rowCount(reader);
-  must(rows <= level.count); // more rows than the level has
+  must(rows <= level.count);
   checkTable(rows, columns, room);
   return rows;
 }
@@ -82,12 +82,7 @@ function rowsWithAny(values, width) {
   return found;
 }
 
-/**
- * @param {RansDecoder} coder
- * @param {Level} level
- * @param {Uint8Array} used - rows whose latents are no longer 0
- * @returns {Uint32Array}
- */
+/** `used`: rows whose latents are no longer 0. @type {(coder: RansDecoder, level: Level, used: Uint8Array) => Uint32Array} */
 function decodeRowSet(coder, { count, position }, used) {
   const touched = rowsWithAny(position, 3);
   for (let i = 0; i < count; i++) touched[i] |= used[i];
@@ -112,14 +107,7 @@ function decodeRowSet(coder, { count, position }, used) {
   return rows.slice(0, found);
 }
 
-/**
- * For each changed row whether it has latents, then the latents of those that have.
- * @param {RansDecoder} coder
- * @param {Uint32Array} rows
- * @param {Uint8Array} used - 1 for each row of the level whose latents were not all 0 before
- * @param {import("./rans.js").Scales} scales
- * @returns {Int32Array}
- */
+/** For each changed row whether it has latents, then these. @type {(coder: RansDecoder, rows: Uint32Array, used: Uint8Array, scales: import("./rans.js").Scales) => Int32Array} */
 function decodeLatents(coder, rows, used, scales) {
   const models = new BitModels(2), chosen = new Uint8Array(rows.length);
   for (let i = 0; i < rows.length; i++) chosen[i] = coder.flag(models, used[rows[i]]);
@@ -128,14 +116,7 @@ function decodeLatents(coder, rows, used, scales) {
   return latent;
 }
 
-/**
- * @param {RansDecoder} coder
- * @param {Uint32Array} rows
- * @param {Int32Array} position - of all rows of the level before the change
- * @param {Elapsed} elapsed
- * @param {number} start - expected magnitude
- * @returns {Int32Array}
- */
+/** `position`: of all rows before the change; `start`: expected magnitude. @type {(coder: RansDecoder, rows: Uint32Array, position: Int32Array, elapsed: Elapsed, start: number) => Int32Array} */
 function decodePositions(coder, rows, position, { age, span }, start) {
   const delta = new Int32Array(3 * rows.length);
   const average = [start, start, start], trend = [0, 0, 0], motion = [0, 0, 0];
@@ -151,7 +132,7 @@ function decodePositions(coder, rows, position, { age, span }, start) {
       const context = 4 * (average[a] + steady) + before + 3 * mean + 6 * within;
       const error = coder.value(bin(Math.floor(context / (18 + 6 * a))));
       const value = Math.floor((motion[a] + trend[a] + 128) / 256) + error;
-      must(value === (value | 0) && value !== -2147483648); // a position difference is too large
+      must(value === (value | 0) && value !== -2147483648);
       delta[3 * i + a] = value;
       trend[a] += 16 * value - Math.floor(trend[a] / 4);
       const size = 256 * Math.abs(error);

@@ -11,11 +11,10 @@ const ENTRY = 40;
 
 /** Refuse what does not begin like a file of this version. @type {(head: Uint8Array) => void} */
 export function checkHead(head) {
-  const [s, l, o, d, version, ...reserved] = head;
-  const named = head.length === FILE_HEAD && s === 83 && l === 76 && o === 79 && d === 68;
-  must(named, "bad_file", "the file is not a .slod recording");
-  must(version === 1, "unsupported_version", `file version ${version}, this page knows 1`);
-  must(reserved.every((x) => x === 0), "bad_file", "the file is not a .slod recording");
+  const [name, version] = head.length === FILE_HEAD ? new Uint32Array(head.slice().buffer) : [];
+  must(name === 0x444f4c53, "bad_file", "this is not a .slod file");
+  must((version & 255) === 1, "unsupported_version", `file version ${version & 255}, this page knows 1`);
+  must(version === 1, "bad_file", "this is not a .slod file");
 }
 
 /** Where the index lies. @type {(tail: Uint8Array, size: number) => { start: number, checksum: number } | null} null without a footer */
@@ -63,11 +62,8 @@ export function walkRecords(bytes) {
 }
 
 /**
- * Entries to decode, in order, to show `version`: on from `from` where that is possible, or from the last keyframe.
- * @param {Entry[]} entries
- * @param {number} version - one that the file holds
- * @param {{ keyframe: number, version: number } | null} from - what the decoder holds
- * @returns {number[]} entry numbers
+ * Numbers of the entries to decode, in order, to show `version`: on from `from`, what the decoder holds, or from the last keyframe.
+ * @type {(entries: Entry[], version: number, from: { keyframe: number, version: number } | null) => number[]}
  */
 export function plan(entries, version, from) {
   let keyframe = -1;

@@ -12,13 +12,7 @@ import { changed, emptyLevel, HIDDEN, rowBytes } from "./scene.js";
 /** @typedef {import("./scene.js").Level} Level */
 /** @typedef {import("./packet.js").Packet} Packet */
 
-/**
- * What a packet did: a new scene, levels set whole (`rows` null), or rows of levels changed.
- * @typedef {object} Effect
- * @property {Packet} packet
- * @property {boolean} scene - whether everything is new
- * @property {{ level: number, rows: Uint32Array | null, from: number }[]} levels - rows changed, and the first row added
- */
+/** What a packet did: a new scene, levels set whole (`rows` null), or rows of levels changed and others added, `from` on. @typedef {{ packet: Packet, scene: boolean, levels: { level: number, rows: Uint32Array | null, from: number }[] }} Effect */
 
 export class SceneDecoder {
   constructor() {
@@ -26,11 +20,7 @@ export class SceneDecoder {
     this.scene = null;
   }
 
-  /**
-   * @param {Uint8Array} bytes - one packet
-   * @returns {Effect}
-   * @throws {import("./scene.js").BitstreamError}
-   */
+  /** @param {Uint8Array} bytes - one packet @returns {Effect} @throws {import("./scene.js").BitstreamError} */
   push(bytes) {
     const packet = parsePacket(bytes);
     return packet.kind === KEY ? this.#key(packet) : this.#change(packet);
@@ -45,7 +35,7 @@ export class SceneDecoder {
       scene = readScene(headerChunk, weightsChunk, packet);
     } else scene = held(scene, packet);
     const { header } = scene;
-    must(packet.mask >> header.levels === 0, "bad_scene_header"); // the packet speaks of more levels than the scene has
+    must(packet.mask >> header.levels === 0, "bad_scene_header");
     /** @type {[number, Level][]} */
     const built = [];
     let room = mostRows(header) - scene.levels.reduce((sum, level, l) => sum + ((packet.mask >> l) & 1 ? 0 : level.count), 0);
@@ -74,9 +64,9 @@ export class SceneDecoder {
   /** @param {Packet} packet @returns {Effect} */
   #change(packet) {
     const scene = held(this.scene, packet);
-    must(packet.mask >> scene.header.levels === 0, "bad_scene_header"); // the packet speaks of more levels than the scene has
+    must(packet.mask >> scene.header.levels === 0, "bad_scene_header");
     const levels = bitsOf(packet.mask).filter((level) => scene.versions[level] === packet.fromVersion);
-    must(levels.length, "version_mismatch"); // no level is at fromVersion
+    must(levels.length, "version_mismatch");
     const next = { ...scene, levels: [...scene.levels], versions: [...scene.versions] };
     /** @type {Effect["levels"]} */
     const effects = [];
@@ -115,9 +105,9 @@ function changedLevel(packet, number, scene, room) {
 
 /** The scene that a packet needs. @type {(scene: Scene | null, packet: Packet) => Scene} */
 function held(scene, { keyframe, identifier }) {
-  must(scene, "no_keyframe"); // no keyframe has come yet
+  must(scene, "no_keyframe");
   const same = scene.keyframe === keyframe && scene.identifier === identifier;
-  must(same, "unknown_keyframe"); // the packet belongs to another keyframe
+  must(same, "unknown_keyframe");
   return scene;
 }
 
@@ -130,14 +120,14 @@ function checkHash(chunk, level) {
   const reader = new Reader(chunk);
   const wanted = reader.u32();
   reader.end();
-  must(digest(level) === wanted, "state_mismatch"); // the state differs from the sender's
+  must(digest(level) === wanted, "state_mismatch");
 }
 
 /** A chunk whose coding may occur there. @type {(chunk: Uint8Array, packet: Packet, coded?: boolean) => Uint8Array} */
 function checked(chunk, { profile }, coded = true) {
-  must(chunk.length > 0); // a chunk is empty
+  must(chunk.length > 0);
   const known = chunk[0] === 0 || (coded && profile > 0 && (chunk[0] === 1 || chunk[0] === 4));
-  must(known, "unsupported_profile"); // a coding that cannot occur here
+  must(known, "unsupported_profile");
   return chunk;
 }
 
@@ -168,8 +158,8 @@ function readHeader(chunk) {
   const reader = new Reader(chunk, "bad_scene_header");
   const [levels, slots, features, viewDependent, cameraCount, ...reserved] = reader.take(8);
   const small = levels <= LIMITS.levels && slots <= LIMITS.slots && features <= LIMITS.features;
-  must(small, "limit_exceeded"); // the scene header announces more than this page takes
-  must(levels >= 1 && slots >= 1 && features >= 1 && viewDependent <= 1 && reserved.every((x) => x === 0), "bad_scene_header"); // the scene header holds impossible sizes
+  must(small, "limit_exceeded");
+  must(levels >= 1 && slots >= 1 && features >= 1 && viewDependent <= 1 && reserved.every((x) => x === 0), "bad_scene_header");
   const origin = reader.f64(3);
   const [rootCell, referenceDistance, fps] = reader.f64(3);
   const background = reader.f32(3);
@@ -178,7 +168,7 @@ function readHeader(chunk) {
   const lengths = [rootCell, referenceDistance].every((x) => x >= 1e-6 && x <= 1e9) && origin.every((x) => Math.abs(x) <= 1e9);
   const steps = [...positionSteps, ...featureSteps, ...offsetSteps, ...scalingSteps].every((x) => x > 0 && x <= 1e9);
   const others = fps >= 0.001 && fps <= 10000 && background.every((x) => x >= 0 && x <= 1);
-  must(lengths && steps && others, "bad_scene_header"); // a number of the scene header is out of its bounds
+  must(lengths && steps && others, "bad_scene_header");
   const cameras = Array.from({ length: cameraCount }, () => readCamera(reader));
   reader.end();
   return {
@@ -190,19 +180,19 @@ function readHeader(chunk) {
 /** @type {(reader: Reader) => import("./scene.js").RigCamera} */
 function readCamera(reader) {
   const length = reader.u8();
-  must(length <= 64, "bad_scene_header"); // a camera's name is too long
+  must(length <= 64, "bad_scene_header");
   let name = "";
   try {
     name = new TextDecoder("utf-8", { fatal: true }).decode(reader.take(length));
   } catch {
-    must(false, "bad_scene_header"); // a camera's name is not text
+    must(false, "bad_scene_header");
   }
   const width = reader.u32(), height = reader.u32();
-  must(width >= 1 && width <= 65535 && height >= 1 && height <= 65535, "bad_scene_header"); // a camera has no size
+  must(width >= 1 && width <= 65535 && height >= 1 && height <= 65535, "bad_scene_header");
   const intrinsics = reader.f64(9), worldToCamera = [...reader.f64(12), 0, 0, 0, 1];
   const distortion = reader.f64(5);
   const modest = [...intrinsics, ...worldToCamera, ...distortion].every((x) => Math.abs(x) <= 1e12);
-  must(modest && intrinsics[0] > 0 && intrinsics[4] > 0 && isRotation(worldToCamera), "bad_scene_header"); // a camera is impossible
+  must(modest && intrinsics[0] > 0 && intrinsics[4] > 0 && isRotation(worldToCamera), "bad_scene_header");
   return { name, intrinsics, worldToCamera, width, height };
 }
 

@@ -10,7 +10,7 @@ const LENGTH_ORDER = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14,
 /** The number of rows that a chunk announces behind its coding. @type {(reader: Reader) => number} */
 export function rowCount(reader) {
   const rows = reader.u32();
-  must(rows > 0); // a chunk without rows must be left out
+  must(rows > 0);
   return rows;
 }
 
@@ -45,7 +45,7 @@ function codesOf(lengths) {
   let space = 1;
   for (let n = 1; n <= bits; n++) {
     space = 2 * space - counts[n];
-    must(space >= 0); // a deflate code is over-full
+    must(space >= 0);
     next[n + 1] = (next[n] + counts[n]) << 1;
   }
   const table = new Uint16Array(1 << bits);
@@ -79,7 +79,7 @@ function inflate(bytes, out) {
   const drop = (n) => {
     held >>>= n;
     count -= n;
-    must(at - (count >> 3) <= bytes.length); // deflate data end too early
+    must(at - (count >> 3) <= bytes.length);
   };
   /** @type {(n: number) => number} */
   const take = (n) => {
@@ -90,7 +90,7 @@ function inflate(bytes, out) {
   /** @type {(codes: Codes) => number} */
   const symbol = ({ table, bits }) => {
     const entry = table[peek(bits)];
-    must(entry); // deflate data hold an unknown code
+    must(entry);
     drop(entry & 15);
     return entry >> 4;
   };
@@ -100,14 +100,14 @@ function inflate(bytes, out) {
     at -= count >> 3;
     held = count = 0;
     const fits = (size ^ check) === 0xffff && at + size <= bytes.length && written + size <= out.length;
-    must(fits); // a stored deflate block does not fit
+    must(fits);
     out.set(bytes.subarray(at, at + size), written);
     at += size;
     written += size;
   };
   const dynamic = () => {
     const literals = take(5) + 257, distances = take(5) + 1, coded = take(4) + 4;
-    must(literals <= 286 && distances <= 30); // deflate data announce too many codes
+    must(literals <= 286 && distances <= 30);
     const order = new Uint8Array(19), lengths = new Uint8Array(literals + distances);
     for (let i = 0; i < coded; i++) order[LENGTH_ORDER[i]] = take(3);
     const codes = codesOf(order);
@@ -116,7 +116,7 @@ function inflate(bytes, out) {
       if (s < 16) lengths[i++] = s;
       else {
         const times = s === 16 ? 3 + take(2) : s === 17 ? 3 + take(3) : 11 + take(7);
-        must((s > 16 || i > 0) && i + times <= lengths.length); // deflate code lengths do not fit
+        must((s > 16 || i > 0) && i + times <= lengths.length);
         lengths.fill(s === 16 ? lengths[i - 1] : 0, i, i + times);
         i += times;
       }
@@ -129,24 +129,24 @@ function inflate(bytes, out) {
       const s = symbol(literals);
       if (s === 256) return;
       if (s < 256) {
-        must(written < out.length); // deflate data are longer than announced
+        must(written < out.length);
         out[written++] = s;
         continue;
       }
-      must(s <= 285); // deflate data hold an unknown length
+      must(s <= 285);
       const length = LENGTHS.base[s - 257] + take(LENGTHS.extra[s - 257]);
       const d = symbol(distances);
       const distance = DISTANCES.base[d] + take(DISTANCES.extra[d]);
-      must(distance <= written && written + length <= out.length); // a deflate copy does not fit
+      must(distance <= written && written + length <= out.length);
       for (const end = written + length; written < end; written++) out[written] = out[written - distance];
     }
   };
   for (let last = 0; !last; ) {
     last = take(1);
     const type = take(2);
-    must(type < 3); // deflate data hold an unknown block
+    must(type < 3);
     if (type === 0) stored();
     else block(type === 1 ? FIXED : dynamic());
   }
-  must(written === out.length && at - (count >> 3) === bytes.length); // deflate data do not end where they should
+  must(written === out.length && at - (count >> 3) === bytes.length);
 }

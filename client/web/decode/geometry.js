@@ -16,7 +16,7 @@ export function decodeGeometry(chunk, room) {
   }
   const minimum = [reader.i32(), reader.i32(), reader.i32()];
   const depth = reader.u8();
-  must(depth <= 21); // an octree announces an impossible depth
+  must(depth <= 21);
   checkAdded(count, Math.max(3, depth), room);
   const coder = new RansDecoder(reader.rest(), coding);
   const models = new BitModels(4 * 4 * 256);
@@ -36,7 +36,7 @@ export function decodeGeometry(chunk, room) {
       const first = born;
       for (let j = 0; j < 8; j++) {
         if (!((occupancy >> j) & 1)) continue;
-        must(born < room); // an octree grows beyond what it announces
+        must(born < room);
         children[3 * born] = 2 * nodes[3 * i] + (j >> 2);
         children[3 * born + 1] = 2 * nodes[3 * i + 1] + ((j >> 1) & 1);
         children[3 * born + 2] = 2 * nodes[3 * i + 2] + (j & 1);
@@ -47,19 +47,18 @@ export function decodeGeometry(chunk, room) {
     [nodes, classes, length] = [children, childClasses, born];
   }
   coder.end();
-  must(length === count); // an octree ends with another number of anchors than it announces
+  must(length === count);
   const least = [Infinity, Infinity, Infinity];
   let greatest = 0;
   for (let i = 0; i < 3 * count; i++) {
     least[i % 3] = Math.min(least[i % 3], nodes[i]);
     greatest = Math.max(greatest, nodes[i]);
   }
-  const smallest = least.every((x) => x === 0) && 32 - Math.clz32(greatest) === depth;
-  must(smallest); // an octree is not in the smallest cube at its minimum
+  must(least.every((x) => x === 0) && 32 - Math.clz32(greatest) === depth); // the smallest cube
   const voxel = new Int32Array(3 * count);
   for (let i = 0; i < voxel.length; i++) {
     const sum = nodes[i] + minimum[i % 3];
-    must(sum === (sum | 0), "overflow"); // a voxel leaves the range of int32
+    must(sum === (sum | 0), "overflow");
     voxel[i] = sum;
   }
   return voxel;

@@ -55,28 +55,24 @@ export function levelBytes({ chunks }, level) {
 
 /** What a packet's header and directory say: its fields without chunks, and for each chunk where it lies. @typedef {{ fields: Omit<Packet, "chunks">, directory: { key: number, at: number, length: number, crc: number }[] }} Envelope */
 
-/**
- * @param {Uint8Array} bytes - a packet
- * @returns {Envelope}
- * @throws {BitstreamError} header or directory are not sound; chunks are not looked at
- */
+/** Chunks are not looked at. @type {(bytes: Uint8Array) => Envelope} @throws {BitstreamError} */
 export function parseEnvelope(bytes) {
   must(bytes.length <= LIMITS.packetBytes, "too_large");
-  must(bytes.length >= HEADER, "truncated"); // the packet ends inside its header
+  must(bytes.length >= HEADER, "truncated");
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  must(view.getUint32(0, true) === 0x4b504c53, "bad_magic"); // this is not a packet
+  must(view.getUint32(0, true) === 0x4b504c53, "bad_magic");
   must(bytes[4] === 1, "unsupported_version", `format version ${bytes[4]}, this page knows 1`);
   must(bytes[5] <= 1, "unsupported_profile");
   const start = HEADER + 8 * view.getUint16(30, true);
-  must(bytes.length >= start, "truncated"); // the packet ends inside its directory
+  must(bytes.length >= start, "truncated");
   const checksum = crc32(bytes.subarray(HEADER, start), crc32(bytes.subarray(0, HEADER - 4)));
-  must(view.getUint32(HEADER - 4, true) === checksum, "bad_checksum"); // the packet's header is damaged
+  must(view.getUint32(HEADER - 4, true) === checksum, "bad_checksum");
 
   const kind = bytes[6], keyframe = view.getUint32(8, true), mask = view.getUint16(28, true);
   const fromVersion = view.getUint32(12, true), toVersion = view.getUint32(16, true);
   const ordered = kind === KEY ? keyframe === fromVersion && fromVersion === toVersion : keyframe <= fromVersion && fromVersion < toVersion;
   const timed = view.getUint32(24, true) < 0x80000000;
-  must(kind <= CHANGE && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header"); // the packet's header contradicts itself
+  must(kind <= CHANGE && bytes[7] === 0 && mask !== 0 && ordered && timed, "bad_header");
 
   /** @type {Envelope["directory"]} */
   const directory = [], places = new Set();
@@ -85,35 +81,31 @@ export function parseEnvelope(bytes) {
     const entry = view.getUint32(at, true);
     const level = entry >>> 28, chunk = (entry >>> 24) & 15, key = entry >>> 24, length = entry & 0xffffff;
     const allowed = chunk >= FIRST_EXTENSION || chunk === Chunk.HASH || (chunk < Chunk.HASH && chunk < Chunk.CHANGE === (kind === KEY));
-    must(key > before && allowed, "bad_directory"); // the packet's directory is out of order or holds an unknown chunk
-    must((mask >>> level) & 1 && (chunk > Chunk.WEIGHTS || level === 0), "bad_directory"); // a chunk belongs to a level that cannot have it
+    must(key > before && allowed, "bad_directory");
+    must((mask >>> level) & 1 && (chunk > Chunk.WEIGHTS || level === 0), "bad_directory");
     before = key;
     places.add(key);
     directory.push({ key, at: end, length, crc: view.getUint32(at + 4, true) });
     end += length;
   }
-  must(places.has(Chunk.HEADER) === places.has(Chunk.WEIGHTS), "missing_chunk"); // a key packet needs header and weights together
+  must(places.has(Chunk.HEADER) === places.has(Chunk.WEIGHTS), "missing_chunk");
   for (let level = 0; level < 16; level++) {
     const [geometry, base] = [Chunk.GEOMETRY, Chunk.BASE].map((k) => places.has((level << 4) | k));
-    must(geometry === base, "missing_chunk"); // a level needs geometry and base together
+    must(geometry === base, "missing_chunk");
   }
-  must(end <= bytes.length, "truncated"); // the packet ends inside its chunks
-  must(end === bytes.length, "trailing_bytes"); // bytes follow the last chunk
+  must(end <= bytes.length, "truncated");
+  must(end === bytes.length, "trailing_bytes");
   const timeMs = Number(view.getBigUint64(20, true) / 1000n) / 1000, identifier = view.getBigUint64(32, true);
   return { fields: { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeMs, mask, identifier }, directory };
 }
 
-/**
- * @param {Uint8Array} bytes
- * @returns {Packet} its chunks are views into `bytes`
- * @throws {BitstreamError}
- */
+/** Its chunks are views into `bytes`. @type {(bytes: Uint8Array) => Packet} @throws {BitstreamError} */
 export function parsePacket(bytes) {
   const { fields, directory } = parseEnvelope(bytes);
   const chunks = new Map();
   for (const { key, at, length, crc } of directory) {
     const chunk = bytes.subarray(at, at + length);
-    must(crc32(chunk) === crc, "bad_checksum"); // a chunk is damaged
+    must(crc32(chunk) === crc, "bad_checksum");
     chunks.set(key, chunk);
   }
   return { ...fields, chunks };
@@ -131,7 +123,7 @@ export class Reader {
 
   /** @param {number} size */
   #skip(size) {
-    must(size <= this.bytes.length - this.at, this.code); // a chunk ends too early
+    must(size <= this.bytes.length - this.at, this.code);
     this.at += size;
     return this.at - size;
   }
@@ -176,11 +168,11 @@ export class Reader {
 
   /** @template {ArrayLike<number> & { every: (test: (x: number) => boolean) => boolean }} A @param {A} numbers @returns {A} */
   #finite(numbers) {
-    must(numbers.every((x) => Number.isFinite(x)), this.code); // a number is not finite
+    must(numbers.every((x) => Number.isFinite(x)), this.code);
     return numbers;
   }
 
   end() {
-    must(this.at === this.bytes.length, this.code); // bytes follow the end of a chunk
+    must(this.at === this.bytes.length, this.code);
   }
 }

@@ -18,13 +18,13 @@ export class BitModels {
 export class RansDecoder {
   /** @param {Uint8Array} bytes - the words @param {number} lanes - 1 or 4 */
   constructor(bytes, lanes) {
-    must(bytes.length % 2 === 0 && bytes.length >= 4 * lanes); // a coded chunk is too short
+    must(bytes.length % 2 === 0 && bytes.length >= 4 * lanes);
     this.words = new Uint16Array(bytes.slice().buffer);
     this.mask = lanes - 1;
     this.state = new Uint32Array(lanes);
     for (let k = 0; k < lanes; k++) {
       this.state[k] = this.words[2 * k] | (this.words[2 * k + 1] << 16);
-      must(this.state[k] >= FINAL); // a coder state is too small
+      must(this.state[k] >= FINAL);
     }
     this.at = 2 * lanes;
     this.lane = 0;
@@ -34,7 +34,7 @@ export class RansDecoder {
   #advance(lane, frequency, rest) {
     let x = (Math.imul(frequency, this.state[lane] >>> 12) + rest) >>> 0;
     if (x < FINAL) {
-      must(this.at < this.words.length); // a coded chunk ends too early
+      must(this.at < this.words.length);
       x = ((x << 16) | this.words[this.at++]) >>> 0;
     }
     this.state[lane] = x;
@@ -91,18 +91,18 @@ export class RansDecoder {
     this.#advance(lane, (step >>> 12) & 8191, step & 4095);
     if (z === ESCAPE) {
       let width = 0;
-      while (this.bits(1)) must(++width <= 30); // a coded number is too large
+      while (this.bits(1)) must(++width <= 30);
       z = 15 + 2 ** width + this.raw(width);
     }
     let result = z & 1 ? -(z + 1) / 2 : z / 2;
     if (s) result = result * (1 << s) - (1 << (s - 1)) + (s <= 12 ? this.bits(s) : this.raw(s));
-    must(result < 1073741824 && result > -1073741824); // a coded number is too large
+    must(result < 1073741824 && result > -1073741824);
     return result;
   }
 
   /** All must be used up. */
   end() {
-    must(this.at === this.words.length && this.state.every((x) => x === FINAL)); // a coded chunk does not end cleanly
+    must(this.at === this.words.length && this.state.every((x) => x === FINAL));
   }
 }
 
@@ -118,13 +118,13 @@ export function readScales(reader, channels) {
     const d = (nibbles[c >> 1] >> (4 * (c & 1))) & 15;
     if (d) magnitude[c] = scale(base + 4 * (d - 1));
   }
-  must(channels % 2 === 0 || nibbles[channels >> 1] >> 4 === 0); // an unused field is not 0
+  must(channels % 2 === 0 || nibbles[channels >> 1] >> 4 === 0);
   return { magnitude, channels };
 }
 
 /** @type {(q: number) => number} */
 export function scale(q) {
-  must(q < SCALE.length); // a scale is out of range
+  must(q < SCALE.length);
   return SCALE[q];
 }
 
@@ -134,13 +134,7 @@ export function decodeClass(coder, classes, own, scales, result) {
   places.forEach((i, from) => result.set(part.subarray(from * channels, (from + 1) * channels), i * channels));
 }
 
-/**
- * Rows of integers with energy context.
- * @param {RansDecoder} coder
- * @param {number} rows
- * @param {Scales} scales
- * @returns {Int32Array} [rows, channels]
- */
+/** Rows of integers with energy context. @type {(coder: RansDecoder, rows: number, scales: Scales) => Int32Array} [rows, channels] */
 export function decodeColumns(coder, rows, { magnitude, channels }) {
   const result = new Int32Array(rows * channels);
   const weight = new Int32Array(channels), share = new Int32Array(channels), bins = new Int32Array(channels);
@@ -175,7 +169,7 @@ export function decodeColumns(coder, rows, { magnitude, channels }) {
       } else {
         let x = (Math.imul((step >>> 12) & 8191, state[lane] >>> 12) + (step & 4095)) >>> 0;
         if (x < FINAL) {
-          if (at === words.length) must(false); // a coded chunk ends too early
+          if (at === words.length) must(false);
           x = ((x << 16) | words[at++]) >>> 0;
         }
         state[lane] = x;

@@ -10,18 +10,11 @@ const CENTRED = 1, TREND = 2; // channel modes
 /** @typedef {import("./scene.js").Level} Level */
 /** @typedef {import("./packet.js").Room} Room */
 
-/**
- * @param {Uint8Array} chunk
- * @param {Int32Array} voxel - of the level
- * @param {number} features
- * @param {number} slots
- * @param {Room} room
- * @returns {Level}
- */
+/** @type {(chunk: Uint8Array, voxel: Int32Array, features: number, slots: number, room: Room) => Level} */
 export function decodeBase(chunk, voxel, features, slots, room) {
   const count = voxel.length / 3, channels = features + 3 * slots + 10;
   const reader = new Reader(chunk), coding = reader.u8();
-  must(coding || rowCount(reader) === count); // a level has another number of voxels than of rows
+  must(coding || rowCount(reader) === count);
   checkTable(count, channels, room);
   const columns = decodeRows(reader, coding, count, channels, 0, channels - 4);
   const level = emptyLevel(features, slots, count);
@@ -42,7 +35,7 @@ export function decodeAdded(chunk, features, slots, room) {
   fillBase(level, table, 3, features, slots);
   fill(level.latent, LATENTS, table, channels - 1 - LATENTS);
   fill(level.alive, 1, table, channels - 1);
-  must(level.alive.every((x) => x <= 1), "overflow"); // whether a row is alive is neither 0 nor 1
+  must(level.alive.every((x) => x <= 1), "overflow");
   return level;
 }
 
@@ -63,7 +56,7 @@ function fill(column, width, { rows, values, rowStep, channelStep }, first) {
     for (let j = 0; j < width; j++) {
       const value = values[i * rowStep + (first + j) * channelStep];
       column[i * width + j] = value;
-      must(column[i * width + j] === value, "overflow"); // a number leaves its column's type
+      must(column[i * width + j] === value, "overflow");
     }
   }
 }
@@ -81,8 +74,8 @@ function decodeRows(reader, coding, rows, channels, first, end) {
   if (coding === 0) return { rows, values: inflateColumns(reader, rows, channels), rowStep: 1, channelStep: rows };
   const packed = reader.take(Math.ceil(channels / 4));
   const modes = Array.from({ length: channels }, (_, c) => (packed[c >> 2] >> (2 * (c & 3))) & 3);
-  must(channels % 4 === 0 || packed[channels >> 2] >> (2 * (channels & 3)) === 0); // an unused field is not 0
-  must(modes.every((mode) => mode <= TREND)); // a channel mode is unknown
+  must(channels % 4 === 0 || packed[channels >> 2] >> (2 * (channels & 3)) === 0);
+  must(modes.every((mode) => mode <= TREND));
   const centres = modes.map((mode) => (mode === CENTRED ? reader.i32() : 0));
   const { values, shifts } = decodeClasses(reader, coding, rows, channels);
   for (let c = 0; c < channels; c++) {
@@ -95,7 +88,7 @@ function decodeRows(reader, coding, rows, channels, first, end) {
     for (let i = 0, at = c; i < rows; i++, at += channels) {
       const value = shifted ? values[at] * (1 << shifts[i]) : values[at];
       const sum = value + centres[c];
-      must(sum === (sum | 0), "overflow"); // a number leaves its column's type
+      must(sum === (sum | 0), "overflow");
       values[at] = sum;
     }
   }
@@ -108,7 +101,7 @@ function addTrend(values, c, channels, shifts) {
   for (let i = 0, at = c; at < values.length; i++, at += channels) {
     const shift = shifts ? shifts[i] : 0, unit = 1 << shift;
     const value = values[at] * unit + Math.floor((Math.floor(total / 8) + (unit >> 1)) / unit) * unit;
-    must(value === (value | 0), "overflow"); // a number leaves its column's type
+    must(value === (value | 0), "overflow");
     values[at] = value;
     total += value - Math.floor(total / 8);
   }
@@ -117,7 +110,7 @@ function addTrend(values, c, channels, shifts) {
 /** Rows in classes of precision, FORMAT.md section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */
 function decodeClasses(reader, coding, rows, channels) {
   const mask = reader.u8(), used = [0, 1, 2, 3, 4, 5, 6, 7].filter((s) => (mask >> s) & 1);
-  must(mask > 0); // a chunk has no class of rows
+  must(mask > 0);
   const scales = used.map(() => readScales(reader, channels));
   const coder = new RansDecoder(reader.rest(), coding);
   const models = new BitModels(8), classes = new Uint8Array(rows), values = new Int32Array(rows * channels);

@@ -62,15 +62,7 @@ export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
  * @property {bigint} identifier - of the keyframe; no other has it
  */
 
-/**
- * Changes of one level.
- * @typedef {object} LevelChange
- * @property {Uint32Array} rows - ascending rows whose integers change
- * @property {Int32Array} position - [n, 3] differences
- * @property {Int32Array} latent - [n, 24] differences
- * @property {Uint32Array} removed - ascending rows that die
- * @property {Level | null} added - rows appended
- */
+/** Changes of one level: by how much [n, 3], [n, 24] which `rows` differ, which die, which come. @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array, removed: Uint32Array, added: Level | null }} LevelChange */
 
 /** Bytes that are refused; `code` as in codec/FORMAT.md. */
 export class BitstreamError extends Error {
@@ -96,12 +88,7 @@ export function emptyLevel(features, slots, count = 0) {
   };
 }
 
-/**
- * @template {Int32Array | Int16Array | Uint8Array} A
- * @param {A} first
- * @param {A} second
- * @returns {A}
- */
+/** @template {Int32Array | Int16Array | Uint8Array} A @param {A} first @param {A} second @returns {A} */
 function joined(first, second) {
   const result = new /** @type {any} */ (first.constructor)(first.length + second.length);
   result.set(first);
@@ -113,27 +100,12 @@ function joined(first, second) {
 export const rowBytes = (features, slots) => 87 + 2 * features + 6 * slots;
 
 /** The rows of `first`, then those of `second`. @type {(first: Level, second: Level) => Level} */
-export function appendRows(first, second) {
-  return {
-    count: first.count + second.count,
-    voxel: joined(first.voxel, second.voxel),
-    position: joined(first.position, second.position),
-    feature: joined(first.feature, second.feature),
-    offset: joined(first.offset, second.offset),
-    scaling: joined(first.scaling, second.scaling),
-    extraLevel: joined(first.extraLevel, second.extraLevel),
-    latent: joined(first.latent, second.latent),
-    alive: joined(first.alive, second.alive),
-  };
+export function appendRows({ count, ...first }, second) {
+  const columns = Object.entries(first).map(([name, column]) => [name, joined(column, second[/** @type {keyof typeof first} */ (name)])]);
+  return { count: count + second.count, ...Object.fromEntries(columns) };
 }
 
-/**
- * The level after a change; the old one stays as it was.
- * @param {Level} level
- * @param {LevelChange} change - rows ascend and lie inside the level
- * @returns {Level}
- * @throws {BitstreamError} an integer leaves its type
- */
+/** The level after a change of rows inside it; the old one stays as it was. @type {(level: Level, change: LevelChange) => Level} @throws {BitstreamError} an integer leaves its type */
 export function changed(level, { rows, position, latent, removed, added }) {
   const next = { ...level, position: level.position.slice(), latent: level.latent.slice(), alive: level.alive.slice() };
   for (let i = 0; i < rows.length; i++) {

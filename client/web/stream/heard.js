@@ -1,60 +1,39 @@
-/** Control messages of a server (docs/protocol.md): their fields are checked before anything of them is used. */
-
-/** @typedef {(value: any) => boolean} Test */
+/** Control messages of a server (docs/protocol.md), checked before they are used. */
 
 export const VERSION = 1; // of the protocol
 const MAX_CHARACTERS = 65536; // of a message
 
-/** @type {Test} */
-const isObject = (x) => typeof x === "object" && x !== null;
-/** @type {Test} */
-const isText = (x) => typeof x === "string";
-/** @type {Test} */
-const isNumber = (x) => Number.isFinite(x);
-/** @type {Test} */
-const isWhole = (x) => Number.isSafeInteger(x) && x >= 0;
-/** @type {Test} */
-const isPosition = (x) => isObject(x) && isWhole(x.epoch) && isWhole(x.version);
-/** @type {Test} */
-const isWindow = (x) => isObject(x) && isPosition(x.oldest) && isPosition(x.newest);
-/** @type {(test: Test) => Test} */
-const optional = (test) => (x) => x === null || x === undefined || test(x);
-const state = { state: isText, detail: optional(isText) };
-const progress = { fraction: optional(isNumber), text: optional(isText) };
-
-/** What the fields of each message must be; others are not looked at. @type {Record<string, Record<string, Test>>} */
-const FIELDS = {
-  welcome: {
-    ...state, epoch: optional(isWhole), levels: optional(isWhole), ack_every: optional(isWhole), source: optional(isText),
-    fps: optional((x) => isNumber(x) && x > 0), window: optional(isWindow), server_time_ns: optional(isNumber),
-    progress: optional((x) => isObject(x) && suits(x, progress)),
-  },
-  state,
-  progress,
-  epoch: { epoch: isWhole },
-  position: { mode: (x) => ["live", "replay", "paused"].includes(x), version: isWhole },
-  levels: { levels: optional(isWhole) },
-  skipped: { from: isWhole, to: isWhole },
-  window: { oldest: isPosition, newest: isPosition },
+const place = { epoch: 0, version: 0 }, window = { oldest: place, newest: place };
+const state = { state: "", "detail?": "" }, progress = { "fraction?": 0, "text?": "" };
+const welcome = {
+  ...state, "epoch?": 0, "levels?": 0, "fps?": 0, "ack_every?": 0, "source?": "", "window?": window, "server_time_ns?": 0, "progress?": progress,
 };
 
-/** @type {(message: any, fields: Record<string, Test>) => boolean} */
-const suits = (message, fields) => Object.entries(fields).every(([name, test]) => test(message[name]));
+/** Examples of each message: its fields are of these types, those with a question mark may be absent. @type {Record<string, any>} */
+const EXAMPLES = {
+  __proto__: null, welcome, state, progress, window, epoch: { epoch: 0 }, position: { mode: "", version: 0 }, levels: { "levels?": 0 }, skipped: { from: 0, to: 0 },
+};
 
-/** Name of a message: its type, or of events the event. @type {(message: any) => string} */
-export const nameOf = (message) => (message.type === "event" ? message.event : message.type);
+/** Of the same type; numbers are finite and not negative. @type {(value: any, example: any) => boolean} */
+function resembles(value, example) {
+  if (value === null || typeof value !== typeof example) return false;
+  if (typeof value === "number") return value >= 0 && value < Infinity;
+  return typeof value !== "object" || Object.entries(example).every(([key, field]) => {
+    const name = key.replace("?", "");
+    return (name !== key && value[name] == null) || resembles(value[name], field);
+  });
+}
 
-/** The message, or null where it is none that a server of this protocol sends. @type {(text: string) => any} */
+/** Its type, or of events the event. @type {(message: any) => string} */
+export const nameOf = ({ type, event }) => (type === "event" ? event : type);
+
+/** The message, or null where no server of this protocol sends it. @type {(text: string) => any} */
 export function heard(text) {
-  if (text.length > MAX_CHARACTERS) return null;
-  let message;
+  let message = null;
   try {
-    message = JSON.parse(text);
-  } catch {
-    return null;
-  }
-  if (!isObject(message) || !isText(message.type)) return null;
-  const name = nameOf(message), known = isText(name) && Object.hasOwn(FIELDS, name);
-  const foreign = name === "welcome" && message.version !== VERSION; // what else it says may mean anything
-  return !known || foreign || suits(message, FIELDS[name]) ? message : null;
+    if (text.length <= MAX_CHARACTERS) message = JSON.parse(text);
+  } catch {} // no JSON
+  if (!resembles(message, { type: "" })) return null;
+  const foreign = message.type === "welcome" && message.version !== VERSION; // what else it says may mean anything
+  return foreign || resembles(message, EXAMPLES[nameOf(message)] ?? {}) ? message : null;
 }

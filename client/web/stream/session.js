@@ -96,7 +96,7 @@ export class Session {
     const message = heard(text), { status } = this;
     if (!message) {
       this.verdict = "failed";
-      status.detail = "the server said something that this page cannot read";
+      status.detail = "the server sent a message that cannot be read";
       this.settle();
       return null;
     }
