@@ -46,6 +46,7 @@ class PlainConfig:
         densify_interval: in steps; densify_until: no more after it.
         prune: opacity below which a Gaussian goes.
         opacity_weight: weight in the loss of the mean opacity.
+        random_background: draw every step over another colour; without sky it helps (docs/zoo.md).
         half_size_until: pictures of half the width and height up to here.
         average_from: the result is the mean over the steps from here on.
         exposure_rate: of a gain and an offset a channel for each training camera; 0 fits none.
@@ -66,6 +67,7 @@ class PlainConfig:
     densify_until: float = 0.65
     prune: float = 0.01
     opacity_weight: float = 0.01
+    random_background: bool = False
     half_size_until: float = 0.2
     average_from: float = 0.8
     exposure_rate: float = 0.002
@@ -155,12 +157,13 @@ class PlainGaussians:
     @torch.no_grad()
     def picture(self, camera: Camera) -> UInt8:
         """[H,W,3] what `camera` sees of the result."""
-        image = self._render(self._mean or self._optimiser.parameters, camera).image
+        image = self._render(self._mean or self._optimiser.parameters, camera, torch.zeros(3)).image
         return np.asarray((image.numpy() * 255).round().clip(0, 255), np.uint8)
 
     def _step(self, progress: float) -> None:
         config, number, parameters = self._config, self._order.next(), self._optimiser.parameters
-        raster = self._render(parameters, self._views.cameras[number])
+        background = torch.rand(3, generator=self._generator) if config.random_background else torch.zeros(3)
+        raster = self._render(parameters, self._views.cameras[number], background)
         image = self._exposure.apply(raster.image, number) if config.exposure_rate else raster.image
         loss = photometric_loss(image, self._views.targets[number])
         if config.opacity_weight:
@@ -183,7 +186,7 @@ class PlainGaussians:
         self._pull.index_add_(0, raster.probe.visible, raster.probe.gradients.norm(dim=1))
         self._seen.index_add_(0, raster.probe.visible, torch.ones(len(raster.probe.visible)))
 
-    def _render(self, parameters: dict[str, Tensor], camera: Camera) -> Raster:
+    def _render(self, parameters: dict[str, Tensor], camera: Camera, background: Tensor) -> Raster:
         return rasterise(
             parameters["means"],
             parameters["quaternions"],
@@ -191,7 +194,7 @@ class PlainGaussians:
             parameters["opacities"].sigmoid(),
             parameters["colours"].clamp_min(0),
             camera,
-            torch.zeros(3),
+            background,
         )
 
     def _average(self) -> None:
