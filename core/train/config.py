@@ -106,8 +106,8 @@ class KeyframeConfig:
     )
     random_background: bool = setting(
         True,
-        "whether every step draws over another colour, so that no surface stays half transparent where what is behind"
-        " it happens to fit; what is sent and drawn later has a black one",
+        "whether every step draws over another colour where pictures are not black, so that no surface stays half"
+        " transparent because what is behind it happens to fit; what is sent has a black background",
         reading(False, "not mentioned: one background"),
     )
     usual_contrast: float = setting(

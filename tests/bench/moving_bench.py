@@ -10,7 +10,8 @@ refresh keyframe of the state every so many frames, and `anew=20` a first frame.
 Each run tells PSNR on moving pixels (true motion, dilated; docs/benchmarks.md) of the held-out camera and of the
 training cameras, as means over frames 3 to 10, over the middle and over the last 10; the mean PSNR of the whole
 held-out picture; bytes and CPU seconds a frame; and how many anchors mostly show what moves, at the same times.
-`--json FILE` keeps the figures of every frame.
+`--json FILE` keeps the figures of every frame. `--pictures FILE.jpg --at 3 20 40` draws the held-out camera at these
+frames, side by side: the truth above, for each run a row below.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from client.evaluation.measure.moving import MovingPixels
@@ -42,6 +44,7 @@ from core.train.motion import cues
 from core.train.motion.partition import Observation, Partition
 
 _HELD_OUT = "cam00"
+_FIGURES = ("moving", "fitted", "whole", "size", "seconds", "trained", "anchors")  # of a `Course`
 _EARLY, _LATE = slice(3, 11), slice(-10, None)  # frames
 _COUNTED_EVERY = 4  # frames between counts of the anchors that show what moves
 _SHOWN = 0.05  # pixels of what moves, from which an anchor belongs to the true set
@@ -71,6 +74,7 @@ class Course:
     seconds: list[float] = field(default_factory=list)
     trained: list[int] = field(default_factory=list)
     anchors: dict[int, int] = field(default_factory=dict)
+    pictures: dict[int, UInt8] = field(default_factory=dict)
 
     def told(self) -> str:
         """One line."""
@@ -130,8 +134,8 @@ def first_frame(clip: Clip, config: TrainConfig, kept: Path | None) -> Scene:
     return scene
 
 
-def follow(clip: Clip, config: TrainConfig, first: Scene, causes: dict[str, int]) -> Course:
-    """Train all frames after the first and measure them."""
+def follow(clip: Clip, config: TrainConfig, first: Scene, causes: dict[str, int], kept: list[int]) -> Course:
+    """Train all frames after the first and measure them; the pictures of frames `kept` stay."""
     truth = TrueSet(clip)
     if causes.get("truth"):
         cues.CUES["truth"] = lambda _: truth
@@ -156,6 +160,8 @@ def follow(clip: Clip, config: TrainConfig, first: Scene, causes: dict[str, int]
         scene = trainer.scene
         drawn = draw(scene, clip.held_out)
         course.whole.append(psnr(drawn, test.images[0]))
+        if frame.index in kept:
+            course.pictures[frame.index] = drawn
         course.moving.append(_moving_psnr([drawn], test, held))
         course.fitted.append(np.nan)
         if frame.index and frame.index % _COUNTED_EVERY == 0:
@@ -215,13 +221,18 @@ def main() -> None:
     clip = open_clip(spec, options.views)
     base = replace(preset(options.preset), seed=options.seed)
     first = first_frame(clip, base, options.first)
+    rows = [[clip.testing[index].images[0] for index in options.at]]
     for changes in options.run or [""]:
         config, causes = changed(base, changes)
-        course = follow(clip, config, with_steps(first, base.predict, config.predict), causes)
+        course = follow(clip, config, with_steps(first, base.predict, config.predict), causes, options.at)
+        rows.append([course.pictures[index] for index in options.at])
         print(f"{changes or options.preset:32s} {course.told()}", flush=True)
         if options.json:
             with options.json.open("a") as file:
-                file.write(json.dumps({"run": changes, **{n: getattr(course, n) for n in Course.__slots__}}) + "\n")
+                file.write(json.dumps({"run": changes, **{n: getattr(course, n) for n in _FIGURES}}) + "\n")
+    if options.pictures:
+        sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows], axis=0)
+        cv2.imwrite(str(options.pictures), sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
 
 
 def _options() -> argparse.Namespace:
@@ -237,6 +248,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--clip-seed", type=int, default=0)
     parser.add_argument("--first", type=Path, help="packet of the first frame, written where it is absent")
     parser.add_argument("--json", type=Path, help="append the figures of every frame")
+    parser.add_argument("--pictures", type=Path, help="JPEG of the frames of --at")
+    parser.add_argument("--at", type=int, nargs="+", default=[], help="frames to draw")
     parser.add_argument("--run", action="append", metavar="FIELD=VALUE,...")
     return parser.parse_args()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -16,6 +16,8 @@ from core.train.field.exposure import Exposure
 from core.train.optimise.losses import photometric_loss
 from core.train.pictures.views import Views
 
+_BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewLoss:
@@ -26,10 +28,20 @@ class ViewLoss:
     config: KeyframeConfig
     backend: Backend
 
-    def draw(self, splats: Splats, number: int, background: Tensor | None = None) -> Raster:
-        """What camera `number` would see at a neutral exposure, over `background` [3], or over black."""
-        behind = torch.zeros(3, device=splats.means.device) if background is None else background
-        return rasterise(*splats.astuple(), self.views.cameras[number], behind, backend=self.backend)
+    def draw(self, splats: Splats, number: int) -> Raster:
+        """What camera `number` would see at a neutral exposure, over black."""
+        camera = self.views.cameras[number]
+        return rasterise(*splats.astuple(), camera, torch.zeros(3, device=splats.means.device), backend=self.backend)
+
+    def over(self, raster: Raster, number: int, colour: Tensor) -> Raster:
+        """`raster` of camera `number` over `colour` [3], but for pixels that the picture shows black.
+
+        Over black alone, a surface may stay half transparent wherever black makes its colour; to other views it shows
+        what is behind it. Over another colour every time it must be opaque. Where a picture is black itself, nothing at
+        all may be there, as around a lit stage.
+        """
+        lit = self.views.targets[number].amax(dim=2) > _BLACK
+        return replace(raster, image=raster.image + (raster.transmittance * lit)[..., None] * colour)
 
     def loss(self, raster: Raster, number: int) -> Tensor:
         """Equation 10 of the paper for camera `number`."""

@@ -137,7 +137,10 @@ class KeyframeTrainer:
         splats = self._decode(field, number, rows, rounded=rounded)
         level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
         opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
-        raster = self._view_loss.draw(replace(splats, opacities=opacities), number, self._background())
+        raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
+        if config.random_background:
+            colour = torch.rand(3, generator=self._generator, device=field.level.device)
+            raster = self._view_loss.over(raster, number, colour)
         loss = self._view_loss.loss(raster, number) + self._view_loss.penalty(splats)
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
@@ -155,12 +158,6 @@ class KeyframeTrainer:
         if progress < config.growth_until <= self._run.progress:
             self._drop_idle_levels()
         return loss.detach()
-
-    def _background(self) -> Tensor | None:
-        """A random colour [3], another one each time; None for black."""
-        if not self._config.random_background:
-            return None
-        return torch.rand(3, generator=self._generator, device=self._learned.live.level.device)
 
     def _astray(self) -> Tensor | None:
         """[N] anchors that are where the scene is not."""

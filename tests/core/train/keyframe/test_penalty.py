@@ -59,17 +59,19 @@ def test_gaussians_that_no_picture_needs_go() -> None:
     assert found[0.2][1] > 27.0  # what is seen stays
 
 
-def test_a_black_surface_is_a_surface() -> None:
-    """A wall whose left half is black: over a background that is always black, nothing need be there."""
+def test_a_dim_surface_is_opaque_and_black_may_be_nothing() -> None:
+    """A wall, black on the left and dim on the right: over a background that is always black it need not be opaque."""
     cameras = ring(4)
-    pictures = np.full((4, 32, 48, 3), 160, np.uint8)
+    pictures = np.full((4, 32, 48, 3), 40, np.uint8)
     pictures[:, :, :24] = 0
-    through = {}
+    black, dim = {}, {}
     for random in (False, True):
         config = short(preset("live"), 100, max_anchors=4000)
         config = replace(config, keyframe=replace(config.keyframe, random_background=random))
         scene = Trainer(cameras, config, fps=10.0).keyframe(frames(pictures), wall(600)).scene
         cloud = expand(scene, cameras[1].centre)
-        through[random] = render(cloud, cameras[1], np.ones(3, np.float32)).transmittance[8:24, 6:18].mean()
-    assert through[False] > 0.3
-    assert through[True] < 0.05
+        through = render(cloud, cameras[1], np.ones(3, np.float32)).transmittance
+        black[random], dim[random] = through[8:24, 6:18].mean(), through[8:24, 30:42].mean()
+    assert dim[False] > 0.2
+    assert dim[True] < 0.05
+    assert black[True] > 0.2
