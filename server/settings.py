@@ -6,6 +6,7 @@ import ipaddress
 import re
 import tomllib
 from pathlib import Path
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -121,6 +122,24 @@ class EdgeSettings(BaseModel):
     poll_seconds: float = Field(default=2.0, gt=0, description="time between two looks at which streams there are")
 
 
+class JetStreamSettings(BaseModel):
+    """Share streams with other servers over NATS JetStream."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    servers: tuple[str, ...] = Field(default=("nats://127.0.0.1:4222",), description="addresses of NATS servers")
+    prefix: str = Field(
+        default="streamlod",
+        pattern="^[A-Za-z0-9_-]{1,32}$",
+        description="of names in NATS; servers that share streams have the same one",
+    )
+    credentials: Path | None = Field(default=None, description="file with the NATS user's token and seed (.creds)")
+    replicas: int = Field(default=1, ge=1, le=5, description="NATS servers that each packet is kept on")
+    linger_seconds: float = Field(
+        default=10.0, ge=0, description="a stream of another server is read for so long after its last viewer"
+    )
+
+
 class Settings(BaseModel):
     """The whole configuration, from the command line or a TOML file of the same names."""
 
@@ -183,6 +202,12 @@ class Settings(BaseModel):
     limits: Limits = Field(default_factory=Limits)
     retention: Retention = Field(default_factory=Retention)
     worker: WorkerSettings = Field(default_factory=WorkerSettings)
+    bus: Literal["local", "jetstream"] = Field(
+        default="local", description="where packets go besides viewers: nowhere, or to NATS JetStream for other servers"
+    )
+    jetstream: JetStreamSettings = Field(
+        default_factory=JetStreamSettings, description='for `bus = "jetstream"`, as `[jetstream]`'
+    )
     edge: EdgeSettings | None = Field(default=None, description="serve the streams of another server, as `[edge]`")
 
     @property
@@ -218,6 +243,8 @@ class Settings(BaseModel):
             )
         if self.edge is not None and (self.streams or self.state is not None):
             raise InputError("edge", "an edge has neither streams nor a state folder of its own; leave them out")
+        if self.edge is not None and self.bus != "local":
+            raise InputError("bus", "an edge gets its streams from its origin; leave out `bus`, or `edge`")
         if (self.certificate is None) != (self.certificate_key is None):
             raise InputError("certificate", "TLS needs both the certificate and its key")
         for name, network in (

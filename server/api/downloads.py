@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import pathlib
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from codec.container import joined, size_of
-from core.errors import StreamlodError
+from core.errors import InputError, StreamlodError
 from server.api.access import StreamOf, need_download
 from server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
 from server.http.problems import PROBLEMS, Problem
-from server.protocol.packets import Position, StreamPacket
+from server.protocol.packets import Position
+from server.stream.bus import GroupFile
 from server.stream.store import Segment
 from server.stream.stream import Stream
 
-Group = pathlib.Path | list[StreamPacket]  # a recorded file, or packets in memory
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
 _BOUND = 2**32 - 1
 ANSWERS: dict[int | str, dict[str, Any]] = {
@@ -82,15 +81,15 @@ async def bitstream(
     recording = stream.bus.recording
     if recording is not None:
         await recording.flush()
+    groups = await stream.bus.groups()
     if not clock.is_open:
-        segments = [s for s in clock.choose(recording.segments if recording else ()) if epoch in (None, s.first.epoch)]
-        return respond(request, await recorded_file(stream.id, stream.incarnation, group_files(segments)))
-    groups = _groups(stream)
-    newest = stream.newest
-    wanted = epoch if epoch is not None else max((place.epoch for place in groups), default=0)
-    chosen = {place: group for place, group in groups.items() if place.epoch == wanted}
+        firsts = [group.first for group in clock.choose(groups) if epoch in (None, group.first.epoch)]
+        return respond(request, await recorded_file(stream.id, stream.incarnation, await _files(stream, firsts)))
+    kept = [group for group in groups if group.begun_ns is not None] or groups
+    wanted = epoch if epoch is not None else max((group.first.epoch for group in kept), default=0)
+    chosen = await _files(stream, [group.first for group in kept if group.first.epoch == wanted])
     if not chosen:
-        raise _absent(stream, Position(wanted, 0)) if newest else Problem(404, "the stream has no packet yet")
+        raise _absent(stream, Position(wanted, 0)) if stream.newest else Problem(404, "the stream has no packet yet")
     return respond(request, await _file(stream, chosen, FRESH, str(wanted)))
 
 
@@ -110,7 +109,10 @@ async def recording(stream: StreamOf, request: Request) -> Response:
 
 async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Download:
     place = Position(epoch, version)
-    found = await stream.bus.read(place, place)
+    try:
+        found = await stream.bus.read(place, place)
+    except OSError as error:
+        raise _unreadable(error) from error
     if not found:
         raise _absent(stream, place)
     data = found[0].data
@@ -119,11 +121,11 @@ async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Dow
 
 async def _group_file(stream: Stream, epoch: int, first: int, caching: str) -> Download:
     place = Position(epoch, first)
-    chosen = _groups(stream).get(place)
-    if chosen is None:
+    chosen = await _files(stream, [place])
+    if not chosen:
         raise _absent(stream, place)
     closed = stream.bus.key_after(place) is not None
-    return await _file(stream, {place: chosen}, caching if closed else FRESH, f"{epoch}-{first}")
+    return await _file(stream, chosen, caching if closed else FRESH, f"{epoch}-{first}")
 
 
 def _check_incarnation(stream: Stream, incarnation: str) -> None:
@@ -131,22 +133,25 @@ def _check_incarnation(stream: Stream, incarnation: str) -> None:
         raise Problem(410, "that stream was deleted; there is another one of its id now")
 
 
-def _groups(stream: Stream) -> dict[Position, Group]:
-    """Retained groups: from disk where they are recorded, else from memory.
+async def _files(stream: Stream, firsts: list[Position]) -> dict[Position, GroupFile]:
+    try:
+        return await stream.bus.files(firsts)
+    except InputError as error:
+        raise Problem(422, str(error)) from error
+    except OSError as error:
+        raise _unreadable(error) from error
 
-    While something is recorded, what is not (early previews) does not count.
-    """
-    segments = stream.bus.recording.segments if stream.bus.recording is not None else []
-    recorded: dict[Position, Group] = {s.first: s.path for s in segments if s.packets}
-    return recorded or {packets[0].position: packets for packets in stream.bus.window.groups()}
+
+def _unreadable(error: OSError) -> Problem:
+    return Problem(503, f"the past cannot be read now ({error})", {"Retry-After": "2"})
 
 
-def group_files(segments: list[Segment]) -> dict[Position, Group]:
+def group_files(segments: list[Segment]) -> dict[Position, GroupFile]:
     """The files of recorded groups of pictures, by position; those that hold something."""
     return {segment.first: segment.path for segment in segments if segment.packets}
 
 
-async def recorded_file(name: str, incarnation: str, groups: dict[Position, Group]) -> Download:
+async def recorded_file(name: str, incarnation: str, groups: dict[Position, GroupFile]) -> Download:
     """Recorded groups of one encoder run as one file.
 
     Raises:
@@ -161,11 +166,11 @@ async def recorded_file(name: str, incarnation: str, groups: dict[Position, Grou
     return await _joined(name, incarnation, groups, FRESH, str(epochs[0]))
 
 
-async def _file(stream: Stream, groups: dict[Position, Group], caching: str, name: str) -> Download:
+async def _file(stream: Stream, groups: dict[Position, GroupFile], caching: str, name: str) -> Download:
     return await _joined(stream.id, stream.incarnation, groups, caching, name)
 
 
-async def _joined(name: str, incarnation: str, groups: dict[Position, Group], caching: str, part: str) -> Download:
+async def _joined(name: str, incarnation: str, groups: dict[Position, GroupFile], caching: str, part: str) -> Download:
     parts = [
         [(packet.info, packet.data) for packet in group] if isinstance(group, list) else group
         for _, group in sorted(groups.items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from core.errors import InputError, SessionError, StorageError
 from server.auth.gate import Gate
 from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
+from server.stream.bus import Outbox
 from server.stream.feed import Feed
 from server.stream.socket_folder import SocketFolder
 from server.stream.store import Recording, Store
@@ -34,13 +35,19 @@ class Registry:
     Args:
         settings: of the server.
         specs: streams to begin with; they are started when the server is up.
+        outbox: makes what a stream's packets leave by for other servers.
 
     Raises:
         InputError: two streams have one id, or the state folder cannot be used.
     """
 
-    def __init__(self, settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> None:
-        self.settings = settings
+    def __init__(
+        self,
+        settings: Settings,
+        specs: tuple[StreamSpec, ...] = (),
+        outbox: Callable[[Stream], Outbox] | None = None,
+    ) -> None:
+        self.settings, self._outbox = settings, outbox
         self.started_at = datetime.now(UTC)
         self.gate = Gate(settings)
         self.feed = Feed()
@@ -160,6 +167,7 @@ class Registry:
             recording = self.store.recording(spec.id)
         socket = self._push_socket() if spec.is_live else None
         stream = self.streams[spec.id] = WorkerStream(spec, self.settings, recording, socket, self.feed)
+        stream.bus.outbox = None if self._outbox is None else self._outbox(stream)
         return stream
 
     def _sealed(self, spec: StreamSpec) -> Any:

@@ -23,6 +23,7 @@ from server.http.problems import PROBLEMS, Problem
 from server.pipeline.new_stream import NewStream, StreamChange
 from server.pipeline.spec import StreamSpec
 from server.protocol.packets import Position
+from server.stream.bus import RetainedGroup
 from server.stream.sealing import masked
 from server.stream.stream import Stream
 
@@ -197,6 +198,10 @@ async def get_manifest(
     """Which versions can be seen and downloaded. With `after_epoch`, waits until the live edge is later than that."""
     if after_epoch is not None and wait_ms:
         await _wait_for_later(registry_of(request), stream, Position(after_epoch, after_version), wait_ms / 1000)
+    try:
+        groups = await stream.bus.groups()
+    except OSError as error:
+        raise Problem(503, f"the past cannot be read now ({error})", {"Retry-After": "2"}) from error
     scene = stream.hub.scene
     newest = stream.newest
     return Manifest.model_validate(
@@ -208,7 +213,7 @@ async def get_manifest(
             "window": stream.window,
             "levels": stream.levels,
             "fps": scene.header.fps if scene else None,
-            "gops": _groups(stream),
+            "gops": [_group(stream, group) for group in groups],
         }
     )
 
@@ -253,29 +258,14 @@ async def _wait_for_later(registry: Registry, stream: Stream, place: Position, s
         stream.hub.listeners.discard(wake.set)
 
 
-def _groups(stream: Stream) -> list[dict[str, Any]]:
-    """Groups on disk, and those that only memory holds."""
-    groups: dict[Position, dict[str, Any]] = {}
-    for packets in stream.bus.window.groups():
-        first = packets[0].position
-        size = sum(len(packet.data) for packet in packets)
-        groups[first] = _group(stream, first, packets[-1].position.version, len(packets), size, None)
-    for s in stream.bus.recording.segments if stream.bus.recording else ():
-        known = groups.get(s.first)
-        if known is None:
-            groups[s.first] = _group(stream, s.first, s.last.version, s.packets, s.size_bytes, s.begun_ns)
-        else:
-            known["begun_ns"] = s.begun_ns
-    return [groups[place] for place in sorted(groups)]
-
-
-def _group(stream: Stream, first: Position, last: int, packets: int, size: int, begun: int | None) -> dict[str, Any]:
+def _group(stream: Stream, group: RetainedGroup) -> dict[str, Any]:
+    first = group.first
     return {
         "epoch": first.epoch,
         "first": first.version,
-        "last": last,
-        "packets": packets,
-        "bytes": size,
-        "begun_ns": begun,
+        "last": group.last.version,
+        "packets": group.packets,
+        "bytes": group.size_bytes,
+        "begun_ns": group.begun_ns,
         "path": f"/v1/streams/{stream.id}/incarnations/{stream.incarnation}/gops/{first.epoch}/{first.version}",
     }

@@ -1,4 +1,4 @@
-"""An edge: a server whose streams come from another server."""
+"""An edge: a server whose streams come from elsewhere, from another server or from JetStream."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import asyncio
 import logging
 
 from server.api.registry import Registry
-from server.edge.origin import Origin, OriginStream
+from server.edge.origin import OriginStream
 from server.edge.stream import EdgeStream
-from server.settings import EdgeSettings
+from server.edge.supply import StreamSource
 
 _LOG = logging.getLogger(__name__)
 
@@ -18,41 +18,38 @@ class Edge:
 
     Args:
         registry: of this server.
-        settings: which streams of which server.
-        token: for reading them, where the origin wants one.
-
-    Raises:
-        InputError: the origin is no address.
+        source: of the streams.
+        poll_seconds: between two looks at which streams there are.
+        linger_seconds: for which a stream is pulled after its last viewer has gone.
     """
 
-    def __init__(self, registry: Registry, settings: EdgeSettings, token: str | None) -> None:
-        self._registry, self._settings = registry, settings
-        self._origin = Origin(settings.origin, token)
+    def __init__(self, registry: Registry, source: StreamSource, poll_seconds: float, linger_seconds: float) -> None:
+        self._registry, self._source = registry, source
+        self._poll_seconds, self._linger_seconds = poll_seconds, linger_seconds
         self._described: dict[str, OriginStream] = {}
         self._closing: set[asyncio.Task[None]] = set()
-        registry.unready = f"the origin {settings.origin} has not been reached yet"
+        registry.unready = f"{source.name} has not been reached yet"
 
     async def run(self) -> None:
         """Ask the origin for its streams again and again, until cancelled."""
         fault = ""
         while True:
             try:
-                self._take_over(await self._origin.streams())
+                self._take_over(await self._source.streams())
                 if fault:
-                    _LOG.info("the origin answers again")
+                    _LOG.info("%s answers again", self._source.name)
                 fault = self._registry.unready = ""
             except OSError as error:
                 if not fault:
-                    _LOG.warning("the origin %s does not say which streams it has: %s", self._origin.url, error)
+                    _LOG.warning("%s does not say which streams there are: %s", self._source.name, error)
                 fault = str(error) or "no answer"
-            await asyncio.sleep(self._settings.poll_seconds)
+            await asyncio.sleep(self._poll_seconds)
 
     def _take_over(self, described: list[OriginStream]) -> None:
-        chosen = [each for each in described if not self._settings.streams or each.id in self._settings.streams]
         most = self._registry.settings.limits.streams
-        if len(chosen) > most and len(self._described) < most:
-            _LOG.warning("the origin has %d streams; only %d are served (limits.streams)", len(chosen), most)
-        self._described = {each.id: each for each in chosen[:most]}
+        if len(described) > most and len(self._described) < most:
+            _LOG.warning("there are %d streams; only %d are served (limits.streams)", len(described), most)
+        self._described = {each.id: each for each in described[:most]}
         for stream in self._streams():
             now = self._described.get(stream.id)
             if now is None:
@@ -69,11 +66,11 @@ class Edge:
 
     def _add(self, name: str) -> None:
         self._registry.streams[name] = EdgeStream(
-            self._origin,
             self._described[name],
+            self._source.supply(self._described[name]),
             self._registry.settings,
             self._registry.feed,
-            self._settings,
+            self._linger_seconds,
             self._replace,
             self._remove,
         )

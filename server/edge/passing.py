@@ -12,7 +12,7 @@ from fastapi.responses import StreamingResponse
 from server.api.access import StreamOf, need_download
 from server.api.downloads import ANSWERS, RECORDING
 from server.api.ranges import FRESH, caching
-from server.edge.stream import EdgeStream
+from server.edge.origin import Origin
 from server.http.head import is_head
 from server.http.problems import PROBLEMS, Problem
 
@@ -35,14 +35,12 @@ router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], depende
 )
 async def recording(stream: StreamOf, request: Request) -> Response:
     """The whole `.slod` file behind a stream whose source is a recording, as the origin sends it."""
-    assert isinstance(stream, EdgeStream)
+    origin: Origin = request.app.state.origin
     asked = {name: value for name in _ASKED if (value := request.headers.get(name)) is not None}
     path = f"/v1/streams/{stream.id}{RECORDING}"
     connection = AsyncExitStack()  # open until the body has been passed on
     try:
-        answer = await connection.enter_async_context(
-            stream.origin.open(path, asked, "HEAD" if is_head(request) else "GET")
-        )
+        answer = await connection.enter_async_context(origin.open(path, asked, "HEAD" if is_head(request) else "GET"))
     except OSError as error:
         raise Problem(502, "the origin does not answer") from error
     if answer.status_code not in _PASSED_ON:

@@ -7,7 +7,8 @@ import json
 import logging
 import random
 import time
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
@@ -15,9 +16,12 @@ from websockets.typing import Subprotocol
 
 from core.close_codes import REFUSALS, CloseCode
 from core.errors import SessionError
-from server.edge.origin import Origin
+from server.edge.origin import Origin, OriginStream
+from server.edge.supply import PacketTaker, Supply
 from server.protocol.messages import LIVE, PROTOCOL_VERSION, SUBPROTOCOL, read_object
 from server.protocol.packets import Position
+from server.settings import Settings
+from server.stream.bus import Bus
 
 _LOG = logging.getLogger(__name__)
 _MIN_DELAY, _MAX_DELAY = 0.25, 2.0  # seconds between attempts to connect
@@ -29,24 +33,45 @@ _PING_SECONDS, _PONG_SECONDS = 5.0, 10.0  # a dead machine answers no ping
 _ACK_SECONDS = 0.5
 
 
-class PacketTaker(Protocol):
-    """Whoever takes what is pulled. Whatever these methods raise ends the pull."""
+@dataclass(frozen=True, slots=True)
+class OriginSource:
+    """All streams of an origin, or some of them.
+
+    Args:
+        origin: the server.
+        chosen: ids of streams; all without any.
+        settings: of this server.
+    """
+
+    origin: Origin
+    chosen: tuple[str, ...]
+    settings: Settings
 
     @property
-    def held(self) -> Position | None:
-        """Position of the newest packet that it has, from which to go on."""
+    def name(self) -> str:
+        """See `supply.StreamSource`."""
+        return f"the origin {self.origin.url}"
 
-    def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
-        """The origin has taken us; the hello left at Unix time `sent_ns`."""
+    async def streams(self) -> list[OriginStream]:
+        """See `supply.StreamSource`."""
+        return [each for each in await self.origin.streams() if not self.chosen or each.id in self.chosen]
 
-    def on_event(self, message: dict[str, Any]) -> None:
-        """An event, in order with the packets."""
+    def supply(self, stream: OriginStream) -> Supply:
+        """See `supply.StreamSource`."""
+        settings = self.settings
+        return _Websocket(self.origin, stream.id, settings.limits.packet_bytes, Bus(settings.retention.memory_bytes))
 
-    async def on_packet(self, data: bytes) -> None:
-        """A packet."""
 
-    def on_break(self, reason: str) -> None:
-        """The connection broke, or could not be opened; another attempt follows."""
+@dataclass(frozen=True, slots=True)
+class _Websocket:
+    origin: Origin
+    stream: str
+    packet_bytes: int
+    bus: Bus
+    origin_name: str = "the origin"
+
+    async def pull(self, taker: PacketTaker) -> None:
+        await pull(self.origin, self.stream, self.packet_bytes, taker)
 
 
 async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTaker) -> None:

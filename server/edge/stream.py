@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import Any
 
 from core.errors import BitstreamError
-from server.edge.origin import Origin, OriginStream, is_incarnation
-from server.edge.pull import pull
+from server.edge.origin import OriginStream, is_incarnation
+from server.edge.supply import Supply
 from server.protocol.messages import event
 from server.protocol.packets import Position, stream_packet
-from server.settings import EdgeSettings, Settings
+from server.settings import Settings
 from server.stream.feed import Feed
 from server.stream.stream import Stream
 
@@ -32,11 +32,11 @@ class EdgeStream(Stream):
     not fit), or nobody watches any more, it asks to be replaced by a new one, which holds nothing.
 
     Args:
-        origin: where it comes from.
         described: what the origin says about it.
+        supply: its packets.
         settings: of the server.
         feed: where its states are told.
-        edge: how streams are pulled.
+        linger_seconds: for which it is pulled after its last viewer has gone.
         replace: called when this object is of no use any more.
         remove: called when the origin has deleted the stream.
 
@@ -48,16 +48,16 @@ class EdgeStream(Stream):
 
     def __init__(
         self,
-        origin: Origin,
         described: OriginStream,
+        supply: Supply,
         settings: Settings,
         feed: Feed,
-        edge: EdgeSettings,
+        linger_seconds: float,
         replace: Callable[[EdgeStream], None],
         remove: Callable[[EdgeStream], None],
     ) -> None:
-        super().__init__(described.id, described.incarnation, settings, feed=feed)
-        self.origin, self._edge, self._packet_bytes = origin, edge, settings.limits.packet_bytes
+        super().__init__(described.id, described.incarnation, settings, supply.bus, feed)
+        self._supply, self._linger_seconds = supply, linger_seconds
         self._replace, self._remove = replace, remove
         self._task: asyncio.Task[None] | None = None
         self._parting: asyncio.TimerHandle | None = None  # runs while nobody watches a stream that is pulled
@@ -79,7 +79,7 @@ class EdgeStream(Stream):
 
     @property
     def held(self) -> Position | None:
-        """See `pull.PacketTaker`."""
+        """See `supply.PacketTaker`."""
         return self.newest
 
     def now_ns(self) -> int:
@@ -108,7 +108,7 @@ class EdgeStream(Stream):
         super().leave()
         if not self.viewers and not self.is_over:
             loop = asyncio.get_running_loop()
-            self._parting = loop.call_later(self._edge.linger_seconds, self._replace, self)
+            self._parting = loop.call_later(self._linger_seconds, self._replace, self)
 
     async def close(self) -> None:
         """End the pull."""
@@ -119,7 +119,7 @@ class EdgeStream(Stream):
             await asyncio.gather(self._task, return_exceptions=True)
 
     def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
-        """See `pull.PacketTaker`."""
+        """See `supply.PacketTaker`."""
         found = message.get("incarnation")
         if found != self.incarnation:
             self.successor = found if isinstance(found, str) and is_incarnation(found) else None
@@ -131,7 +131,7 @@ class EdgeStream(Stream):
         self._on_state(message)
 
     def on_event(self, message: dict[str, Any]) -> None:
-        """See `pull.PacketTaker`."""
+        """See `supply.PacketTaker`."""
         match message.get("event"):
             case "epoch" if type(epoch := message.get("epoch")) is int and 0 <= epoch <= _MAX_EPOCH:
                 self._coming_epoch = epoch
@@ -143,7 +143,7 @@ class EdgeStream(Stream):
                 self._joining = True
 
     async def on_packet(self, data: bytes) -> None:
-        """See `pull.PacketTaker`."""
+        """See `supply.PacketTaker`."""
         packet = stream_packet(self._sequence, self._coming_epoch, data)
         joining, self._joining = self._joining, False
         if self._has(packet.position, data):
@@ -161,9 +161,12 @@ class EdgeStream(Stream):
         self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
 
     def on_break(self, reason: str) -> None:
-        """See `pull.PacketTaker`."""
+        """See `supply.PacketTaker`."""
         self._breaks += 1
-        self._enter("degraded", f"the connection to the origin is lost ({reason}); it is being restored"[:_MAX_DETAIL])
+        self._enter(
+            "degraded",
+            f"the connection to {self._supply.origin_name} is lost ({reason}); it is being restored"[:_MAX_DETAIL],
+        )
 
     def _has(self, position: Position, data: bytes) -> bool:
         return self.newest is not None and any(
@@ -183,7 +186,7 @@ class EdgeStream(Stream):
 
     async def _pull(self) -> None:
         try:
-            await pull(self.origin, self.id, self._packet_bytes, self)
+            await self._supply.pull(self)
         except _OtherStream as error:
             _LOG.info("stream %s: %s", self.id, error)
         except (BitstreamError, ValueError) as error:

@@ -6,8 +6,9 @@ import importlib.util
 import os
 import re
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -15,6 +16,7 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
+from core.errors import BackendUnavailable
 from server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
 from server.api.access import grant_of, need, registry_of
 from server.api.registry import Registry
@@ -22,6 +24,8 @@ from server.api.schemas import Health
 from server.auth.gate import Right
 from server.edge import passing
 from server.edge.edge import Edge
+from server.edge.origin import Origin
+from server.edge.pull import OriginSource
 from server.http.head import HeadAsGet
 from server.http.problems import PROBLEMS, Problem, problem_page, problem_response
 from server.http.site_policy import SitePolicy
@@ -32,6 +36,11 @@ from server.service.metrics import collector_registry
 from server.service.openapi import describe, operation_id
 from server.service.webhooks import webhooks
 from server.settings import Settings
+
+if TYPE_CHECKING:
+    from server.edge.jetstream.node import JetStream
+
+POLL_SECONDS = 0.5  # between two looks at which streams other servers share
 
 _DESCRIPTION = """
 Live free-viewpoint video. Streams are watched over the websocket `/v1/streams/{id}/live` (docs/protocol.md);
@@ -59,15 +68,20 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     Raises:
         InputError: tokens, state folder or streams cannot be used.
     """
-    registry = Registry(settings, specs)
-    edge = None if settings.edge is None else Edge(registry, settings.edge, os.environ.get("STREAMLOD_TOKEN"))
+    shared = _shared(settings)
+    registry = Registry(settings, specs, None if shared is None else shared.outbox)
+    origin = None if settings.edge is None else Origin(settings.edge.origin, os.environ.get("STREAMLOD_TOKEN"))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with webhooks(settings, registry.feed):
+        async with webhooks(settings, registry.feed), shared or nullcontext():
             registry.start()
-            if edge is not None:
-                registry.spawn(edge.run())
+            if origin is not None and settings.edge is not None:
+                edge = settings.edge
+                source = OriginSource(origin, edge.streams, settings)
+                registry.spawn(Edge(registry, source, edge.poll_seconds, edge.linger_seconds).run())
+            if shared is not None:
+                registry.spawn(Edge(registry, shared, POLL_SECONDS, settings.jetstream.linger_seconds).run())
             yield
             await registry.drain()
 
@@ -75,14 +89,14 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
         title="streamlod", version="1", description=_DESCRIPTION, lifespan=lifespan, docs_url=None, redoc_url=None,
         generate_unique_id_function=operation_id,
     )  # fmt: skip
-    app.state.registry, app.state.posters = registry, poster.Posters()
+    app.state.registry, app.state.posters, app.state.origin = registry, poster.Posters(), origin
     app.openapi = lambda: describe(app, needs_tokens=settings.has_tokens)  # type: ignore[method-assign]
     _add_errors(app)
     app.include_router(live.router)
     app.include_router(streams.router)
     for part in (downloads, viewers, events, server_info, poster):
         app.include_router(part.router)
-    if edge is None:
+    if origin is None:
         for router in (downloads.played, push.router, streams.control, recordings.router):
             app.include_router(router)
     else:  # its streams are made, controlled and recorded at the origin
@@ -94,6 +108,21 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     app.add_middleware(HeadAsGet)
     app.add_middleware(SitePolicy, settings=settings)
     return app
+
+
+def _shared(settings: Settings) -> JetStream | None:
+    """The streams that this server shares with others, if it does.
+
+    Raises:
+        BackendUnavailable: nats-py is missing.
+    """
+    if settings.bus == "local":
+        return None
+    try:
+        from server.edge.jetstream.node import JetStream
+    except ImportError as error:
+        raise BackendUnavailable("bus jetstream", "install it: pip install 'streamlod[jetstream]'") from error
+    return JetStream(settings)
 
 
 def _add_errors(app: FastAPI) -> None:

@@ -20,6 +20,7 @@ _GAUGES = {
     "seconds_since_packet": "age of the newest packet",
     "train_seconds": "training time of the newest frame",
     "anchors": "anchors of the newest state",
+    "outbox_bytes": "packets that wait to be taken by JetStream",
 }
 _COUNTERS = {
     "packets": "packets published",
@@ -34,6 +35,7 @@ _COUNTERS = {
     "thin_refused": "viewers for which there was no place to draw",
     "worker_restarts": "workers that had to be restarted",
     "recording_lost_packets": "packets that were not recorded",
+    "outbox_lost_packets": "packets that were not published to JetStream",
 }
 
 
@@ -60,7 +62,7 @@ class StreamCollector(Collector):
             name: stream for name, stream in self._registry.streams.items() if self._grant.allows(Right.METRICS, name)
         }
         for label, stream in streams.items():
-            counts, recording = stream.counters, stream.bus.recording
+            counts, recording, outbox = stream.counters, stream.bus.recording, stream.bus.outbox
             scene = stream.hub.scene
             values = {
                 "viewers": stream.viewers,
@@ -70,6 +72,7 @@ class StreamCollector(Collector):
                 "seconds_since_packet": time.monotonic() - stream.live_at if stream.live_at else 0.0,
                 "train_seconds": float((stream.report or {}).get("total_seconds", 0.0)),
                 "anchors": scene.anchor_count if scene else 0,
+                "outbox_bytes": outbox.waiting_bytes if outbox else 0,
             }
             for name, value in values.items():
                 gauges[name].add_metric([label], value)
@@ -86,6 +89,7 @@ class StreamCollector(Collector):
                 "thin_refused": counts.thin_refused,
                 "worker_restarts": stream.restarts,
                 "recording_lost_packets": recording.lost_packets if recording else 0,
+                "outbox_lost_packets": outbox.lost_packets if outbox else 0,
             }
             for name, value in totals.items():
                 counters[name].add_metric([label], value)

@@ -1,20 +1,57 @@
 """The retained packets of one stream: the newest in memory, older ones on disk.
 
-For several servers, a bus across machines would take this place. It has to offer what `Bus` does and nothing more:
-publish a packet, read a range of positions, and say what is retained. Viewers at the live edge do not read here; the
-hub of their server writes to them.
+What several servers share is an outbox here, into which a server that trains puts its packets, and a subclass that
+reads the past from there (`server.edge.jetstream`). Viewers at the live edge do not read here; the hub of their server
+writes to them.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Collection
 from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
 
 from codec.container import SlodReader
 from server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
 from server.stream.store import Recording, Segment
 
-_RECORD_SECONDS = 0.5  # that viewers wait for a disk that stands still
+_RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
+GroupFile = Path | list[StreamPacket]  # a recorded group of pictures, or one in memory
+
+
+@dataclass(frozen=True, slots=True)
+class RetainedGroup:
+    """One retained group of pictures.
+
+    Attributes:
+        first, last: positions of its keyframe and of its newest packet.
+        packets, size_bytes: count and sum of sizes of its packets.
+        begun_ns: Unix time of its keyframe, where it is recorded.
+    """
+
+    first: Position
+    last: Position
+    packets: int
+    size_bytes: int
+    begun_ns: int | None
+
+
+class Outbox(Protocol):
+    """Where the packets that are made here leave for other servers.
+
+    Attributes:
+        waiting_bytes: of packets that have not been taken yet.
+        lost_packets: that were left out.
+    """
+
+    waiting_bytes: int
+    lost_packets: int
+
+    def append(self, packet: StreamPacket) -> asyncio.Future[None] | None:
+        """Queue the newest packet; what is done when it is stored there. None where it has to be left out."""
 
 
 class Bus:
@@ -23,23 +60,33 @@ class Bus:
     Args:
         memory_bytes: packets kept in memory.
         recording: where packets are also recorded, or None.
+
+    Attributes:
+        outbox: for other servers, or None.
     """
+
+    outbox: Outbox | None = None
 
     def __init__(self, memory_bytes: int, recording: Recording | None = None) -> None:
         self.window = PacketWindow(memory_bytes)
         self.recording = recording
-        self._late: Future[None] | None = None  # the writing that viewers did not wait for any longer
+        self._late: set[asyncio.Future[None]] = set()  # what viewers did not wait for any longer
 
     async def record(self, packet: StreamPacket) -> None:
-        """Have the packet written, if there is a recording, and wait for that: nobody gets what could be lost.
+        """Have the packet written, on disk and for other servers, and wait for that: nobody gets what could be lost.
 
-        Where the disk stands still, viewers wait for it once, and then no more until it has caught up.
+        Where one of these stands still, viewers wait for it once, and then no more until it has caught up.
         """
-        writing = None if self.recording is None else self.recording.append(packet)
-        if writing is None or (self._late is not None and not self._late.done()):
+        writings = self._write(packet)
+        if not writings or any(not late.done() for late in self._late):
             return
-        done, _ = await asyncio.wait([asyncio.wrap_future(writing)], timeout=_RECORD_SECONDS)
-        self._late = None if done else writing
+        _, self._late = await asyncio.wait(writings, timeout=_RECORD_SECONDS)
+
+    def _write(self, packet: StreamPacket) -> list[asyncio.Future[None]]:
+        recorded: Future[None] | None = None if self.recording is None else self.recording.append(packet)
+        sent = None if self.outbox is None else self.outbox.append(packet)
+        writings = [] if recorded is None else [asyncio.wrap_future(recorded)]
+        return writings if sent is None else [*writings, sent]
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
         """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""
@@ -54,6 +101,27 @@ class Bus:
             return self.window.read(first, last)
         segments = [s for s in self.recording.segments if s.first <= last and s.last >= first]
         return await asyncio.to_thread(_read_segments, segments, first, last)
+
+    async def groups(self) -> list[RetainedGroup]:
+        """All retained groups of pictures, oldest first."""
+        found = {packets[0].position: _in_memory(packets) for packets in self.window.groups()}
+        for s in self.recording.segments if self.recording else ():
+            held = found.get(s.first) or RetainedGroup(s.first, s.last, s.packets, s.size_bytes, None)
+            found[s.first] = replace(held, begun_ns=s.begun_ns)
+        return [found[first] for first in sorted(found)]
+
+    async def files(self, firsts: Collection[Position] | None = None) -> dict[Position, GroupFile]:
+        """The groups of pictures that begin at `firsts`, by default all; from disk where they are recorded.
+
+        While something is recorded, what is not (early previews) does not count.
+
+        Raises:
+            InputError: they are too much for memory.
+        """
+        segments = self.recording.segments if self.recording else []
+        found: dict[Position, GroupFile] = {s.first: s.path for s in segments if s.packets}
+        found = found or {packets[0].position: packets for packets in self.window.groups()}
+        return {first: group for first, group in found.items() if firsts is None or first in firsts}
 
     @property
     def oldest(self) -> Position | None:
@@ -77,6 +145,11 @@ class Bus:
         if self.recording is not None:
             keys += [segment.first for segment in self.recording.segments]
         return keys
+
+
+def _in_memory(packets: list[StreamPacket]) -> RetainedGroup:
+    size_bytes = sum(len(packet.data) for packet in packets)
+    return RetainedGroup(packets[0].position, packets[-1].position, len(packets), size_bytes, None)
 
 
 def _read_segments(segments: list[Segment], first: Position, last: Position) -> list[StreamPacket]:

@@ -20,7 +20,6 @@ from server.stream.counters import Counters
 from server.stream.feed import Feed
 from server.stream.hub import Hub
 from server.stream.sealing import masked
-from server.stream.store import Recording
 
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
 _WINDOW_SECONDS = 1.0  # from one window event to the next
@@ -34,7 +33,7 @@ class Stream:
         name: its id in addresses.
         incarnation: names its packets for good.
         settings: of the server.
-        recording: its place on disk, or None.
+        bus: its retained packets; those in memory alone by default.
         feed: where its states are told.
 
     Attributes:
@@ -57,12 +56,12 @@ class Stream:
         name: str,
         incarnation: str,
         settings: Settings,
-        recording: Recording | None = None,
+        bus: Bus | None = None,
         feed: Feed | None = None,
     ) -> None:
         self.id, self.incarnation = name, incarnation
         self.feed = feed or Feed()
-        self.bus = Bus(settings.retention.memory_bytes, recording)
+        self.bus = bus or Bus(settings.retention.memory_bytes)
         self.counters = Counters()
         self.hub = Hub(_HUB_BYTES, self.counters, settings.limits.decoder)
         self.viewers = self.thin_viewers = 0

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
-from server.stream.store import Segment
+
+class _Timed(Protocol):
+    @property
+    def begun_ns(self) -> int | None:
+        """Unix time of the group's keyframe, where it is recorded."""
+
+
+_T = TypeVar("_T", bound=_Timed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +28,13 @@ class TimeRange:
         """Whether every time lies in it."""
         return self.begin_ns is None and self.end_ns is None
 
-    def choose(self, segments: Sequence[Segment]) -> list[Segment]:
-        """Those of a recording's segments of which some part lies in the range; one lasts until the next begins."""
-        ends = [*(segment.begun_ns for segment in segments[1:]), None]
+    def choose(self, groups: Sequence[_T]) -> list[_T]:
+        """Those recorded groups of which some part lies in the range; one lasts until the next begins."""
+        recorded = [(group.begun_ns, group) for group in groups if group.begun_ns is not None]
+        ends = [*(begun for begun, _ in recorded[1:]), None]
         return [
-            segment
-            for segment, end in zip(segments, ends, strict=False)
-            if (self.end_ns is None or segment.begun_ns < self.end_ns)
+            group
+            for (begun, group), end in zip(recorded, ends, strict=False)
+            if (self.end_ns is None or begun < self.end_ns)
             and (self.begin_ns is None or end is None or end > self.begin_ns)
         ]

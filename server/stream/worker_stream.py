@@ -20,6 +20,7 @@ from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
 from server.protocol.packets import StreamPacket, stream_packet
 from server.settings import Settings
+from server.stream.bus import Bus
 from server.stream.feed import Feed
 from server.stream.store import Recording
 from server.stream.stream import Stream
@@ -52,7 +53,7 @@ class WorkerStream(Stream):
         feed: Feed | None = None,
     ) -> None:
         incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
-        super().__init__(spec.id, incarnation, settings, recording, feed)
+        super().__init__(spec.id, incarnation, settings, Bus(settings.retention.memory_bytes, recording), feed)
         self._settings = settings
         self._frames_done = 0
         self.define(spec, push_socket)

@@ -1,0 +1,1 @@
+"""Streams that several servers share over NATS JetStream: published by the one that trains, served by every other."""

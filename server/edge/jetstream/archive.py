@@ -1,0 +1,251 @@
+"""The past of a stream, read from JetStream: which keyframes are there, and what follows each."""
+
+from __future__ import annotations
+
+import asyncio
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection
+from contextlib import aclosing
+from dataclasses import dataclass, field
+
+from nats.aio.msg import Msg
+from nats.errors import Error
+
+from core.errors import InputError
+from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.messages import Assembler, MessageId, Names, parse_id
+from server.edge.jetstream.reading import Selection, follow, read
+from server.protocol.packets import Position, StreamPacket, stream_packet
+from server.stream.bus import Bus, GroupFile, RetainedGroup
+
+_TRIM_SECONDS = 2.0  # between two looks at what JetStream has discarded
+_ID, _SIZE = "Nats-Msg-Id", "Nats-Msg-Size"
+
+
+@dataclass(slots=True)
+class _Group:
+    """A group of pictures in JetStream: its keyframe, and as much of its contents as has been looked up.
+
+    Attributes:
+        first, sequence, begun_ns: of the keyframe: position, sequence number of its first message, Unix time.
+        positions, sequences: of each packet looked up so far.
+        size_bytes: of these packets.
+        next_sequence: where to look up further.
+    """
+
+    first: Position
+    sequence: int
+    begun_ns: int
+    positions: list[Position] = field(default_factory=list)
+    sequences: list[int] = field(default_factory=list)
+    size_bytes: int = 0
+    next_sequence: int = 0
+    lock: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+
+class Archive:
+    """The packets of one stream that JetStream holds.
+
+    Args:
+        connection: to NATS.
+        names: of streams and subjects.
+        stream, incarnation: whose packets.
+        packet_bytes: of a packet, at most.
+    """
+
+    def __init__(self, connection: Connection, names: Names, stream: str, incarnation: str, packet_bytes: int) -> None:
+        self._connection, self._packet_bytes = connection, packet_bytes
+        self.stream = names.packets(stream)
+        self._keyframes = names.subject(stream, incarnation, "k")
+        self.subject = names.subject(stream, incarnation, "*")
+        self._groups: list[_Group] = []
+
+    @property
+    def keys(self) -> list[Position]:
+        """Positions of the keyframes, in order."""
+        return [group.first for group in self._groups]
+
+    @property
+    def newest_key(self) -> int | None:
+        """Sequence number of the newest keyframe's first message."""
+        return self._groups[-1].sequence if self._groups else None
+
+    async def load(self) -> None:
+        """Look up the keyframes that are there.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        selection = Selection(self.stream, self._keyframes, headers_only=True)
+        async with aclosing(read(self._connection, selection, 1, None)) as messages:
+            async for message in messages:
+                self._add(message)
+
+    async def run(self) -> None:
+        """Take note of new keyframes, and of what JetStream has discarded, until cancelled."""
+        trimming = asyncio.create_task(self._trim())
+        try:
+            selection = Selection(self.stream, self._keyframes, headers_only=True)
+            async for message in follow(self._connection, selection, (self.newest_key or 0) + 1):
+                self._add(message)
+        finally:
+            trimming.cancel()
+            await asyncio.gather(trimming, return_exceptions=True)
+
+    async def read(self, first: Position, last: Position) -> list[StreamPacket]:
+        """Packets of positions `first` to `last`, in order.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        found: list[StreamPacket] = []
+        for group, following in self._spans():
+            if group.first > last or (following is not None and following.first < first):
+                continue
+            await self._look_up(group, following)
+            begin, end = bisect_left(group.positions, first), bisect_right(group.positions, last)
+            if begin < end:
+                stop = group.sequences[end] if end < len(group.sequences) else group.next_sequence
+                found += await self._packets(group.sequences[begin], stop)
+        return found
+
+    async def groups(self) -> list[RetainedGroup]:
+        """All groups of pictures.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        found = []
+        for group, following in self._spans():
+            await self._look_up(group, following)
+            if group.positions:
+                size = len(group.positions), group.size_bytes
+                found.append(RetainedGroup(group.first, group.positions[-1], *size, group.begun_ns))
+        return found
+
+    async def group(self, first: Position) -> list[StreamPacket]:
+        """The packets of the group of pictures that begins at `first`; none where there is no such group."""
+        for group, following in self._spans():
+            if group.first == first:
+                await self._look_up(group, following)
+                return await self._packets(group.sequence, group.next_sequence)
+        return []
+
+    def _spans(self) -> list[tuple[_Group, _Group | None]]:
+        """Each group and the one that ends it."""
+        return list(zip(self._groups, [*self._groups[1:], None], strict=True))
+
+    def _add(self, message: Msg) -> None:
+        found, at = id_of(message), message.metadata
+        if found is None or found.piece != 0 or at.sequence.stream <= (self.newest_key or 0):
+            return
+        if self._groups and self._groups[-1].first >= found.position:  # stored twice
+            return
+        begun_ns = int(at.timestamp.timestamp() * 1e9)
+        self._groups.append(_Group(found.position, at.sequence.stream, begun_ns, next_sequence=at.sequence.stream))
+
+    async def _look_up(self, group: _Group, following: _Group | None) -> None:
+        """Complete the contents of a group, up to what is there now."""
+        end = None if following is None else following.sequence
+        async with group.lock:
+            if end is not None and group.next_sequence >= end:
+                return
+            selection = Selection(self.stream, self.subject, headers_only=True)
+            begun, size = 0, 0
+            expected: MessageId | None = None
+            async with aclosing(read(self._connection, selection, group.next_sequence, end)) as messages:
+                async for message in messages:
+                    found, sequence = id_of(message), message.metadata.sequence.stream
+                    if found is None or found == expected:
+                        continue
+                    if found.piece == 0:
+                        begun, size = sequence, 0
+                    size += int((message.headers or {}).get(_SIZE, 0))
+                    expected = found
+                    if found.is_last:
+                        group.positions.append(found.position)
+                        group.sequences.append(begun)
+                        group.size_bytes += size
+                        group.next_sequence = sequence + 1
+            if end is not None:
+                group.next_sequence = end
+
+    async def _packets(self, first: int, end: int) -> list[StreamPacket]:
+        assembler, packets = Assembler(self._packet_bytes), list[StreamPacket]()
+        selection = Selection(self.stream, self.subject)
+        async with aclosing(read(self._connection, selection, first, end)) as messages:
+            async for message in messages:
+                found = id_of(message)
+                data = None if found is None else assembler.push(found, message.data)
+                if found is not None and data is not None:
+                    packets.append(stream_packet(-1, found.position.epoch, data))
+        return packets
+
+    async def _trim(self) -> None:
+        while True:
+            await asyncio.sleep(_TRIM_SECONDS)
+            try:
+                info = await self._connection.jetstream.stream_info(self.stream)
+            except (Error, OSError):
+                continue
+            self._groups = [group for group in self._groups if group.sequence >= info.state.first_seq]
+
+
+class ArchiveBus(Bus):
+    """The newest packets in memory, all that JetStream holds behind them.
+
+    Args:
+        memory_bytes: packets kept in memory, and read at once for a download.
+        archive: of the stream.
+    """
+
+    def __init__(self, memory_bytes: int, archive: Archive) -> None:
+        super().__init__(memory_bytes)
+        self._archive, self._memory_bytes = archive, memory_bytes
+
+    async def read(self, first: Position, last: Position) -> list[StreamPacket]:
+        """See `Bus`.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        oldest = self.window.oldest
+        if oldest is not None and first >= oldest.position:
+            return self.window.read(first, last)
+        return await self._archive.read(first, last)
+
+    async def groups(self) -> list[RetainedGroup]:
+        """See `Bus`.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        return await self._archive.groups()
+
+    async def files(self, firsts: Collection[Position] | None = None) -> dict[Position, GroupFile]:
+        """See `Bus`.
+
+        Raises:
+            InputError: they are too much for memory.
+            OSError: NATS does not answer.
+        """
+        chosen = [group for group in await self._archive.groups() if firsts is None or group.first in firsts]
+        size = sum(group.size_bytes for group in chosen)
+        if len(chosen) > 1 and size > self._memory_bytes:
+            fault = f"has {size} bytes, of which this server joins {self._memory_bytes}; download its groups one by one"
+            raise InputError("the download", fault)
+        return {group.first: await self._archive.group(group.first) for group in chosen}
+
+    @property
+    def oldest(self) -> Position | None:
+        """See `Bus`."""
+        places = [self.window.oldest.position] if self.window.oldest else []
+        return min([*places, *self._archive.keys[:1]], default=None)
+
+    def _keys(self) -> list[Position]:
+        return [group[0].position for group in self.window.groups()] + self._archive.keys
+
+
+def id_of(message: Msg) -> MessageId | None:
+    """What a message holds, or None where it is none of ours."""
+    return parse_id((message.headers or {}).get(_ID, ""))

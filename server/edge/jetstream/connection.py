@@ -1,0 +1,67 @@
+"""The connection to NATS, made again for as long as it takes."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from contextlib import suppress
+
+from nats.aio.client import Client
+from nats.js import JetStreamContext
+
+from server.settings import JetStreamSettings
+
+_LOG = logging.getLogger(__name__)
+_RECONNECT_SECONDS = 0.25
+_CONNECT_SECONDS = 2
+_PING_SECONDS = 5  # a dead machine answers no ping
+_CLOSE_SECONDS = 1.0
+
+
+class Connection:
+    """One connection of this server, for everything."""
+
+    def __init__(self, settings: JetStreamSettings) -> None:
+        self._settings = settings
+        self._closing = False
+        self.client = Client()
+
+    @property
+    def jetstream(self) -> JetStreamContext:
+        """Its interface to JetStream; requests fail while there is no connection."""
+        return self.client.jetstream(timeout=2.0)
+
+    async def open(self) -> None:
+        """Connect, however long it takes; from then on a lost connection is made again by itself."""
+
+        async def say_lost() -> None:
+            if not self._closing:
+                _LOG.warning("the connection to NATS is lost; connecting again")
+
+        async def say_back() -> None:
+            _LOG.info("NATS answers again")
+
+        async def say_nothing(_: Exception) -> None:
+            """Attempts fail several times a second while a server is away."""
+
+        credentials = self._settings.credentials
+        await self.client.connect(
+            servers=list(self._settings.servers),
+            name="streamlod",
+            user_credentials=None if credentials is None else str(credentials),
+            max_reconnect_attempts=-1,
+            reconnect_time_wait=_RECONNECT_SECONDS,  # type: ignore[arg-type]  # it is passed to sleep
+            connect_timeout=_CONNECT_SECONDS,
+            ping_interval=_PING_SECONDS,
+            disconnected_cb=say_lost,
+            reconnected_cb=say_back,
+            error_cb=say_nothing,
+        )
+        _LOG.info("connected to NATS")
+
+    async def close(self) -> None:
+        """Give it up."""
+        self._closing = True
+        with suppress(Exception):
+            async with asyncio.timeout(_CLOSE_SECONDS):
+                await self.client.close()

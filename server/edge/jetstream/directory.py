@@ -1,0 +1,220 @@
+"""Which streams there are, and who publishes them: one description a stream, told again every second.
+
+The description of a stream is the newest message of its subject. Its publisher replaces it only if nobody else has
+since (JetStream's expected last sequence), so of two servers that train streams of one id, one publishes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import secrets
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from nats.errors import Error
+from nats.js.api import DiscardPolicy, RawStreamMsg, StorageType, StreamConfig
+from nats.js.errors import APIError, BadRequestError, NotFoundError
+from pydantic import ValidationError
+
+from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.messages import Names
+from server.edge.jetstream.reading import Selection, follow
+from server.edge.origin import OriginStream
+from server.settings import Settings
+
+_LOG = logging.getLogger(__name__)
+TELL_SECONDS = 1.0
+SILENT_SECONDS = 5.0  # after which a publisher is taken for lost
+_PUBLISH_SECONDS = 1.0
+_RETRY_SECONDS = 0.25
+_WRONG_LAST = 10071  # JetStream's error code for "wrong last sequence"
+_NOBODY = ""
+_CHANGES = {"starting", "live", "degraded"}  # states in which packets are to be expected
+
+
+async def ensure_stream(connection: Connection, config: StreamConfig) -> None:
+    """Make a JetStream stream, or set up the one that is there in this way."""
+    try:
+        await connection.jetstream.add_stream(config)
+    except BadRequestError:
+        await connection.jetstream.update_stream(config)
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a publisher said last.
+
+    Attributes:
+        description: of the stream.
+        told_at: monotonic time at which it arrived here.
+        clock_ahead_ns: of the publisher's clock; 0 until it has said something while this server listened.
+    """
+
+    description: OriginStream
+    told_at: float
+    clock_ahead_ns: int
+
+
+class Directory:
+    """The descriptions of all streams, as this server knows them.
+
+    Args:
+        connection: to NATS.
+        names: of streams and subjects.
+        settings: of the server.
+    """
+
+    def __init__(self, connection: Connection, names: Names, settings: Settings) -> None:
+        self._connection, self._names, self._settings = connection, names, settings
+        self._told: dict[str, Told] = {}
+        self._begun_ns = time.time_ns()
+        self.fault = "NATS has not been reached yet"
+
+    def config(self) -> StreamConfig:
+        """Of the JetStream stream that holds them; a description goes when its packets are too old."""
+        return StreamConfig(
+            name=self._names.directory,
+            subjects=[self._names.description("*")],
+            max_msgs_per_subject=1,
+            max_age=max(self._settings.retention.seconds, SILENT_SECONDS),
+            duplicate_window=SILENT_SECONDS,
+            storage=StorageType.FILE,
+            discard=DiscardPolicy.OLD,
+            num_replicas=self._settings.jetstream.replicas,
+            allow_direct=True,
+        )
+
+    def find(self, stream: str) -> Told | None:
+        """What is known of a stream; degraded where its publisher is silent."""
+        told = self._told.get(stream)
+        if told is None or told.description.state not in _CHANGES or not self._is_silent(told):
+            return told
+        detail = f"the server that publishes it has said nothing for {SILENT_SECONDS:g} s"
+        return replace(told, description=told.description.model_copy(update={"state": "degraded", "detail": detail}))
+
+    def streams(self) -> list[OriginStream]:
+        """All streams, those that are no longer told of left out once their packets are gone."""
+        oldest = time.monotonic() - self._settings.retention.seconds
+        self._told = {name: told for name, told in self._told.items() if told.told_at > oldest}
+        return [told.description for name in self._told if (told := self.find(name)) is not None]
+
+    async def run(self) -> None:
+        """Listen for descriptions, until cancelled."""
+
+        def on_state(fault: str) -> None:
+            self.fault = fault
+
+        selection = Selection(self._names.directory, self._names.description("*"), newest=True)
+        while True:
+            try:
+                await ensure_stream(self._connection, self.config())
+                break
+            except (Error, OSError) as error:
+                self.fault = str(error) or "no answer"
+                await asyncio.sleep(_RETRY_SECONDS)
+        async for message in follow(self._connection, selection, 1, on_state):
+            stored_ns = int(message.metadata.timestamp.timestamp() * 1e9)
+            self._take(message.subject.rpartition(".")[2], message.data, is_new=stored_ns > self._begun_ns)
+
+    def _take(self, stream: str, body: bytes, *, is_new: bool) -> None:
+        if not body:
+            self._told.pop(stream, None)
+            return
+        try:
+            values = json.loads(body)
+            description = OriginStream.model_validate(values)
+        except (ValueError, RecursionError, ValidationError) as error:
+            _LOG.warning("stream %.80s: its description in JetStream cannot be used (%.200s)", stream, error)
+            return
+        if description.id != stream:
+            return
+        sent_ns, earlier = values.get("server_time_ns"), self._told.get(stream)
+        ahead_ns = 0 if earlier is None else earlier.clock_ahead_ns
+        if is_new and type(sent_ns) is int:
+            ahead_ns = sent_ns - time.time_ns()
+        self._told[stream] = Told(description, time.monotonic(), ahead_ns)
+
+    def _is_silent(self, told: Told) -> bool:
+        return time.monotonic() - told.told_at > SILENT_SECONDS
+
+
+@dataclass(slots=True)
+class Claim:
+    """This server's right to publish a stream.
+
+    Attributes:
+        stream: its id.
+        holder: names this server and this run of it; empty in a description that nobody tells any more.
+    """
+
+    connection: Connection
+    names: Names
+    stream: str
+    holder: str = field(default_factory=lambda: secrets.token_hex(8))
+    _sequence: int = 0  # of the description that is there
+    _other: tuple[int, float] = (0, 0.0)  # sequence of another server's description, and since when that is known
+
+    async def tell(self, description: dict[str, Any], *, leaving: bool = False) -> bool:
+        """Replace the description; returns False where another server publishes the stream.
+
+        Raises:
+            OSError, nats.errors.Error: JetStream does not answer.
+        """
+        told = description | {"server_time_ns": time.time_ns(), "holder": _NOBODY if leaving else self.holder}
+        for _ in range(2):
+            try:
+                await self._put(json.dumps(told).encode())
+            except APIError as error:
+                if error.err_code != _WRONG_LAST:
+                    raise
+                if not await self._may_replace(description["incarnation"]):
+                    return False
+            else:
+                return True
+        return False
+
+    async def remove(self) -> None:
+        """The stream was deleted."""
+        await self._put(b"")
+
+    async def _put(self, body: bytes) -> None:
+        ack = await self.connection.jetstream.publish(
+            self.names.description(self.stream),
+            body,
+            timeout=_PUBLISH_SECONDS,
+            stream=self.names.directory,
+            headers={"Nats-Expected-Last-Subject-Sequence": str(self._sequence)},
+        )
+        self._sequence = ack.seq
+
+    async def _may_replace(self, incarnation: str) -> bool:
+        """Whether what is there is our own, given up, or of a server that has been silent; takes note of it."""
+        found = await self._newest()
+        sequence = 0 if found is None or found.seq is None else found.seq
+        if sequence != self._other[0]:
+            self._other = sequence, time.monotonic()
+        holder, held = _holder_of(found)
+        silent = time.monotonic() - self._other[1] > SILENT_SECONDS
+        if holder in {_NOBODY, self.holder} or held == incarnation or silent:
+            self._sequence = sequence
+            return True
+        return False
+
+    async def _newest(self) -> RawStreamMsg | None:
+        try:
+            subject = self.names.description(self.stream)
+            return await self.connection.jetstream.get_last_msg(self.names.directory, subject)
+        except NotFoundError:
+            return None
+
+
+def _holder_of(found: RawStreamMsg | None) -> tuple[object, object]:
+    """Holder and incarnation of a description."""
+    try:
+        values = json.loads((found.data if found else None) or b"{}")
+        return values.get("holder", _NOBODY), values.get("incarnation")
+    except (ValueError, AttributeError, RecursionError):
+        return _NOBODY, None

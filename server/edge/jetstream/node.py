@@ -1,0 +1,101 @@
+"""This server's part in sharing streams over JetStream: what it publishes, and what it serves of others."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from types import TracebackType
+from typing import Self
+
+from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.directory import Directory
+from server.edge.jetstream.messages import Names
+from server.edge.jetstream.publisher import Publisher
+from server.edge.jetstream.supply import ArchivedStream
+from server.edge.origin import OriginStream
+from server.edge.supply import Supply
+from server.settings import Settings
+from server.stream.bus import Outbox
+from server.stream.stream import Stream
+
+_LOG = logging.getLogger(__name__)
+_LOOK_SECONDS = 0.25  # between two looks for streams to publish
+
+
+class JetStream:
+    """A source of streams, and the outboxes of this server's own; connected between enter and exit.
+
+    Args:
+        settings: of the server.
+    """
+
+    name = "NATS JetStream"
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._names = Names(settings.jetstream.prefix)
+        self._connection = Connection(settings.jetstream)
+        self._directory = Directory(self._connection, self._names, settings)
+        self._publishers: list[Publisher] = []
+        self._publishing: dict[str, tuple[Publisher, asyncio.Task[None]]] = {}
+        self._task: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        self._task = asyncio.create_task(self._run())
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            async with asyncio.timeout(self._settings.drain_seconds / 4):
+                await asyncio.gather(*(publisher.finish() for publisher, _ in self._publishing.values()))
+        except Exception as fault:
+            _LOG.warning("not everything was published: %s", fault or "NATS does not answer")
+        tasks = [task for _, task in self._publishing.values()]
+        tasks += [] if self._task is None else [self._task]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._connection.close()
+
+    def outbox(self, stream: Stream) -> Outbox:
+        """Publish a stream from now on."""
+        publisher = Publisher(self._connection, self._names, self._settings, stream)
+        self._publishers.append(publisher)
+        return publisher
+
+    async def streams(self) -> list[OriginStream]:
+        """See `StreamSource`: the streams of other servers."""
+        if self._directory.fault:
+            raise OSError(self._directory.fault)
+        own = {publisher.stream.id for publisher in self._publishers}
+        return [each for each in self._directory.streams() if each.id not in own]
+
+    def supply(self, stream: OriginStream) -> Supply:
+        """See `StreamSource`."""
+        return ArchivedStream(self._connection, self._names, self._directory, self._settings, stream)
+
+    async def _run(self) -> None:
+        await self._connection.open()
+        listening = asyncio.create_task(self._directory.run())
+        try:
+            while True:
+                self._look()
+                await asyncio.sleep(_LOOK_SECONDS)
+        finally:
+            listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
+    def _look(self) -> None:
+        """Begin to publish new streams; one of a deleted stream's id waits until that is removed."""
+        for name, (publisher, task) in list(self._publishing.items()):
+            if task.done():
+                if not task.cancelled() and (error := task.exception()) is not None:
+                    _LOG.error("stream %s: publishing broke and begins again", name, exc_info=error)
+                else:
+                    self._publishers.remove(publisher)
+                del self._publishing[name]
+        for publisher in self._publishers:
+            if publisher.stream.id not in self._publishing:
+                self._publishing[publisher.stream.id] = publisher, asyncio.create_task(publisher.run())

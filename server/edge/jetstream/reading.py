@@ -1,0 +1,136 @@
+"""Messages of a JetStream stream in order, from any of them on, over the loss of servers.
+
+Each reader is a short-lived pull consumer without acknowledgements: NATS keeps nothing about a server that reads, and a
+consumer that is lost with its NATS server is made again behind the last message that was read.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Callable
+from contextlib import aclosing, suppress
+from dataclasses import dataclass
+
+from nats.aio.msg import Msg
+from nats.errors import Error
+from nats.js.api import AckPolicy, ConsumerConfig, DeliverPolicy
+
+from server.edge.jetstream.connection import Connection
+
+_BATCH = 512  # messages asked for at once
+_REQUEST = {"max_bytes": 8 << 20, "expires": 5 * 10**9, "idle_heartbeat": 5 * 10**8}
+_SILENT_SECONDS = 1.25  # two heartbeats and a half
+_INACTIVE_SECONDS = 10.0  # after which NATS forgets a consumer
+_RETRY_SECONDS = 0.25
+_GOES_ON = {"404", "408"}  # nothing there yet; the request has expired
+_BATCH_ENDS = {"Message Size Exceeds MaxBytes", "Batch Completed"}
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which messages to read.
+
+    Attributes:
+        stream: of JetStream.
+        subject: with wildcards.
+        headers_only: leave out the bodies.
+        newest: of each subject only the newest message, and then what comes.
+    """
+
+    stream: str
+    subject: str
+    headers_only: bool = False
+    newest: bool = False
+
+
+async def follow(
+    connection: Connection, selection: Selection, first: int, on_state: Callable[[str], None] = lambda _: None
+) -> AsyncGenerator[Msg, None]:
+    """Messages from sequence number `first` on, and all that come later, for ever.
+
+    Calls `on_state` with what is wrong when they have to wait, and with nothing each time that it can read.
+    """
+    begun = False
+    while True:
+        try:
+            async with aclosing(_consume(connection, selection, first, on_state, begun=begun)) as messages:
+                async for message in messages:
+                    yield message
+                    first, begun = message.metadata.sequence.stream + 1, True
+        except (Error, OSError) as error:
+            on_state(str(error) or "no answer")
+            await asyncio.sleep(_RETRY_SECONDS)
+
+
+async def read(connection: Connection, selection: Selection, first: int, end: int | None) -> AsyncGenerator[Msg, None]:
+    """Messages from `first` on, up to `end` or what is there now.
+
+    Raises:
+        OSError: NATS does not answer, or stops to.
+    """
+    try:
+        async with aclosing(_consume(connection, selection, first, end=end, finite=True)) as messages:
+            async for message in messages:
+                if end is not None and message.metadata.sequence.stream >= end:
+                    return
+                yield message
+                if message.metadata.num_pending == 0:
+                    return
+    except Error as error:
+        raise OSError(f"JetStream does not answer ({error})") from error
+
+
+async def _consume(
+    connection: Connection,
+    selection: Selection,
+    first: int,
+    on_state: Callable[[str], None] = lambda _: None,
+    *,
+    begun: bool = False,
+    finite: bool = False,
+    end: int | None = None,
+) -> AsyncGenerator[Msg, None]:
+    """One consumer's messages; ends at once if it is `finite` and there are none."""
+    newest = selection.newest and not begun
+    config = ConsumerConfig(
+        deliver_policy=DeliverPolicy.LAST_PER_SUBJECT if newest else DeliverPolicy.BY_START_SEQUENCE,
+        opt_start_seq=None if newest else max(1, first),
+        filter_subject=selection.subject,
+        ack_policy=AckPolicy.NONE,
+        headers_only=selection.headers_only,
+        inactive_threshold=_INACTIVE_SECONDS,
+        mem_storage=True,
+        num_replicas=1,
+    )
+    client, jetstream = connection.client, connection.jetstream
+    inbox = client.new_inbox()
+    answers = await client.subscribe(inbox)
+    consumer = ""
+    try:
+        info = await jetstream.add_consumer(selection.stream, config)
+        consumer = info.name
+        on_state("")
+        if finite and not info.num_pending:
+            return
+        request = f"$JS.API.CONSUMER.MSG.NEXT.{selection.stream}.{consumer}"
+        batch, left = _BATCH if end is None else min(_BATCH, max(1, end - first)), 0
+        while True:
+            if left == 0:
+                left = batch
+                await client.publish(request, json.dumps(_REQUEST | {"batch": batch}).encode(), inbox)
+            message = await answers.next_msg(_SILENT_SECONDS)
+            headers = message.headers or {}
+            status = headers.get("Status")
+            if status is None:
+                left -= 1
+                yield message
+            elif status in _GOES_ON or headers.get("Description") in _BATCH_ENDS:
+                left = 0
+            elif status != "100":
+                raise Error(f"the reader ended with status {status} {headers.get('Description', '')}")
+    finally:
+        with suppress(Error, OSError, asyncio.CancelledError):
+            await answers.unsubscribe()
+            if consumer:
+                await client.publish(f"$JS.API.CONSUMER.DELETE.{selection.stream}.{consumer}")

@@ -1,0 +1,127 @@
+"""One stream of another server, as JetStream has it: followed from its newest keyframe, its past behind that."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from contextlib import aclosing
+
+from server.edge.jetstream.archive import Archive, ArchiveBus, id_of
+from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.directory import Directory
+from server.edge.jetstream.messages import Assembler, Names
+from server.edge.jetstream.reading import Selection, follow
+from server.edge.origin import OriginStream
+from server.edge.supply import PacketTaker
+from server.protocol.messages import event
+from server.protocol.packets import Position, stream_packet
+from server.settings import Settings
+
+_RETRY_SECONDS = 0.25
+_LOOK_SECONDS = 0.25  # between two looks at the stream's state
+
+
+class ArchivedStream:
+    """See `server.edge.supply.Supply`; for one pull.
+
+    Args:
+        connection: to NATS.
+        names: of streams and subjects.
+        directory: where its state is told.
+        settings: of the server.
+        stream: what was told last.
+    """
+
+    origin_name = "NATS JetStream"
+
+    def __init__(
+        self, connection: Connection, names: Names, directory: Directory, settings: Settings, stream: OriginStream
+    ) -> None:
+        self._connection, self._directory, self._stream = connection, directory, stream
+        self._packet_bytes = settings.limits.packet_bytes
+        self._archive = Archive(connection, names, stream.id, stream.incarnation, self._packet_bytes)
+        self.bus = ArchiveBus(settings.retention.memory_bytes, self._archive)
+        self._lost = False
+
+    async def pull(self, taker: PacketTaker) -> None:
+        """See `Supply`."""
+        self._greet(taker)
+        while True:
+            try:
+                await self._archive.load()
+                break
+            except OSError as error:
+                taker.on_break(str(error))
+                await asyncio.sleep(_RETRY_SECONDS)
+        archiving, telling, following = tasks = [
+            asyncio.create_task(work) for work in (self._archive.run(), self._tell(taker), self._follow(taker))
+        ]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in (archiving, following, telling):
+                if task.done():
+                    task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _greet(self, taker: PacketTaker) -> None:
+        told, now_ns = self._directory.find(self._stream.id), time.time_ns()
+        state = self._stream if told is None else told.description
+        ahead_ns = 0 if told is None else told.clock_ahead_ns
+        taker.on_welcome(
+            {
+                "incarnation": state.incarnation,
+                "server_time_ns": now_ns + ahead_ns,
+                "state": state.state,
+                "detail": state.detail,
+            },
+            now_ns,
+        )
+
+    async def _follow(self, taker: PacketTaker) -> None:
+        """Hand on every packet from the newest keyframe on; after a gap, from the next keyframe on."""
+
+        def on_state(fault: str) -> None:
+            self._lost = bool(fault)
+            if fault:
+                taker.on_break(fault)
+
+        assembler = Assembler(self._packet_bytes)
+        held: Position | None = None
+        missed = False
+        messages = follow(
+            self._connection,
+            Selection(self._archive.stream, self._archive.subject),
+            self._archive.newest_key or 1,
+            on_state,
+        )
+        async with aclosing(messages):
+            async for message in messages:
+                found = id_of(message)
+                data = None if found is None else assembler.push(found, message.data)
+                if found is None or data is None:
+                    continue
+                packet = stream_packet(0, found.position.epoch, data)
+                if not packet.is_key and (held is None or not packet.follows(held)):
+                    missed = held is not None
+                    continue
+                if missed:
+                    missed = False
+                    taker.on_event(event("skipped"))
+                taker.on_event(event("epoch", epoch=found.position.epoch))
+                await taker.on_packet(data)
+                held = found.position
+
+    async def _tell(self, taker: PacketTaker) -> None:
+        """Hand on the stream's state, until it is deleted."""
+        progress = self._stream.progress
+        while (told := self._directory.find(self._stream.id)) is not None:
+            state = told.description
+            if not self._lost:
+                taker.on_event(event("state", state=state.state, detail=state.detail))
+            if state.progress is not None and state.progress != progress:
+                progress = state.progress
+                taker.on_event(event("progress", **progress))
+            await asyncio.sleep(_LOOK_SECONDS)

@@ -1,0 +1,62 @@
+"""What streams come from that are made elsewhere: which there are, and the packets of each."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from server.edge.origin import OriginStream
+from server.protocol.packets import Position
+from server.stream.bus import Bus
+
+
+class PacketTaker(Protocol):
+    """Whoever takes what is pulled. Whatever these methods raise ends the pull."""
+
+    @property
+    def held(self) -> Position | None:
+        """Position of the newest packet that it has, from which to go on."""
+
+    def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
+        """The origin has taken us; the hello left at Unix time `sent_ns`."""
+
+    def on_event(self, message: dict[str, Any]) -> None:
+        """An event, in order with the packets."""
+
+    async def on_packet(self, data: bytes) -> None:
+        """A packet."""
+
+    def on_break(self, reason: str) -> None:
+        """The connection broke, or could not be opened; another attempt follows."""
+
+
+class Supply(Protocol):
+    """The packets of one stream."""
+
+    @property
+    def origin_name(self) -> str:
+        """Where they come from, as viewers are told."""
+
+    @property
+    def bus(self) -> Bus:
+        """What is retained of them."""
+
+    async def pull(self, taker: PacketTaker) -> None:
+        """Hand packets to `taker` until the stream is deleted (then this returns) or the taker raises."""
+
+
+class StreamSource(Protocol):
+    """Streams that are made elsewhere."""
+
+    @property
+    def name(self) -> str:
+        """As in a log."""
+
+    async def streams(self) -> list[OriginStream]:
+        """All of them.
+
+        Raises:
+            OSError: that cannot be found out now.
+        """
+
+    def supply(self, stream: OriginStream) -> Supply:
+        """The packets of one of them."""

