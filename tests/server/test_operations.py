@@ -13,7 +13,16 @@ from pydantic import BaseModel
 
 from server.pipeline.spec import StreamSpec
 from server.service.metrics import collector_registry
-from server.settings import EdgeSettings, Limits, Retention, Settings, Webhook, WorkerSettings, load_settings
+from server.settings import (
+    EdgeSettings,
+    JetStreamSettings,
+    Limits,
+    Retention,
+    Settings,
+    Webhook,
+    WorkerSettings,
+    load_settings,
+)
 from tests.server.conftest import Clip, running, viewing
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
@@ -22,7 +31,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text()
 def test_every_setting_is_documented_with_its_default() -> None:
     models: tuple[tuple[str, type[BaseModel]], ...] = (
         ("", Settings), ("limits.", Limits), ("retention.", Retention), ("worker.", WorkerSettings),
-        ("webhooks.", Webhook), ("edge.", EdgeSettings),
+        ("webhooks.", Webhook), ("edge.", EdgeSettings), ("jetstream.", JetStreamSettings),
     )  # fmt: skip
     for prefix, model in models:
         for name, field in model.model_fields.items():
@@ -31,7 +40,9 @@ def test_every_setting_is_documented_with_its_default() -> None:
             if field.is_required():
                 assert f"| `{prefix}{name}` | | {field.description} |" in PAGE, name
                 continue
-            default = {None: "none", (): "[]", False: "false", True: "true"}.get(field.default, str(field.default))
+            default = {None: "none", False: "false", True: "true"}.get(field.default, str(field.default))
+            if isinstance(field.default, tuple):
+                default = json.dumps(field.default)
             if type(field.default) in (int, float):
                 default = str(field.default)
             assert f"| `{prefix}{name}` | {default} | {field.description} |" in PAGE, name
