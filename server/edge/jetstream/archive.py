@@ -12,7 +12,7 @@ from nats.aio.msg import Msg
 from nats.errors import Error
 
 from core.errors import InputError
-from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import Assembler, MessageId, Names, parse_id
 from server.edge.jetstream.reading import Selection, follow, read
 from server.protocol.packets import Position, StreamPacket, stream_packet
@@ -53,7 +53,9 @@ class Archive:
         packet_bytes: of a packet, at most.
     """
 
-    def __init__(self, connection: Connection, names: Names, stream: str, incarnation: str, packet_bytes: int) -> None:
+    def __init__(
+        self, connection: NatsConnection, names: Names, stream: str, incarnation: str, packet_bytes: int
+    ) -> None:
         self._connection, self._packet_bytes = connection, packet_bytes
         self.stream = names.packets(stream)
         self._keyframes = names.subject(stream, incarnation, "k")

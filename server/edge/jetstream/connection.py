@@ -18,7 +18,7 @@ _PING_SECONDS = 5  # a dead machine answers no ping
 _CLOSE_SECONDS = 1.0
 
 
-class Connection:
+class NatsConnection:
     """One connection of this server, for everything."""
 
     def __init__(self, settings: JetStreamSettings) -> None:

@@ -19,7 +19,7 @@ from nats.js.api import DiscardPolicy, RawStreamMsg, StorageType, StreamConfig
 from nats.js.errors import APIError, BadRequestError, NotFoundError
 from pydantic import ValidationError
 
-from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import Names
 from server.edge.jetstream.reading import Selection, follow
 from server.edge.origin import OriginStream
@@ -35,7 +35,7 @@ _NOBODY = ""
 _CHANGES = {"starting", "live", "degraded"}  # states in which packets are to be expected
 
 
-async def ensure_stream(connection: Connection, config: StreamConfig) -> None:
+async def ensure_stream(connection: NatsConnection, config: StreamConfig) -> None:
     """Make a JetStream stream, or set up the one that is there in this way."""
     try:
         await connection.jetstream.add_stream(config)
@@ -67,7 +67,7 @@ class Directory:
         settings: of the server.
     """
 
-    def __init__(self, connection: Connection, names: Names, settings: Settings) -> None:
+    def __init__(self, connection: NatsConnection, names: Names, settings: Settings) -> None:
         self._connection, self._names, self._settings = connection, names, settings
         self._told: dict[str, Told] = {}
         self._begun_ns = time.time_ns()
@@ -150,7 +150,7 @@ class Claim:
         holder: names this server and this run of it; empty in a description that nobody tells any more.
     """
 
-    connection: Connection
+    connection: NatsConnection
     names: Names
     stream: str
     holder: str = field(default_factory=lambda: secrets.token_hex(8))

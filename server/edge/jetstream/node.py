@@ -7,7 +7,7 @@ import logging
 from types import TracebackType
 from typing import Self
 
-from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import Directory
 from server.edge.jetstream.messages import Names
 from server.edge.jetstream.publisher import Publisher
@@ -34,7 +34,7 @@ class JetStream:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._names = Names(settings.jetstream.prefix)
-        self._connection = Connection(settings.jetstream)
+        self._connection = NatsConnection(settings.jetstream)
         self._directory = Directory(self._connection, self._names, settings)
         self._publishers: list[Publisher] = []
         self._publishing: dict[str, tuple[Publisher, asyncio.Task[None]]] = {}

@@ -13,7 +13,7 @@ from nats.errors import Error
 from nats.js.api import DiscardPolicy, RetentionPolicy, StorageType, StreamConfig
 from nats.js.errors import BadRequestError, NotFoundError
 
-from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, ensure_stream
 from server.edge.jetstream.messages import HEADER_BYTES, MAX_PIECE_BYTES, MessageId, Names, pieces_of
 from server.protocol.packets import StreamPacket
@@ -50,7 +50,7 @@ class Publisher:
         lost_packets: that were left out.
     """
 
-    def __init__(self, connection: Connection, names: Names, settings: Settings, stream: Stream) -> None:
+    def __init__(self, connection: NatsConnection, names: Names, settings: Settings, stream: Stream) -> None:
         self.stream = stream
         self._connection, self._names, self._settings = connection, names, settings
         self._claim = Claim(connection, names, stream.id)

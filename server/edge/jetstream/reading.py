@@ -16,7 +16,7 @@ from nats.aio.msg import Msg
 from nats.errors import Error
 from nats.js.api import AckPolicy, ConsumerConfig, DeliverPolicy
 
-from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.connection import NatsConnection
 
 _BATCH = 512  # messages asked for at once
 _REQUEST = {"max_bytes": 8 << 20, "expires": 5 * 10**9, "idle_heartbeat": 5 * 10**8}
@@ -45,7 +45,7 @@ class Selection:
 
 
 async def follow(
-    connection: Connection, selection: Selection, first: int, on_state: Callable[[str], None] = lambda _: None
+    connection: NatsConnection, selection: Selection, first: int, on_state: Callable[[str], None] = lambda _: None
 ) -> AsyncGenerator[Msg, None]:
     """Messages from sequence number `first` on, and all that come later, for ever.
 
@@ -63,7 +63,9 @@ async def follow(
             await asyncio.sleep(_RETRY_SECONDS)
 
 
-async def read(connection: Connection, selection: Selection, first: int, end: int | None) -> AsyncGenerator[Msg, None]:
+async def read(
+    connection: NatsConnection, selection: Selection, first: int, end: int | None
+) -> AsyncGenerator[Msg, None]:
     """Messages from `first` on, up to `end` or what is there now.
 
     Raises:
@@ -82,7 +84,7 @@ async def read(connection: Connection, selection: Selection, first: int, end: in
 
 
 async def _consume(
-    connection: Connection,
+    connection: NatsConnection,
     selection: Selection,
     first: int,
     on_state: Callable[[str], None] = lambda _: None,

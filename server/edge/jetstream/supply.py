@@ -7,7 +7,7 @@ import time
 from contextlib import aclosing
 
 from server.edge.jetstream.archive import Archive, ArchiveBus, id_of
-from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import Directory
 from server.edge.jetstream.messages import Assembler, Names
 from server.edge.jetstream.reading import Selection, follow
@@ -35,7 +35,7 @@ class ArchivedStream:
     origin_name = "NATS JetStream"
 
     def __init__(
-        self, connection: Connection, names: Names, directory: Directory, settings: Settings, stream: OriginStream
+        self, connection: NatsConnection, names: Names, directory: Directory, settings: Settings, stream: OriginStream
     ) -> None:
         self._connection, self._directory, self._stream = connection, directory, stream
         self._packet_bytes = settings.limits.packet_bytes

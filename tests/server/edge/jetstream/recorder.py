@@ -11,7 +11,7 @@ from contextlib import aclosing, contextmanager, suppress
 from websockets.exceptions import ConnectionClosed
 
 from server.edge.jetstream.archive import id_of
-from server.edge.jetstream.connection import Connection
+from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import Assembler, Names, parse_id
 from server.edge.jetstream.reading import Selection, read
 from server.settings import Settings
@@ -46,7 +46,7 @@ def stored(settings: Settings, stream: str = "main") -> list[tuple[str, bytes]]:
     """Every message of a stream's packets in JetStream: its id and its body, in order."""
 
     async def run() -> list[tuple[str, bytes]]:
-        names, connection = Names(settings.jetstream.prefix), Connection(settings.jetstream)
+        names, connection = Names(settings.jetstream.prefix), NatsConnection(settings.jetstream)
         await connection.open()
         selection = Selection(names.packets(stream), names.subject(stream, "*", "*"))
         try:
