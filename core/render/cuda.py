@@ -8,12 +8,14 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from core.camera import Camera
 from core.errors import BackendUnavailable
 from core.render.backends import cuda_fault
+from core.render.compiling import Compiled
 from core.render.raster import Probe, Raster
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
@@ -46,12 +48,10 @@ def rasterise_cuda(
     rasterization, count = _gsplat(), len(means)
     moving = count if gradient_rows is None else gradient_rows
     parameters = [means, quaternions, scales, opacities, colours]
-    if moving < count:
-        parameters = [torch.cat([p[:moving], p[moving:].detach()]) for p in parameters]
     if count == 0:  # gsplat's kernels want at least one Gaussian
         return _empty(means, camera, background, tile_mask, base)
     pose, intrinsics, centre, half = _on_device(camera, means.device)
-    parameters = sound(parameters, pose, intrinsics, centre)
+    parameters = sound(parameters, pose, intrinsics, centre, moving)
     images, alphas, meta = rasterization(
         *parameters,
         viewmats=pose[None],
@@ -61,17 +61,17 @@ def rasterise_cuda(
         absgrad=True,
         **_RULES,
     )
-    light = 1 - alphas[0, ..., 0]
-    # not by gsplat, whose packed mode refuses a background a camera (1.5.3: it looks for the cameras in `means2d`)
-    image = images[0] + light[..., None] * background
+    # the background not by gsplat, whose packed mode refuses one (1.5.3: it looks for the cameras in `means2d`)
+    # squeezed rather than indexed: the gradient of an index is a new picture
+    drawn = images.squeeze(0), alphas.squeeze(0).squeeze(-1)
+    image, light = _Behind.apply(*drawn, background)  # type: ignore[no-untyped-call]
     rows = meta["gaussian_ids"].long()
     probe = Probe(rows, None if moving == count else rows < moving)
     projected = meta["means2d"]
     if projected.requires_grad:
 
         def record(gradients: Tensor) -> None:
-            absolute = getattr(projected, "absgrad", None)
-            probe.record(gradients * half, None if absolute is None else absolute * half)
+            probe.record(gradients, getattr(projected, "absgrad", None), half)
 
         projected.register_hook(record)
     if tile_mask is not None:
@@ -79,7 +79,9 @@ def rasterise_cuda(
     return Raster(image, light, probe)
 
 
-def sound(parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Tensor) -> list[Tensor]:
+def sound(
+    parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Tensor, moving: int | None = None
+) -> list[Tensor]:
     """The five parameters with those Gaussians moved out of sight that gsplat's kernels cannot draw.
 
     What is not finite, has no direction, or is so large that projecting it overflows, comes to lie in the camera's
@@ -89,24 +91,84 @@ def sound(parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Te
     Args:
         parameters: as `rasterise_cuda` takes them.
         pose [4,4], intrinsics [3,3], centre [3]: of the camera.
+        moving: how many of the first rows get gradients; all by default.
     """
-    means, quaternions, scales, opacities, colours = parameters
-    with torch.no_grad():
-        flat = torch.cat([means, quaternions, scales, opacities[:, None], colours], dim=1)
-        depth = (means @ pose[2, :3] + pose[2, 3]).clamp_min(_NEAR)
-        size = scales.abs().amax(dim=1) * intrinsics.diagonal()[:2].amax() / depth
-        length = quaternions.square().sum(dim=1)
-        good = (flat.abs() < _MAX_PARAMETER).all(dim=1) & (size < _MAX_SCALE_PIXELS) & (length > 0)
-        upright = torch.eye(4, device=means.device)[0]
-        excess = opacities - opacities.clamp(max=_OPACITY_MAX)
+    return list(_Sound.apply(*parameters, pose, intrinsics, centre, moving))  # type: ignore[no-untyped-call]
+
+
+def _held(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    pose: Tensor,
+    intrinsics: Tensor,
+    centre: Tensor,
+) -> tuple[Tensor, ...]:
+    """[N] bool which Gaussians can be drawn, and the five parameters as `sound` gives them."""
+    largest = torch.maximum(means.abs().amax(dim=1), quaternions.abs().amax(dim=1))
+    largest = torch.maximum(largest, torch.maximum(colours.abs().amax(dim=1), opacities.abs()))
+    scale = scales.abs().amax(dim=1)
+    depth = ((means * pose[2, :3]).sum(dim=1) + pose[2, 3]).clamp_min(_NEAR)
+    size = scale * torch.maximum(intrinsics[0, 0], intrinsics[1, 1]) / depth
+    good = torch.maximum(largest, scale) < _MAX_PARAMETER  # false for NaN too
+    good = good & (size < _MAX_SCALE_PIXELS) & (quaternions.square().sum(dim=1) > 0)
     rows = good[:, None]
-    return [
+    upright = (torch.arange(4, device=means.device) == 0).to(means.dtype)
+    one, zero = upright[0], upright[1]  # rather than numbers, each of which torch sends to the device
+    return (
+        good,
         torch.where(rows, means, centre),
         torch.where(rows, quaternions, upright),
-        torch.where(rows, scales, torch.ones_like(scales)),
-        torch.where(good, opacities - excess, torch.zeros_like(opacities)),
-        torch.where(rows, colours, torch.zeros_like(colours)),
-    ]
+        torch.where(rows, scales, one),
+        torch.where(good, opacities.clamp(max=_OPACITY_MAX), zero),
+        torch.where(rows, colours, zero),
+    )
+
+
+def _of_sound(good: Tensor, moving: int, *gradients: Tensor) -> tuple[Tensor, ...]:
+    """`gradients` of the five parameters, zero for Gaussians not `good` [N] or not among the first `moving`."""
+    wanted = good if moving == len(good) else good & (torch.arange(len(good), device=good.device) < moving)
+    zero = torch.zeros((), dtype=gradients[0].dtype, device=good.device)
+    return tuple(torch.where(wanted if part.ndim == 1 else wanted[:, None], part, zero) for part in gradients)
+
+
+_HELD, _OF_SOUND = Compiled(_held), Compiled(_of_sound)
+
+
+class _Sound(torch.autograd.Function):
+    """`sound` in few launches."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Any) -> tuple[Tensor, ...]:
+        good, *held = _HELD(*given[:8])
+        ctx.good, ctx.moving = good, len(good) if given[8] is None else given[8]
+        return tuple(held)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        return (*_OF_SOUND(ctx.good, ctx.moving, *upstream), None, None, None, None)
+
+
+class _Behind(torch.autograd.Function):
+    """A picture [H,W,3] with a background [3] where its coverage [H,W] lets it show, and the transmittance [H,W]."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, coverage: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
+        ctx.background = background
+        ctx.set_materialize_grads(False)
+        light = 1 - coverage
+        return torch.addcmul(image, light[..., None], background), light
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_image: Tensor | None, by_light: Tensor | None) -> tuple[Tensor | None, ...]:
+        by_coverage = None if by_image is None else by_image @ -ctx.background
+        if by_light is not None:
+            by_coverage = -by_light if by_coverage is None else by_coverage - by_light
+        return by_image, by_coverage, None
 
 
 def _over(image: Tensor, light: Tensor, tile_mask: Tensor, base: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -131,10 +193,11 @@ def _on_device(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor, Te
 
     Kept, because sending them each time would make the host wait for the device.
     """
-    half = [camera.width / 2, camera.height / 2]
-    parts = (camera.world_to_camera, camera.intrinsics, camera.centre, half)
-    pose, intrinsics, centre, size = (torch.as_tensor(part, dtype=torch.float32).to(device) for part in parts)
-    return pose, intrinsics, centre, size
+    parts = (camera.world_to_camera, camera.intrinsics, camera.centre, [camera.width / 2, camera.height / 2])
+    numbers = np.concatenate([np.ravel(part) for part in parts]).astype(np.float32)
+    sent = torch.from_numpy(numbers).to(device, non_blocking=True)
+    pose, intrinsics, centre, half = torch.split(sent, [16, 9, 3, 2])
+    return pose.view(4, 4), intrinsics.view(3, 3), centre, half
 
 
 @functools.cache

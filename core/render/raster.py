@@ -20,6 +20,7 @@ class Probe:
         self._visible, self._wanted = visible, wanted
         self._gradients: Tensor | None = None
         self._absolute: Tensor | None = None
+        self._scale: Tensor | None = None
 
     @property
     def visible(self) -> Tensor:
@@ -37,19 +38,22 @@ class Probe:
         """
         if self._gradients is None:
             raise RuntimeError("a probe has gradients only after backward() of a loss on its picture")
-        return self._picked(self._gradients)
+        return self._scaled(self._gradients)
 
     @property
     def absolute(self) -> Tensor | None:
         """[M,2] the same with |gradient| summed over pixels (Ye et al. 2024, AbsGS), from the cuda backend only."""
-        return None if self._absolute is None else self._picked(self._absolute)
+        return None if self._absolute is None else self._scaled(self._absolute)
 
-    def record(self, gradients: Tensor, absolute: Tensor | None = None) -> None:
-        """For backends: put down [V,2] scaled gradients after a backward pass."""
-        self._gradients, self._absolute = gradients, absolute
+    def record(self, gradients: Tensor, absolute: Tensor | None = None, scale: Tensor | None = None) -> None:
+        """For backends: put down [V,2] gradients after a backward pass, and the [2] factors still to be applied."""
+        self._gradients, self._absolute, self._scale = gradients, absolute, scale
 
     def _picked(self, values: Tensor) -> Tensor:
         return values if self._wanted is None else values[self._wanted]
+
+    def _scaled(self, values: Tensor) -> Tensor:
+        return self._picked(values if self._scale is None else values * self._scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

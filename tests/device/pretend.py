@@ -3,15 +3,18 @@
 `pretend:0` is a device of its own to torch (PrivateUse1, written in Python). Its tensors hide a CPU tensor; any
 operation that mixes them with CPU tensors raises, as on CUDA, but for copies and for numbers (0-dim CPU tensors).
 `numpy()` of them raises in torch itself. Every operation counts as a launch, and every one that makes the host wait
-for a result (`item`, `nonzero`, boolean indices, copies to the host) as a wait, by name.
+(`item`, `nonzero`, boolean indices, copies to the host, and copies from it that are not `non_blocking`) as a wait, by
+name. What a compiler would fuse can be counted beside that as the kernels that it would leave.
 """
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -31,6 +34,9 @@ _WAITS = {
     _ATEN.unique_dim.default,
     _ATEN.repeat_interleave.Tensor,
 }
+_FREE = {_ATEN.detach.default, _ATEN.empty.memory_format, _ATEN.empty_strided.default, _ATEN._unsafe_view.default}
+_FREE |= {_ATEN.empty_like.default, _ATEN.new_empty.default, _ATEN.new_empty_strided.default}
+_TWICE = {_ATEN.select_backward.default, _ATEN.slice_backward.default, _ATEN.masked_fill.Scalar}  # fill, then copy
 _INDEXING = {_ATEN.index.Tensor, _ATEN.index_put.default, _ATEN.index_put_.default, _ATEN._index_put_impl_.default}
 
 
@@ -39,27 +45,59 @@ class MixedDevicesError(RuntimeError):
 
 
 class Counts:
-    """Launches and waits, by the name of the operation, and the bytes that the operations read and wrote."""
+    """What ran on the device.
+
+    Attributes:
+        launches: by the name of the operation.
+        waits: by the name of the operation and the source file that asked for it.
+        places: launches by the source file.
+        fused: the same, with a compiled function's kernels (`compiled`) in place of its operations.
+        bytes_moved: that the operations read and wrote.
+    """
 
     def __init__(self) -> None:
         self.launches: Counter[str] = Counter()
         self.waits: Counter[str] = Counter()
+        self.places: Counter[str] = Counter()
+        self.fused: Counter[str] = Counter()
         self.bytes_moved = 0
+
+    def less(self, other: Counts) -> Counts:
+        """These counts without those of `other`."""
+        left = Counts()
+        for name in ("launches", "waits", "places", "fused"):
+            setattr(left, name, getattr(self, name) - getattr(other, name))
+        left.bytes_moved = self.bytes_moved - other.bytes_moved
+        return left
 
 
 _counting: list[Counts] = []
 _lock = threading.Lock()
+_local = threading.local()  # whether this thread is inside a compiled function
 
 
 @contextmanager
-def counted() -> Iterator[Counts]:
-    """Count what runs on the device, on any thread, meanwhile."""
-    counts = Counts()
+def counted(into: Counts | None = None) -> Iterator[Counts]:
+    """Count what runs on the device, on any thread, meanwhile; on top of `into` where that is given."""
+    counts = Counts() if into is None else into
     _counting.append(counts)
     try:
         yield counts
     finally:
         _counting.remove(counts)
+
+
+@contextmanager
+def compiled(kernels: int) -> Iterator[None]:
+    """What this thread runs meanwhile counts as so many launches in `Counts.fused`."""
+    with _lock:
+        for counts in _counting:
+            counts.fused[_place()] += kernels
+    _local.fused = True
+    try:
+        yield
+    finally:
+        _local.fused = False
 
 
 class DeviceTensor(Tensor):
@@ -101,7 +139,7 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     kwargs.pop("pin_memory", None)
     results = func(*tree_map(_held, args), **tree_map(_held, kwargs))
     to_host = target is not None and target.type == "cpu"
-    _count(func, args, tree_leaves((args, kwargs, results)), to_host)
+    _count(func, args, kwargs, tree_leaves((args, kwargs, results)), to_host)
     if to_host:
         return results
     if func is _ATEN.copy_.default and not isinstance(args[0], DeviceTensor):
@@ -115,25 +153,62 @@ def _held(value: Any) -> Any:
     return value.held if isinstance(value, DeviceTensor) else value
 
 
-def _count(func: Any, args: Any, values: list[Any], to_host: bool) -> None:
+def _count(func: Any, args: Any, kwargs: dict[str, Any], values: list[Any], to_host: bool) -> None:
     """Add one operation, with the tensors among `values`, to whoever counts."""
-    waits = func in _WAITS or to_host or (func is _ATEN.copy_.default and not isinstance(args[0], DeviceTensor))
+    waits = func in _WAITS or to_host or _waits_to_copy(func, args, kwargs)
     if func in _INDEXING:  # booleans are counted first, and indices of the host copied
         indices = [index for index in tree_leaves(args[1]) if isinstance(index, Tensor)]
         waits = any(index.dtype is torch.bool or not isinstance(index, DeviceTensor) for index in indices)
     moved = sum(value.nbytes for value in values if isinstance(value, Tensor))
+    launches = 0 if func in _FREE or _is_view(func) else 2 if func in _TWICE else 1
     with _lock:
         for counts in _counting:
-            if not _is_view(func):
-                counts.launches[str(func)] += 1
-                counts.bytes_moved += moved
             if waits:
-                counts.waits[str(func)] += 1
+                counts.waits[f"{func} in {_place()}"] += 1
+            if launches:
+                counts.launches[str(func)] += launches
+                counts.places[_place()] += launches
+                counts.fused[_place()] += 0 if getattr(_local, "fused", False) else launches
+                counts.bytes_moved += moved
+
+
+def _waits_to_copy(func: Any, args: Any, kwargs: dict[str, Any]) -> bool:
+    """Whether a copy between host and device makes the host wait; numbers travel with the launch."""
+    if func is _ATEN._to_copy.default:
+        (source,) = args
+        from_host = not isinstance(source, DeviceTensor)
+        return from_host and source.dim() > 0 and not kwargs.get("non_blocking")
+    if func is _ATEN.copy_.default:
+        target, source, *more = args
+        if not isinstance(target, DeviceTensor):
+            return True
+        return not isinstance(source, DeviceTensor) and source.dim() > 0 and not (more and more[0])
+    return False
+
+
+def _place() -> str:
+    """The innermost source file of `core` that runs, or for a gradient the one that ran its forward pass."""
+    frame: Any = sys._getframe(1)
+    while frame is not None:
+        if (found := _source(frame.f_code.co_filename)) is not None:
+            return found
+        frame = frame.f_back
+    node = torch._C._current_autograd_node()
+    if node is None:
+        return "elsewhere"
+    lines = node.metadata.get("traceback_", [])  # in torch's anomaly mode
+    sources = [found for line in lines if (found := _source(line.partition('"')[2].partition('"')[0])) is not None]
+    return sources[-1] if sources else "gradients"
+
+
+def _source(path: str) -> str | None:
+    parts = Path(path).parts
+    return "/".join(parts[parts.index("core") :]) if "core" in parts and "tests" not in parts else None
 
 
 def _is_view(func: Any) -> bool:
     aliases = [one.alias_info for one in func._schema.returns if one.alias_info is not None]
-    return func is _ATEN.detach.default or any(not alias.is_write for alias in aliases)
+    return any(not alias.is_write for alias in aliases)
 
 
 class _Generator(torch.Generator):

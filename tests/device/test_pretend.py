@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from core.render.compiling import Compiled
 from tests.device import pretend, rasterization
-from tests.device.pretend import DeviceTensor, MixedDevicesError, counted
+from tests.device.fusing import count_fused
+from tests.device.pretend import DeviceTensor, MixedDevicesError, compiled, counted
 
 
 @pytest.fixture
@@ -64,6 +66,8 @@ def test_numbers_may_mix(device: str) -> None:
         (lambda x: x.nonzero(), "nonzero"),
         (lambda x: x.cpu(), "_to_copy"),
         (lambda x: x.tolist(), "_to_copy"),
+        (lambda x: x + torch.ones(5).to(x.device), "_to_copy"),
+        (lambda x: x.copy_(torch.ones(5)), "copy_"),
     ],
 )
 def test_what_the_host_waits_for_is_counted(device: str, wait: object, name: str) -> None:
@@ -75,6 +79,41 @@ def test_what_the_host_waits_for_is_counted(device: str, wait: object, name: str
     with counted() as counts:
         wait(values)
     assert any(name in operation for operation in counts.waits), counts.waits
+
+
+def test_copies_that_nobody_waits_for_and_memory_alone_are_no_waits_and_no_launches(device: str) -> None:
+    with counted() as counts:
+        sent = torch.ones(5).to(device, non_blocking=True)
+        torch.empty_like(sent)
+        sent[1:3].detach().view(2, 1)
+    assert counts.waits == {}
+    assert sum(counts.launches.values()) == 1
+
+
+def test_what_is_compiled_counts_as_its_kernels_beside_every_operation(device: str) -> None:
+    def chain(x: torch.Tensor) -> torch.Tensor:
+        return (x * 2 + 1).sin()
+
+    values = torch.rand(5, device=device)
+    with counted() as counts:
+        with compiled(1):
+            chain(values)
+        values.mul(3)
+    assert sum(counts.launches.values()) == 4
+    assert sum(counts.fused.values()) == 2
+
+
+@pytest.mark.slow
+def test_kernels_are_those_of_the_compiler(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def chain(x: torch.Tensor) -> torch.Tensor:
+        return ((x * 2 + 1).sin() - x) / (1 + x * x)
+
+    count_fused(monkeypatch)
+    values = torch.rand(5, device=device)
+    with counted() as counts:
+        Compiled(chain)(values)
+    assert sum(counts.launches.values()) == 7
+    assert sum(counts.fused.values()) == 1
 
 
 def test_the_rasteriser_has_gsplats_signature() -> None:

@@ -9,9 +9,9 @@ import numba
 import torch
 from torch import Tensor
 
+from core.render.compiling import Compiled
 from core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud
 from core.train.kernels import decode as kernels
-from core.train.kernels.compiling import Compiled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +93,7 @@ def decode(
     given = (inputs, offset, scaling, position, *network.parameters())
     if all(value.device.type == "cpu" and value.dtype == torch.float32 for value in given):
         return Splats(*_Fused.apply(*given))  # type: ignore[no-untyped-call]
-    return Splats(*_COMPILED(*given))
+    return Splats(*_OnDevice.apply(*given))  # type: ignore[no-untyped-call]
 
 
 def decode_reference(
@@ -111,22 +111,87 @@ def decode_reference(
     Args:
         inputs: [N,I] what the network sees; the others as `decode` and `Network` have them.
     """
-    count, slots = offset.shape[:2]
     hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu()
-    outputs = torch.addmm(output_bias, hidden, output_weight)
+    return _activated(torch.addmm(output_bias, hidden, output_weight), offset, scaling, position)
+
+
+def _activated(
+    outputs: Tensor, offset: Tensor, scaling: Tensor, position: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """The parts of `Splats` of the network's outputs [N,11K]."""
+    count, slots = offset.shape[:2]
     opacity, colour, relative, rotation = torch.split(outputs, [slots, 3 * slots, 3 * slots, 4 * slots], dim=1)
     size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()
-    turned = rotation.reshape(-1, 4)
+    upright = (torch.arange(4, device=outputs.device) == 0).to(outputs.dtype)
     return (
         (position[:, None] + offset * size[:, None, :3]).reshape(-1, 3),
-        torch.cat([turned[:, :1] + 1, turned[:, 1:]], dim=1),
+        rotation.reshape(-1, 4) + upright,
         (size[:, None, 3:] * relative.reshape(count, slots, 3).sigmoid()).reshape(-1, 3),
         opacity.tanh().reshape(-1),
         colour.sigmoid().reshape(-1, 3),
     )
 
 
-_COMPILED = Compiled(decode_reference)
+def _differentiated(
+    offset: Tensor, scaling: Tensor, scales: Tensor, opacities: Tensor, colours: Tensor, *upstream: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The derivatives of `_activated` by its four arguments, from derivatives by its five results."""
+    count, slots = offset.shape[:2]
+    by_means, by_quaternions, by_scales, by_opacities, by_colours = upstream
+    size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()[:, None]
+    pulled, widened = by_means.reshape(offset.shape), (by_scales * scales).reshape(offset.shape)
+    outputs = torch.cat(
+        [
+            (by_opacities * (1 - opacities * opacities)).reshape(count, slots),
+            (by_colours * colours * (1 - colours)).reshape(count, 3 * slots),
+            (widened * (1 - scales.reshape(offset.shape) / size[..., 3:])).reshape(count, 3 * slots),
+            by_quaternions.reshape(count, 4 * slots),
+        ],
+        dim=1,
+    )
+    moved = pulled * size[..., :3]
+    to_size = torch.cat([moved * offset, widened], dim=2).sum(dim=1)
+    return outputs, moved, to_size * (scaling.abs() <= MAX_LOG_SCALE), pulled.sum(dim=1)
+
+
+_ACTIVATED, _DIFFERENTIATED = Compiled(_activated), Compiled(_differentiated)
+
+
+class _OnDevice(torch.autograd.Function):
+    """`decode_reference` in few launches: the gradient is written down, and torch compiles all but the products."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Tensor) -> tuple[Tensor, ...]:
+        inputs, offset, scaling, position, hidden_weight, hidden_bias, output_weight, output_bias = given
+        hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu_()
+        parts: tuple[Tensor, ...] = _ACTIVATED(
+            torch.addmm(output_bias, hidden, output_weight), offset, scaling, position
+        )
+        ctx.save_for_backward(inputs, offset, scaling, hidden_weight, output_weight, hidden, *parts[2:])
+        return parts
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        inputs, offset, scaling, hidden_weight, output_weight, hidden, *parts = ctx.saved_tensors
+        to_outputs, *found = _DIFFERENTIATED(offset, scaling, *parts, *upstream)
+        products = _through_network(ctx, inputs, hidden, hidden_weight, output_weight, to_outputs)
+        return (products[0], *found, *products[1:])
+
+
+def _through_network(
+    ctx: Any, inputs: Tensor, hidden: Tensor, hidden_weight: Tensor, output_weight: Tensor, to_outputs: Tensor
+) -> tuple[Tensor | None, ...]:
+    """Derivatives by the inputs and the four arrays of the network, from those by its outputs [N,11K]."""
+    needed = ctx.needs_input_grad
+    to_hidden = (to_outputs @ output_weight.T).mul_(hidden > 0)
+    return (
+        to_hidden @ hidden_weight.T if needed[0] else None,
+        inputs.T @ to_hidden if needed[4] else None,
+        to_hidden.sum(dim=0) if needed[5] else None,
+        hidden.T @ to_outputs if needed[6] else None,
+        to_outputs.sum(dim=0) if needed[7] else None,
+    )
 
 
 class _Fused(torch.autograd.Function):
@@ -169,18 +234,8 @@ class _Fused(torch.autograd.Function):
         )
         found = (to_outputs, to_offset, to_scaling, to_position)
         kernels.differentiate(_workers(count), *_arrays(*known, *by, *found))
-        needed = ctx.needs_input_grad
-        to_hidden = (to_outputs @ output_weight.T).mul_(hidden > 0)
-        return (
-            to_hidden @ hidden_weight.T if needed[0] else None,
-            to_offset.view(offset.shape),
-            to_scaling,
-            to_position,
-            inputs.T @ to_hidden if needed[4] else None,
-            to_hidden.sum(dim=0) if needed[5] else None,
-            hidden.T @ to_outputs if needed[6] else None,
-            to_outputs.sum(dim=0) if needed[7] else None,
-        )
+        products = _through_network(ctx, inputs, hidden, hidden_weight, output_weight, to_outputs)
+        return (products[0], to_offset.view(offset.shape), to_scaling, to_position, *products[1:])
 
 
 def _rows(values: Tensor, count: int, slots: int) -> Tensor:

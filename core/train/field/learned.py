@@ -72,9 +72,11 @@ class LearnedField:
     def average(self) -> None:
         """Count the present values into the mean: steadier than any one step (Polyak averaging)."""
         self._averaged += 1
-        for name, value in self._optimiser.parameters.items():
-            mean = self._mean.setdefault(name, value.detach().clone())
-            mean.lerp_(value.detach(), 1 / self._averaged)
+        values = {name: value.detach() for name, value in self._optimiser.parameters.items()}
+        if self._averaged == 1:
+            self._mean = {name: value.clone() for name, value in values.items()}
+        else:
+            torch._foreach_lerp_([self._mean[name] for name in values], list(values.values()), 1 / self._averaged)
 
     def follow(self, changes: dict[str, Tensor]) -> None:
         """Add `changes` to the anchors' ``feature``, ``offset`` and ``position``, and to what was averaged of them."""

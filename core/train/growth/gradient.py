@@ -29,11 +29,20 @@ class GrowthStatistics:
         self.opacity = torch.zeros(anchors, device=device)
         self.visits = torch.zeros(anchors, device=device)
 
-    def add(self, gaussians: Tensor, norms: Tensor, anchors: Tensor, opacity: Tensor) -> None:
-        """One step: gradient `norms` of the visible `gaussians`, summed positive `opacity` of the drawn `anchors`."""
+    def add(self, gaussians: Tensor, norms: Tensor, anchors: Tensor | None, opacity: Tensor) -> None:
+        """One step.
+
+        Args:
+            gaussians: the visible ones; norms: of their gradients.
+            anchors: those drawn, None for all; opacity: of each, the sum of its positive ones.
+        """
         self.add_gradients(gaussians, norms)
-        self.opacity.index_add_(0, anchors, opacity)
-        self.visits.index_add_(0, anchors, torch.ones_like(opacity))
+        if anchors is None:
+            self.opacity += opacity
+            self.visits += 1
+        else:
+            self.opacity.index_add_(0, anchors, opacity)
+            self.visits.index_add_(0, anchors, torch.ones_like(opacity))
 
     def add_gradients(self, gaussians: Tensor, norms: Tensor) -> None:
         """Gradients of one step alone, where nothing is pruned by opacity."""

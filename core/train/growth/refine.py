@@ -18,8 +18,8 @@ def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Te
     visible = raster.probe.visible
     norms = raster.probe.gradients.norm(dim=1)
     opacity = splats.opacities.detach().clamp_min(0).reshape(-1, slots).sum(dim=1)
-    anchors = torch.arange(len(opacity), device=visible.device) if rows is None else rows
-    statistics.add(anchors[visible // slots] * slots + visible % slots, norms, anchors, opacity)
+    gaussians = visible if rows is None else rows[visible // slots] * slots + visible % slots
+    statistics.add(gaussians, norms, rows, opacity)
 
 
 def refine(

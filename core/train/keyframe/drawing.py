@@ -14,6 +14,7 @@ from core.train.config import KeyframeConfig
 from core.train.field.decode import Splats
 from core.train.field.exposure import Exposure
 from core.train.optimise.losses import photometric_loss
+from core.train.optimise.penalty import penalty
 from core.train.pictures.views import Views
 
 _BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
@@ -49,16 +50,15 @@ class ViewLoss:
         return photometric_loss(image, self.views.targets[number], self.config.dssim_weight)
 
     def penalty(self, splats: Splats) -> Tensor:
-        """What Gaussians cost whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity.
+        """What Gaussians cost whatever they show: volume and opacity.
 
         With few views much of a model can be anything without a loss. A price on opacity takes out what no picture
         asks for, as in Kheradmand et al. 2024. The scene pays it once, not once for each of its views: the more of them
         say what is there, the less it decides.
         """
-        config, opacity = self.config, splats.opacities.clamp(min=0)
-        drawn = (opacity.detach() > 0).float()
-        volume = (splats.scales.prod(dim=1) * drawn).sum() / drawn.sum().clamp_min(1)
-        return config.scale_weight * volume + config.opacity_weight / len(self.views.usable) * opacity.mean()
+        config = self.config
+        opacity_weight = config.opacity_weight / len(self.views.usable)
+        return penalty(splats.scales, splats.opacities, config.scale_weight, opacity_weight)
 
     @torch.no_grad()
     def squared_error(self, raster: Raster, number: int) -> float:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import torch
+from torch import Tensor
+
 _IDLE_SHARE = 0.02  # a finest level carries nothing when the loss without it is at most this share higher,
 _IDLE_LOSS = 1 / 255  # and one grey level
 
@@ -21,3 +24,19 @@ def needed_levels(levels: int, loss: Callable[[int], float]) -> int:
     while levels > 1 and loss(levels - 2) <= limit:
         levels -= 1
     return levels
+
+
+class CoarseRows:
+    """Anchors up to a level, looked up once for each set of anchors, since the host waits for a GPU to find them."""
+
+    def __init__(self) -> None:
+        self._level: Tensor | None = None
+        self._rows: dict[int, Tensor] = {}
+
+    def rows(self, level: Tensor, highest: int) -> Tensor:
+        """Rows of `level` [N], which nobody changes in place, that are at most `highest`."""
+        if level is not self._level:
+            self._level, self._rows = level, {}
+        if highest not in self._rows:
+            self._rows[highest] = torch.nonzero(level <= highest)[:, 0]
+        return self._rows[highest]

@@ -119,14 +119,14 @@ def row_shifts(cost: Tensor, budget: float) -> Tensor:
         cost: [N] what each row adds at the finest steps.
         budget: summed over all values of all pictures.
     """
-    row = cost.double()
+    row = cost.double().cpu()  # one wait for the device, not one for each halving
     wanted = -0.5 * row.clamp_min(_TINY * row.max().clamp_min(1e-30)).log2()
     low, high = float(-wanted.max()) - 1, float(COARSEST - wanted.min()) + 1
     for _ in range(_SEARCH):
         middle = (low + high) / 2
         spent = (row * 4.0 ** _rounded(wanted + middle)).sum()
         low, high = (low, middle) if spent > budget else (middle, high)
-    return _rounded(wanted + low)
+    return _rounded(wanted + low).to(cost.device)
 
 
 def _rounded(shifts: Tensor) -> Tensor:

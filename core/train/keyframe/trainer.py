@@ -21,7 +21,7 @@ from core.train.growth.near_space import NearSpace
 from core.train.growth.refine import count, refine
 from core.train.growth.rules import growth_rule
 from core.train.keyframe.drawing import ViewLoss
-from core.train.keyframe.levels import needed_levels
+from core.train.keyframe.levels import CoarseRows, needed_levels
 from core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
 from core.train.optimise.convergence import PlateauProgress, RunProgress
 from core.train.optimise.optimisers import optimiser
@@ -74,7 +74,7 @@ class KeyframeTrainer:
             separate=config.model.heads == "separate",
         )
         self._growth = growth_rule(self._config)
-        self._statistics = _no_statistics(field)
+        self._statistics, self._coarse = _no_statistics(field), CoarseRows()
         self._highest = field.octree.levels - 1
         self._precision, self._space = precision, space
         self._steps = 0
@@ -136,7 +136,7 @@ class KeyframeTrainer:
             self._precision = self._measured_precision(field)
         splats = self._decode(field, number, rows, rounded=rounded)
         level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
-        opacities = splats.opacities * dropout_keep(level, config, progress, self._generator)
+        opacities = splats.opacities * dropout_keep(level, field.octree.levels, config, progress, self._generator)
         raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
         if config.random_background:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
@@ -173,7 +173,7 @@ class KeyframeTrainer:
         """Anchors of a step: all, those up to level `highest`, or those that the camera's distances call for."""
         if self._model.selection == "distance":
             return torch.nonzero(visible_levels(field, self._centres[number], highest))[:, 0]
-        return None if highest == field.octree.levels - 1 else torch.nonzero(field.level <= highest)[:, 0]
+        return None if highest == field.octree.levels - 1 else self._coarse.rows(field.level, highest)
 
     def _decode(self, field: Field, number: int, rows: Tensor | None, *, rounded: bool) -> Splats:
         values = (field.feature, field.offset, field.scaling, field.position)

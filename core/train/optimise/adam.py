@@ -40,15 +40,20 @@ class RowAdam:
         """Apply the gradients and clear them."""
         self._steps += 1
         correction1, correction2 = 1 - self._memory**self._steps, 1 - _BETA2**self._steps
-        with torch.no_grad():
-            for name, value in self.parameters.items():
-                gradient, value.grad = value.grad, None
-                if gradient is None or rates.get(name, 0.0) == 0.0:
-                    continue
-                first, second = self._moments[name]
-                # counted on the device and read at the end: asking here would stall a GPU at every step
-                rate = rates[name] / correction1
-                self._count_broken(update(value, gradient, first, second, rate, correction2, self._memory))
+        due = {
+            name: (value, value.grad)
+            for name, value in self.parameters.items()
+            if value.grad is not None and rates.get(name, 0.0) != 0.0
+        }
+        for value in self.parameters.values():
+            value.grad = None
+        if due:
+            values, gradients = map(list, zip(*due.values(), strict=True))
+            moments = [self._moments[name] for name in due]
+            scaled = [rates[name] / correction1 for name in due]
+            # counted on the device and read at the end: asking here would stall a GPU at every step
+            with torch.no_grad():
+                self._count_broken(update(values, gradients, moments, scaled, correction2, self._memory))
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
         """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments."""
@@ -65,27 +70,55 @@ class RowAdam:
 
 
 def update(
-    value: Tensor,
-    gradient: Tensor,
-    first: Tensor,
-    second: Tensor,
-    rate: float,
+    values: list[Tensor],
+    gradients: list[Tensor],
+    moments: list[list[Tensor]],
+    rates: list[float],
     correction2: float,
     memory: float = _BETA1,
 ) -> Tensor:
-    """Change `value` and its moments, of one shape, in place; returns how many entries of the gradient were broken.
+    """Change `values` and their moments in place; returns how many entries of the gradients were broken.
+
+    On the CPU one numba pass over each; elsewhere a dozen launches for all together (`update_all`).
 
     Args:
-        rate: learning rate over the correction of the first moment. correction2: that of the second.
+        moments: first and second of each value, of its shape.
+        rates: learning rates over the correction of the first moment. correction2: that of the second.
         memory: beta_1.
     """
-    parts = (value, gradient.contiguous(), first, second)
-    if all(part.device.type == "cpu" and part.dtype == torch.float32 and part.is_contiguous() for part in parts):
+    parts = [(v, g.contiguous(), *m) for v, g, m in zip(values, gradients, moments, strict=True)]
+    if not all(_fits_kernel(part) for row in parts for part in row):
+        return update_all(values, gradients, moments, rates, correction2, memory)
+    broken = np.zeros((len(parts), numba.get_num_threads()), np.int64)
+    for row, rate, lost in zip(parts, rates, broken, strict=True):
         numbers = tuple(np.float32(number) for number in (rate, 1 / correction2, 1 - memory, 1 - _BETA2, _EPSILON))
-        broken = np.zeros(min(numba.get_num_threads(), value.numel()), np.int64)
-        adam_step(len(broken), *(part.detach().view(-1).numpy() for part in parts), numbers, broken)
-        return torch.from_numpy(broken).sum()
-    return update_reference(value, gradient, first, second, rate, correction2, memory)
+        workers = min(len(lost), row[0].numel())
+        adam_step(workers, *(part.detach().view(-1).numpy() for part in row), numbers, lost)
+    return torch.tensor(broken.sum())
+
+
+def update_all(
+    values: list[Tensor],
+    gradients: list[Tensor],
+    moments: list[list[Tensor]],
+    rates: list[float],
+    correction2: float,
+    memory: float = _BETA1,
+) -> Tensor:
+    """`update` by torch on any device, each operation over all values at once; nothing waits for the device."""
+    firsts, seconds = ([pair[i] for pair in moments] for i in (0, 1))
+    flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
+    sound = flat.nan_to_num(0.0, 0.0, 0.0)
+    sizes = [value.numel() for value in values]
+    usable = [part.view(value.shape) for part, value in zip(torch.split(sound, sizes), values, strict=True)]
+    torch._foreach_lerp_(firsts, usable, 1 - memory)
+    torch._foreach_mul_(seconds, _BETA2)
+    torch._foreach_addcmul_(seconds, usable, usable, value=1 - _BETA2)
+    spreads = torch._foreach_div(seconds, correction2)
+    torch._foreach_sqrt_(spreads)
+    torch._foreach_add_(spreads, _EPSILON)
+    torch._foreach_addcdiv_(values, firsts, spreads, scalars=[-rate for rate in rates])
+    return (sound != flat).sum()
 
 
 def update_reference(
@@ -97,7 +130,7 @@ def update_reference(
     correction2: float,
     memory: float = _BETA1,
 ) -> Tensor:
-    """`update` by torch, on any device."""
+    """`update` of one value, plainly."""
     broken = gradient.numel() - torch.isfinite(gradient).sum()
     gradient = gradient.nan_to_num(0.0, 0.0, 0.0)
     first.lerp_(gradient, 1 - memory)
@@ -105,6 +138,10 @@ def update_reference(
     spread = (second / correction2).sqrt_().add_(_EPSILON)
     value.addcdiv_(first, spread, value=-rate)
     return broken
+
+
+def _fits_kernel(part: Tensor) -> bool:
+    return part.device.type == "cpu" and part.dtype == torch.float32 and part.is_contiguous()
 
 
 def _zeros(value: Tensor) -> list[Tensor]:

@@ -7,6 +7,7 @@ on other devices, and `photometric_reference`, which says it plainly.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
@@ -15,8 +16,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from core.render.compiling import Compiled
 from core.render.tiles import Box
-from core.train.kernels.compiling import Compiled
 
 WINDOW, SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
@@ -58,7 +59,7 @@ def photometric_planes(
     """`photometric_loss` on any device and for any float type, value and gradient together.
 
     What is blurred is stacked into one batch of planes, twice convolved with a line; all else is done pixel by pixel in
-    two functions that torch compiles for the device. Nothing in it waits for the device.
+    three functions that torch compiles for the device. Nothing in it waits for the device.
     """
     masks = (None, None) if region is None else tuple(_pixels(image, region, room) for room in (0, WINDOW // 2))
     loss: Tensor = _Planes.apply(image, target, dssim_weight, *masks)  # type: ignore[no-untyped-call]
@@ -93,7 +94,7 @@ def _gap(a: Box, b: Box) -> int:
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     """[H,W,3] structural similarity of [H,W,3] pictures (Wang et al. 2004, equation 13)."""
-    line = _line(image)
+    line = _line(image.dtype, image.device)
     kernel = torch.outer(line, line)
 
     def blur(picture: Tensor) -> Tensor:
@@ -106,16 +107,17 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     return ((2 * a * b + _C1) * (2 * covariance + _C2)) / ((a * a + b * b + _C1) * (variances + _C2))
 
 
-def _line(like: Tensor) -> Tensor:
+@functools.lru_cache(maxsize=8)
+def _line(dtype: torch.dtype, device: torch.device) -> Tensor:
     """[WINDOW] the window along one axis, which sums to 1."""
-    offsets = torch.arange(WINDOW, dtype=like.dtype, device=like.device) - WINDOW // 2
+    offsets = torch.arange(WINDOW, dtype=dtype, device=device) - WINDOW // 2
     line = torch.exp(-(offsets**2) / (2 * SIGMA**2))
     return line.div(line.sum())
 
 
 def _blurred(planes: Tensor) -> Tensor:
     """[N,3,H,W] planes after the window along both axes."""
-    line, (count, channels, height, width) = _line(planes), planes.shape
+    line, (count, channels, height, width) = _line(planes.dtype, planes.device), planes.shape
     flat = planes.reshape(count * channels, 1, height, width)
     flat = functional.conv2d(flat, line[None, None, None, :], padding=(0, WINDOW // 2))
     blurred: Tensor = functional.conv2d(flat, line[None, None, :, None], padding=(WINDOW // 2, 0))
@@ -128,28 +130,34 @@ def _moments(image: Tensor, target: Tensor) -> Tensor:
     return torch.stack([a, b, a * a, b * b, a * b])
 
 
-def _similarity(blurred: Tensor) -> tuple[Tensor, Tensor]:
-    """SSIM [3,H,W] of blurred moments [5,3,H,W], and its derivatives [3,3,H,W] by the blurred image, its blurred square
-    and the blurred product."""
+def _similarity(
+    blurred: Tensor, image: Tensor, target: Tensor, weight: float, inside: Tensor | None, near: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """The loss of each pixel [3,H,W], of blurred moments [5,3,H,W] and the pictures; and SSIM's derivatives [3,3,H,W]
+    by the blurred image, its blurred square and the blurred product."""
     a, b, aa, bb, ab = blurred
-    luminance, likeness = 2 * a * b + _C1, 2 * (ab - a * b) + _C2
-    means, variances = a * a + b * b + _C1, aa - a * a + bb - b * b + _C2
+    mean_squares, product = a * a + b * b, a * b
+    luminance, likeness = 2 * product + _C1, 2 * (ab - product) + _C2
+    means, variances = mean_squares + _C1, aa + bb - mean_squares + _C2
     scale = 1 / (means * variances)
     ssim = luminance * likeness * scale
     by_mean = 2 * (b * (likeness - luminance) * scale + a * ssim * (1 / variances - 1 / means))
-    return ssim, torch.stack([by_mean, -ssim / variances, 2 * luminance * scale])
+    slopes = torch.stack([by_mean, -ssim / variances, 2 * luminance * scale])
+    difference, dissimilarity = (image - target).abs().permute(2, 0, 1), 1 - ssim
+    if inside is not None and near is not None:
+        difference, dissimilarity = difference * inside.permute(2, 0, 1), dissimilarity * near.permute(2, 0, 1)
+    return (1 - weight) * difference + weight * dissimilarity, slopes
 
 
 def _slope(image: Tensor, target: Tensor, spread: Tensor, inside: Tensor | None, weight: float) -> Tensor:
-    """[H,W,3] the loss's gradient, times the pictures' size: of L1, and of -SSIM summed, whose derivatives `spread`
-    [3,3,H,W] have been blurred."""
+    """[H,W,3] the loss's gradient: of L1, and of -SSIM, whose derivatives `spread` [3,3,H,W] have been blurred."""
     by_mean, by_square, by_product = (part.permute(1, 2, 0) for part in spread)
     similar = by_mean + 2 * image * by_square + target * by_product
-    total: Tensor = (1 - weight) * (image - target).sign() - weight * similar
+    total: Tensor = ((1 - weight) * (image - target).sign() - weight * similar) / image.numel()
     return total if inside is None else total * inside
 
 
-_SIMILARITY, _SLOPE = Compiled(_similarity), Compiled(_slope)
+_MOMENTS, _SIMILARITY, _SLOPE = Compiled(_moments), Compiled(_similarity), Compiled(_slope)
 
 
 class _Planes(torch.autograd.Function):
@@ -159,15 +167,11 @@ class _Planes(torch.autograd.Function):
     def forward(
         ctx: Any, image: Tensor, target: Tensor, weight: float, inside: Tensor | None, near: Tensor | None
     ) -> Tensor:
-        size = image.numel()
-        ssim, slopes = _SIMILARITY(_blurred(_moments(image, target)))
-        difference, dissimilarity = (image - target).abs(), 1 - ssim
-        if inside is not None and near is not None:
-            around = near.permute(2, 0, 1)
-            difference, dissimilarity = difference * inside, dissimilarity * around
+        blurred = _blurred(_MOMENTS(image, target))
+        losses, slopes = _SIMILARITY(blurred, image, target, weight, inside, near)
         if ctx.needs_input_grad[0]:
-            ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, weight) / size
-        loss: Tensor = ((1 - weight) * difference.sum() + weight * dissimilarity.sum()) / size
+            ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, weight)
+        loss: Tensor = losses.mean()
         return loss
 
     @staticmethod

@@ -23,16 +23,22 @@ def keyframe_rates(config: KeyframeConfig, progress: float) -> dict[str, float]:
     }
 
 
-def dropout_keep(level: Tensor, config: KeyframeConfig, progress: float, generator: torch.Generator) -> Tensor:
+def dropout_keep(
+    level: Tensor, levels: int, config: KeyframeConfig, progress: float, generator: torch.Generator
+) -> Tensor:
     """[G] factors of the opacities: 0 for dropped Gaussians, 1 / (1 - r) for the others.
 
     r = (base + slope * level) * progress, capped (paper section IV-A; compensation as in DropGaussian).
 
     Args:
-        level: [G] level of each Gaussian's anchor.
+        level: [G] level of each Gaussian's anchor, below `levels`.
     """
-    rate = ((config.dropout_base + config.dropout_slope * level.float()) * progress).clamp(max=config.dropout_cap)
-    return (torch.rand(len(level), generator=generator, device=level.device) >= rate) / (1 - rate)
+    rates = config.dropout_base + config.dropout_slope * torch.arange(levels).float()
+    rates = (rates * progress).clamp(max=config.dropout_cap)
+    tables = torch.stack([rates, 1 / (1 - rates)]).to(level.device, non_blocking=True)
+    rate, factor = tables[:, level].unbind()
+    kept = torch.rand(len(level), generator=generator, device=level.device) >= rate
+    return kept * factor
 
 
 def unlocked_level(levels: int, config: KeyframeConfig, progress: float) -> int:

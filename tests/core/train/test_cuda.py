@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
@@ -15,8 +17,10 @@ from core.synthetic import SyntheticSpec, open_synthetic
 from core.train import PredictConfig, TrainConfig, Trainer
 from core.train.config import KeyframeConfig
 from core.train.field.decode import Network, decode, decode_reference
+from core.train.field.exposure import Exposure
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.losses import photometric_loss, photometric_reference
+from core.train.optimise.penalty import penalty
 from core.train.optimise.rate import residual_bits, residual_bits_reference
 from core.train.residual.apply import UnitChange, applied
 from tests.core.train.fields import random_field
@@ -56,6 +60,29 @@ def test_residuals_are_applied_as_on_the_cpu(gpu: str) -> None:
         found.append([after.feature, after.offset, *torch.autograd.grad(total, leaves)])
     for mine, theirs in zip(*found, strict=True):
         torch.testing.assert_close(mine, theirs.cpu(), rtol=1e-4, atol=1e-4)
+
+
+def test_penalty_equals_the_cpu(gpu: str) -> None:
+    scales, opacities = torch.rand(70, 3), torch.rand(70) - 0.3
+    opacities[0] = 0
+    _equal_the_cpu(lambda *given: penalty(*given, 0.3, 0.2), (scales, opacities), gpu)
+
+
+def test_exposures_equal_the_cpu(gpu: str) -> None:
+    given = torch.rand(9, 7, 3), 1 + torch.rand(4, 3), torch.rand(4, 3)
+    weight = torch.rand(9, 7, 3)
+    _equal_the_cpu(lambda image, *of: (Exposure(*of).apply(image, 2) * weight.to(image)).sum(), given, gpu)
+
+
+def _equal_the_cpu(function: Callable[..., Tensor], given: tuple[Tensor, ...], gpu: str) -> None:
+    """Value and gradients."""
+    found = list[list[Tensor]]()
+    for device in ("cpu", gpu):
+        leaves = [value.to(device).requires_grad_() for value in given]
+        value = function(*leaves)
+        found.append([value.detach(), *torch.autograd.grad(value, leaves)])
+    for here, there in zip(*found, strict=True):
+        torch.testing.assert_close(here, there.cpu(), rtol=1e-4, atol=1e-6)
 
 
 def test_rate_and_adam_equal_the_cpu(gpu: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 
@@ -16,7 +15,6 @@ from core.scene.expand import expand
 from core.train.config import PredictConfig
 from core.train.field.convert import field_of, level_starts, scene_of
 from core.train.field.decode import Network, decode, decode_reference
-from core.train.kernels.compiling import Compiled
 from tests.core.train.fields import random_field
 from tests.threads import MAX_THREADS, kernel_threads
 
@@ -95,33 +93,13 @@ def test_gradients_are_the_same_for_any_number_of_threads() -> None:
     assert all(torch.equal(one, other) for one, other in zip(*found, strict=True))
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning:torch")
-@pytest.mark.parametrize(
-    "backend", ["eager", *(pytest.param(name, marks=pytest.mark.slow) for name in ("aot_eager", "inductor"))]
-)
-def test_compiled_for_any_number_of_rows_it_equals_the_reference(backend: str) -> None:
-    compiled = Compiled(decode_reference, backend, "cpu")
-    for count in (40, 71):
-        given = _inputs(count, 4, False)
-        found, wanted = (_outcome(function, given, torch.float64) for function in (compiled, decode_reference))
-        for mine, reference in zip(found, wanted, strict=True):
-            torch.testing.assert_close(mine, reference, rtol=1e-9, atol=1e-12)
-    assert compiled._ready is not decode_reference
-
-
-def test_where_compiling_fails_one_sentence_says_so(caplog: pytest.LogCaptureFixture) -> None:
-    def refuses(*_: object) -> None:
-        raise RuntimeError("no compiler\nand a long story")
-
-    compiled = Compiled(decode_reference, refuses, "cpu")  # type: ignore[arg-type]
-    with caplog.at_level(logging.WARNING):
-        for _ in range(2):
-            found = _outcome(compiled, _inputs(9, 4, False), torch.float64)
-    (record,) = caplog.records
-    assert "decode_reference is not compiled and so runs slower" in record.message
-    assert "\n" not in record.message
-    wanted = _outcome(decode_reference, _inputs(9, 4, False), torch.float64)
-    assert all(torch.equal(mine, reference) for mine, reference in zip(found, wanted, strict=True))
+@pytest.mark.parametrize("count", [0, 1, 71])
+def test_the_gradient_that_is_written_down_for_other_devices_equals_torch(count: int) -> None:
+    given = _inputs(count, 4, False)
+    given[2][:1, 1:4:2] = torch.tensor([-60.0, 60.0])  # held by the limits
+    found, wanted = (_outcome(function, given, torch.float64) for function in (_fused, decode_reference))
+    for mine, reference in zip(found, wanted, strict=True):
+        torch.testing.assert_close(mine, reference, rtol=1e-9, atol=1e-12)
 
 
 _PARTS = ("means", "quaternions", "scales", "opacities", "colours")

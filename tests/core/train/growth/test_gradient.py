@@ -95,10 +95,10 @@ def test_dropout_keeps_the_mean_and_grows_with_the_level() -> None:
     generator = torch.Generator().manual_seed(1)
     config = KeyframeConfig(dropout_base=0.1, dropout_slope=0.05)
     for level, rate in ((0, 0.1), (3, 0.25), (50, 0.5)):
-        keep = dropout_keep(torch.full((40_000,), level), config, 1.0, generator)
+        keep = dropout_keep(torch.full((40_000,), level), 51, config, 1.0, generator)
         assert abs(float((keep == 0).float().mean()) - rate) < 0.01
         assert abs(float(keep.mean()) - 1) < 0.02
-    assert (dropout_keep(torch.full((100,), 3), config, 0.0, generator) == 1).all()
+    assert (dropout_keep(torch.full((100,), 3), 4, config, 0.0, generator) == 1).all()
 
 
 def test_levels_unlock_in_shrinking_intervals() -> None:

@@ -1,0 +1,65 @@
+"""What Gaussians cost whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from core.render.compiling import Compiled
+
+
+def penalty(scales: Tensor, opacities: Tensor, scale_weight: float, opacity_weight: float) -> Tensor:
+    """[] weighted sum of the mean volume of the Gaussians that are drawn and of the mean opacity of all.
+
+    Args:
+        scales: [G,3]. opacities: [G], at or below zero for those that are not drawn.
+    """
+    weights = scale_weight, opacity_weight
+    if scales.device.type == "cpu":
+        return penalty_reference(scales, opacities, *weights)
+    price: Tensor = _OnDevice.apply(scales, opacities, *weights)  # type: ignore[no-untyped-call]
+    return price
+
+
+def penalty_reference(scales: Tensor, opacities: Tensor, scale_weight: float, opacity_weight: float) -> Tensor:
+    """`penalty` differentiated by torch, on any device."""
+    opacity = opacities.clamp(min=0)
+    drawn = (opacity.detach() > 0).float()
+    volume = (scales.prod(dim=1) * drawn).sum() / drawn.sum().clamp_min(1)
+    return scale_weight * volume + opacity_weight * opacity.mean()
+
+
+def _priced(
+    scales: Tensor, opacities: Tensor, drawn: Tensor, scale_weight: float, opacity_weight: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """[G] what each Gaussian adds, and the derivatives by `scales` [G,3] and `opacities` [G].
+
+    Args:
+        drawn: [] how many Gaussians are drawn.
+    """
+    x, y, z = scales.unbind(dim=1)
+    volume_weight = scale_weight * (opacities > 0) / drawn.clamp_min(1)
+    mean_weight = opacity_weight / len(opacities)
+    price = volume_weight * x * y * z + mean_weight * opacities.clamp(min=0)
+    by_scales = volume_weight[:, None] * torch.stack([y * z, x * z, x * y], dim=1)
+    return price, by_scales, mean_weight * (opacities >= 0)
+
+
+_PRICED = Compiled(_priced)
+
+
+class _OnDevice(torch.autograd.Function):
+    """`penalty_reference` in few launches: the gradient is made together with the value."""
+
+    @staticmethod
+    def forward(ctx: Any, scales: Tensor, opacities: Tensor, *weights: float) -> Tensor:
+        price, *ctx.gradients = _PRICED(scales, opacities, (opacities > 0).sum(), *weights)
+        total: Tensor = price.sum()
+        return total
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        return (*(gradient * upstream for gradient in ctx.gradients), None, None)
