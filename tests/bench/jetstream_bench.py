@@ -1,0 +1,143 @@
+"""Servers that share streams over NATS JetStream: what the hop costs, and how long pictures stay away after a kill.
+
+    streamlod bench jetstream [--seconds 10 --rounds 5 --servers 3 --short]
+
+Starts NATS servers, a node that plays a synthetic recording and publishes it, and a node that serves it, each a process
+on this machine. The delay is between a packet's arrival at a viewer of the one node and at a viewer of the other; the
+first of these waits for JetStream's acknowledgement, too. Whatever is killed with SIGKILL is started again at once,
+except the leader of several NATS servers; what is told is the longest time without a new picture at a viewer of the
+node that serves (after its own kill: until a viewer that connects again has a picture).
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from client.connection import watch
+from client.events import NewScene
+from server.edge.jetstream.messages import Names
+from tests.bench.edge_bench import hop_delay
+from tests.server.conftest import make_clip
+from tests.server.edge.jetstream.nats_servers import Nats, free_ports, nats
+from tests.server.edge.processes import Node, begin, listening, wait
+
+_COUNTS = (100, 400, 1500)  # anchors by level
+_SETTLE_SECONDS = 3.0  # of pictures after the fault
+_LIMIT_SECONDS = 60.0
+
+
+class Pair:
+    """A node that publishes and a node that serves, which can be killed and started again on their ports."""
+
+    def __init__(self, folder: Path, clip: Path, shared: Nats) -> None:
+        config = shared.config(folder / "shared.toml")
+        self._folder = folder
+        self._commands = (
+            ("serve", "--play", clip, "--state-dir", folder / "state", "--config", config),
+            ("serve", "--config", config),
+        )
+        self.nodes: list[Node] = []
+        for command in self._commands:
+            self.nodes.append(listening(begin(folder, *command, port=free_ports(1)[0])))
+        wait(lambda: self.nodes[0].stream()["state"] == "live")
+        wait(lambda: self.nodes[1].get("/v1/streams/main").status_code == 200)
+
+    def restart(self, number: int) -> None:
+        """Kill a node and start it again."""
+        self.nodes[number].kill()
+        self.nodes[number] = listening(begin(self._folder, *self._commands[number], port=self.nodes[number].port))
+
+    def close(self) -> None:
+        for each in self.nodes:
+            each.kill()
+
+
+def longest_gap(port: int, fault: Callable[[], None]) -> float:
+    """Seconds without a new picture at a viewer, at most, from just before `fault` until pictures come steadily."""
+
+    async def run() -> float:
+        pictures: list[float] = []
+
+        async def look() -> None:
+            async for event in watch(f"ws://127.0.0.1:{port}/v1/streams/main/live", attempts=1000):
+                if isinstance(event, NewScene):
+                    pictures.append(time.monotonic())
+
+        task = asyncio.create_task(look())
+        while len(pictures) < 30:
+            await asyncio.sleep(0.01)
+        begun = time.monotonic()
+        await asyncio.to_thread(fault)
+        done = time.monotonic()
+        while not pictures or pictures[-1] < done + _SETTLE_SECONDS:
+            if time.monotonic() > begun + _LIMIT_SECONDS:
+                raise SystemExit(f"no pictures within {_LIMIT_SECONDS:g} s of the fault")
+            await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        seen = [at for at in pictures if at > begun - 0.2]
+        return max(later - earlier for earlier, later in pairwise(seen))
+
+    return asyncio.run(run())
+
+
+def kill_nats(shared: Nats) -> None:
+    """Kill the server that leads the stream; a single one is started again at once."""
+    if len(shared.servers) == 1:
+        shared.servers[0].kill()
+        shared.servers[0].start()
+    else:
+        shared.leader(Names("streamlod").packets("main")).kill()
+
+
+def main() -> None:
+    """Run all rounds and print a line each."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--servers", type=int, choices=(1, 3), default=3)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--short", action="store_true", help="5 seconds, 2 rounds")
+    options = parser.parse_args()
+    if options.short:
+        options.seconds, options.rounds = 5.0, 2
+    found: dict[str, Any] = {"NATS servers": options.servers}
+
+    def note(name: str, value: Any) -> None:
+        found[name] = value
+        print(f"{name}: {value}", flush=True)
+
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        clip = make_clip(folder / "clip.slod", 1000, _COUNTS, key_every=100).path
+        shared = stack.enter_context(nats(folder / "nats", options.servers))
+        pair = Pair(folder, clip, shared)
+        stack.callback(pair.close)
+        port = pair.nodes[1].port
+        note("delay behind the hop [ms]: p50, p99, packets", hop_delay(pair.nodes, options.seconds)["1 hops"])
+        gaps: dict[str, list[float]] = {"NATS leader": [], "serving node": [], "publishing node": []}
+        for _ in range(options.rounds):
+            gaps["NATS leader"].append(longest_gap(port, lambda: kill_nats(shared)))
+            for server in shared.servers:
+                if server.process is None:
+                    server.start()
+                server.wait()
+            gaps["serving node"].append(longest_gap(port, lambda: pair.restart(1)))
+            gaps["publishing node"].append(longest_gap(port, lambda: pair.restart(0)))
+        for what, seconds in gaps.items():
+            note(f"kill -9 of the {what}: longest time without a picture [s]", [round(each, 2) for each in seconds])
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
