@@ -208,6 +208,9 @@ class Settings(BaseModel):
     jetstream: JetStreamSettings = Field(
         default_factory=JetStreamSettings, description='for `bus = "jetstream"`, as `[jetstream]`'
     )
+    edges: tuple[str, ...] = Field(
+        default=(), description="addresses of edges that serve the same streams, which `/v1/server` names"
+    )
     edge: EdgeSettings | None = Field(default=None, description="serve the streams of another server, as `[edge]`")
 
     @property
@@ -255,7 +258,7 @@ class Settings(BaseModel):
                 ipaddress.ip_network(network)
             except ValueError as error:
                 raise InputError(name, f"{error}; write 10.0.0.0/8") from error
-        for name in ("origins", "frame_ancestors"):
+        for name in ("origins", "frame_ancestors", "edges"):
             for origin in getattr(self, name):
                 if not _ORIGIN.fullmatch(origin):
                     raise InputError(name, f"{origin!r:.80} is not an origin; write https://stage.example")

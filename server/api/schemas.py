@@ -192,6 +192,7 @@ class ServerBody(BaseModel):
     limits: dict[str, float] = Field(description="the settings `limits`")
     retention: dict[str, float] = Field(description="the settings `retention`")
     capabilities: Capabilities
+    edges: list[str] = Field(description="addresses of servers at which the same streams can be watched")
 
 
 class Health(BaseModel):

@@ -17,6 +17,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from codec.container import SlodReader
+from core.errors import InputError
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from server.stream.worker_stream import WorkerStream
@@ -304,6 +305,14 @@ def test_the_server_says_what_it_is(client: httpx.Client) -> None:
     assert found["limits"]["viewers"] == 1000
     assert (found["capabilities"]["recording"], found["capabilities"]["tokens"]) == (True, False)
     assert abs(found["server_time_ns"] - time.time_ns()) < 10e9
+
+
+def test_a_server_names_its_edges(clip: Clip) -> None:
+    edges = ("https://north.example", "https://south.example:8443")
+    with running(Settings(edges=edges), _play(clip)) as server, server.client() as client:
+        assert client.get("/v1/server").json()["edges"] == list(edges)
+    with pytest.raises(InputError, match=r"'north\.example' is not an origin"):
+        Settings(edges=("north.example",)).check()
 
 
 def test_a_server_says_when_it_started_and_not_when_its_code_was_loaded(client: httpx.Client, clip: Clip) -> None:
