@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import lzma
 import zlib
+from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +38,8 @@ def latents_bits(latent: Int64, past: Int16) -> tuple[float, float]:
 def latents_report(states: list[Scene], residuals: list[Residual]) -> None:
     """Latents alone: our bits, entropy bounds, general compressors."""
     ours = side = count = 0.0
-    general = {"zstd -19, a level and frame": 0, "lzma -9e": 0, "deflate -9": 0}
+    compressors = _compressors()
+    general = dict.fromkeys(compressors, 0)
     histogram = np.zeros((LATENTS, 2 * _CLIP + 1))
     flags = np.zeros((2, _FLAG_CONTEXTS, 2))
     by_bin = np.zeros((2, BINS + 1, 2 * _CLIP + 1))
@@ -60,9 +63,8 @@ def latents_report(states: list[Scene], residuals: list[Residual]) -> None:
             np.add.at(histogram, (np.broadcast_to(np.arange(LATENTS), latent.shape), latent + _CLIP), 1)
             count += latent.size
             columns = latent.astype(np.int8).T.tobytes()
-            general["deflate -9"] += len(zlib.compress(columns, 9))
-            general["lzma -9e"] += len(lzma.compress(columns, lzma.FORMAT_RAW, filters=_LZMA))
-            general["zstd -19, a level and frame"] += len(_zstd(columns))
+            for name, compress in compressors.items():
+                general[name] += len(compress(columns))
     rows = {
         "ours, side fields included": ours,
         "ours, contexts and tables alone": ours - side,
@@ -136,9 +138,14 @@ def _entropy(counts: Float64) -> float:
     return float(-(counts * np.log2(np.where(counts > 0, share, 1))).sum())
 
 
-def _zstd(data: bytes) -> bytes:
-    try:
+def _compressors() -> dict[str, Callable[[bytes], bytes]]:
+    """General compressors; zstd where its package is installed."""
+    found: dict[str, Callable[[bytes], bytes]] = {
+        "lzma -9e": lambda data: lzma.compress(data, lzma.FORMAT_RAW, filters=_LZMA),
+        "deflate -9": lambda data: zlib.compress(data, 9),
+    }
+    with suppress(ImportError):
         import zstandard
-    except ImportError:
-        return data
-    return bytes(zstandard.ZstdCompressor(level=19).compress(data))
+
+        found["zstd -19, a level and frame"] = zstandard.ZstdCompressor(level=19).compress
+    return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import subprocess
 import sys
 import time
@@ -12,14 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.chunks.plain import encode_plain
-from codec.coder import oracle
 from codec.decoder import SceneDecoder
 from codec.packet.bytes import build, parse
-from codec.packet.limits import MAX_NUMBERS_A_BYTE, DecoderLimits
-from codec.packet.packet import PADDING, ChunkKind, make_chunk
+from codec.packet.limits import DecoderLimits
+from codec.packet.packet import PADDING, ChunkKind
 from core.errors import BitstreamError
 from core.scene.anchors import AnchorLevel, Scene, identify
+from tests.codec.hostile import densest, exchanged, hostile, stream_bytes, uncoded
 from tests.codec.scenes import grow, make_scene, move
 from tests.vectors.make import FOLDER, read_stream
 from tests.vectors.valid import key, packet, small
@@ -58,7 +56,7 @@ def _in_little_memory(folder: Path, streams: list[list[bytes]]) -> list[tuple[st
     """What the last packet of each stream comes to in a process that may take `_MEMORY` for it, and its CPU seconds."""
     paths = [folder / f"{number}.slps" for number in range(len(streams))]
     for path, packets in zip(paths, streams, strict=True):
-        path.write_bytes(b"".join(struct.pack("<I", len(data)) + data for data in packets))
+        path.write_bytes(stream_bytes(packets))
     command = [sys.executable, "-c", _CHILD, str(_MEMORY), *map(str, paths)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     lines = [line.split() for line in done.stdout.splitlines()]
@@ -66,42 +64,8 @@ def _in_little_memory(folder: Path, streams: list[list[bytes]]) -> list[tuple[st
     return [(code, float(seconds)) for code, seconds in lines]
 
 
-def _with(data: bytes, level: int, kind: int, content: bytes) -> bytes:
-    """The packet with one chunk exchanged or added."""
-    parsed = parse(data)
-    chunks = [c for c in parsed.chunks if (c.level, c.kind) != (level, kind)] + [make_chunk(level, kind, content)]
-    return build(replace(parsed, chunks=tuple(sorted(chunks, key=lambda c: (c.level, c.kind)))))
-
-
-def _uncoded(rows: int, columns: int) -> bytes:
-    """An ADDED chunk of rows that cost no items at all."""
-    words = np.array(oracle.Encoder().words(1), "<u2").tobytes()
-    fields = bytes(-(-columns // 4)) + b"\1" + bytes(1 + -(-columns // 2))
-    return struct.pack("<BI", 1, rows) + fields + words
-
-
-def _hostile() -> dict[str, list[bytes]]:
-    """Streams whose last packet announces far more than its bytes can carry."""
-    scene = make_scene((5, 5))
-    first, change = key(scene), packet(scene, grow(scene))
-    rows, columns = 1 << 18, 32 + 12 + 38
-    plain = key(scene, 0)
-    base_rows = 1 << 17
-    base = _with(plain, 1, ChunkKind.GEOMETRY, encode_plain(np.zeros((base_rows, 3), np.int64)))
-    return {
-        "added for nothing": [first, _with(change, 1, ChunkKind.ADDED, _uncoded(rows, columns))],
-        "added under deflate": [first, _with(change, 1, ChunkKind.ADDED, encode_plain(np.zeros((20_000, columns))))],
-        "keyframe under deflate": [_with(base, 1, ChunkKind.BASE, encode_plain(np.zeros((base_rows, 54), np.int32)))],
-        "octree": [_with(first, 1, ChunkKind.GEOMETRY, _octree(rows, 18))],
-    }
-
-
-def _octree(rows: int, depth: int) -> bytes:
-    return struct.pack("<BIiiiB", 1, rows, 0, 0, 0, depth) + b"\0\0\1\0" * 40
-
-
 def test_what_announces_too_much_costs_nothing(tmp_path: Path) -> None:
-    streams = _hostile()
+    streams = hostile()
     costs = _in_little_memory(tmp_path, list(streams.values()))
     for (name, packets), (code, seconds) in zip(streams.items(), costs, strict=True):
         assert code == "limit_exceeded", name
@@ -110,18 +74,11 @@ def test_what_announces_too_much_costs_nothing(tmp_path: Path) -> None:
 
 def test_the_densest_packets_cost_in_proportion(tmp_path: Path) -> None:
     """Rows for nothing, as many as the bytes allow: twice the bytes take about twice the time, in little memory."""
-    scene = make_scene((5, 5))
-    columns, changes = 32 + 12 + 38, list[bytes]()
-    for rows in (20_000, 40_000):
-        content = _uncoded(rows, columns)
-        change = _with(packet(scene, grow(scene)), 1, ChunkKind.ADDED, content)
-        change = _with(change, 1, PADDING, bytes(-(-rows * columns // MAX_NUMBERS_A_BYTE) - len(content)))
-        parsed = parse(change)
-        changes.append(build(replace(parsed, chunks=tuple(c for c in parsed.chunks if c.kind != ChunkKind.HASH))))
-    first, second = _in_little_memory(tmp_path, [[key(scene), change] for change in changes])
-    for change, (code, seconds) in zip(changes, (first, second), strict=True):
+    streams = [densest(rows) for rows in (20_000, 40_000)]
+    first, second = _in_little_memory(tmp_path, streams)
+    for packets, (code, seconds) in zip(streams, (first, second), strict=True):
         assert code == "accepted"
-        assert seconds < 0.2 + 20e-6 * len(change)
+        assert seconds < 0.2 + 20e-6 * len(packets[-1])
     assert second[1] < 4 * first[1] + 0.1
 
 
@@ -201,7 +158,7 @@ def test_time_does_not_grow_with_what_is_announced() -> None:
     scene = small()
     times = []
     for rows in (10_000, 1_000_000):
-        data = _with(packet(scene, grow(scene)), 1, ChunkKind.ADDED, _uncoded(rows, 43))
+        data = exchanged(packet(scene, grow(scene)), 1, ChunkKind.ADDED, uncoded(rows, 43))
         begin = time.process_time()
         for _ in range(20):
             decoder = SceneDecoder()

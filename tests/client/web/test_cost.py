@@ -1,0 +1,56 @@
+"""What a packet may cost the page: as `tests.codec.test_bounds`, in a process of little memory."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.codec.hostile import densest, hostile, stream_bytes
+
+SCRIPT = Path(__file__).with_name("cost.mjs")
+FUZZER = Path(__file__).parents[2] / "fuzz" / "run_page.mjs"
+HEAP_MEBIBYTES = 64  # of JavaScript objects; arrays of numbers lie outside and are counted with the whole process
+MEBIBYTES = 192  # by which the process may grow at most
+
+
+def _cost(node: str, path: Path, packets: list[bytes]) -> tuple[str, float, float]:
+    """What the stream's last packet comes to, its seconds of processor time, and by how many MiB the process grew."""
+    path.write_bytes(stream_bytes(packets))
+    command = [node, f"--max-old-space-size={HEAP_MEBIBYTES}", str(SCRIPT), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    code, seconds, mebibytes = json.loads(done.stdout)
+    return code, seconds, mebibytes
+
+
+def test_what_announces_too_much_costs_nothing(node: str, tmp_path: Path) -> None:
+    for name, packets in hostile().items():
+        code, seconds, mebibytes = _cost(node, tmp_path / "a.slps", packets)
+        assert code == "limit_exceeded", name
+        assert seconds < 0.2 + 20e-6 * len(packets[-1]), name
+        assert mebibytes < 32, name
+
+
+def test_the_densest_packets_cost_in_proportion(node: str, tmp_path: Path) -> None:
+    """Rows for nothing, as many as the bytes allow: four times the bytes take no more than that of the time."""
+    times = []
+    for rows in (50_000, 200_000):
+        packets = densest(rows)
+        code, seconds, mebibytes = _cost(node, tmp_path / "a.slps", packets)
+        assert code == "accepted"
+        assert seconds < 0.2 + 20e-6 * len(packets[-1])
+        assert mebibytes < MEBIBYTES
+        times.append(seconds)
+    assert times[1] < 6 * times[0] + 0.2
+
+
+@pytest.mark.parametrize("target", ["packet", "container", "session"])
+def test_mutants_are_taken_or_refused(node: str, target: str) -> None:
+    """A second of what tests/fuzz/run_page.mjs does for longer."""
+    command = [node, "--max-old-space-size=256", str(FUZZER), target, "1", "7"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "no finding" in done.stdout
