@@ -104,22 +104,18 @@ def decode(data: bytes, at: int, rows: int, channels: int, shifted: slice) -> In
     values, classes = np.zeros((rows, channels), np.int32), np.zeros(rows, np.uint8)
     if not class_model.decode_rows(words_of(data, at), lanes, values, classes, scales):
         raise corrupt("an entropy-coded chunk does not end as it must")
-    shifts, scaled = used[classes], _in_range(channels, shifted)
-    for c in range(channels):
-        values[:, c] = _restored(values[:, c].astype(np.int64), shifts * scaled[c], int(modes[c]), int(centres[c]))
-    return values
+    scaled = _in_range(channels, shifted)
+    return _restored(values, used[classes], scaled, modes, centres)
 
 
-def _restored(numbers: Int64, shifts: Int64, mode: int, centre: int) -> Int32:
-    """A channel [n] from the numbers that its mode left of it, each in 2^`shifts` [n]."""
-    if mode == _TREND:
-        values = add_trend(numbers, shifts)
-    else:
-        values = numbers << shifts
-        values = values + centre
-    if len(values) and (values.min() < _INT32.min or values.max() > _INT32.max):
+def _restored(numbers: Int32, shifts: Int64, scaled: Int64, modes: Int64, centres: Int64) -> Int32:
+    """[n,C] from what its mode left of each channel; rows are in 2^`shifts` [n] where `scaled` [C] is 1."""
+    values = (numbers.astype(np.int64) << shifts[:, None] * scaled) + centres
+    for c in np.flatnonzero(modes == _TREND):
+        values[:, c] = add_trend(numbers[:, c].astype(np.int64), shifts * scaled[c])
+    if values.size and (values.min() < _INT32.min or values.max() > _INT32.max):
         raise BitstreamError("overflow", "a number leaves the range of its column")
-    return np.asarray(values, np.int32)
+    return values.astype(np.int32)
 
 
 def _unpack_classes(data: bytes, at: int) -> tuple[Int64, int]:

@@ -145,7 +145,7 @@ def predicted_report(clip: Clip) -> None:
     outside = np.array([info.size_bytes - sum(info.level_bytes) for info in infos], np.float64)
     print(f"  header and directory {outside.mean():.0f} B: {100 * outside.mean() / 20_000:.2f} % of a 20 KB packet")
     print("  bytes a packet: " + ", ".join(f"{name} {size:.0f}" for name, size in _by_kind(infos).items()))
-    state = clip.states[0]
+    state = replace(clip.states[0], version=clip.states[0].version + 1)  # the first after a keyframe carries hashes
     still = _predicted(state, difference(state, replace(state, version=state.version + 1)))
     print(f"  a still frame: {len(still)} B")
 

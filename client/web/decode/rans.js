@@ -128,15 +128,8 @@ export function scale(q) {
   return SCALE[q];
 }
 
-/** The rows of one class, each to its place. @type {(coder: RansDecoder, classes: Uint8Array, own: number, scales: Scales, result: Int32Array) => void} */
-export function decodeClass(coder, classes, own, scales, result) {
-  const { channels } = scales, places = [...classes.keys()].filter((i) => classes[i] === own), part = decodeColumns(coder, places.length, scales);
-  places.forEach((i, from) => result.set(part.subarray(from * channels, (from + 1) * channels), i * channels));
-}
-
-/** Rows of integers with energy context. @type {(coder: RansDecoder, rows: number, scales: Scales) => Int32Array} [rows, channels] */
-export function decodeColumns(coder, rows, { magnitude, channels }) {
-  const result = new Int32Array(rows * channels);
+/** Rows of integers with energy context: those of one class, each to its place in `result`. @type {(coder: RansDecoder, classes: Uint8Array, own: number, scales: Scales, result: Int32Array) => void} */
+export function decodeClass(coder, classes, own, { magnitude, channels }, result) {
   const weight = new Int32Array(channels), share = new Int32Array(channels), bins = new Int32Array(channels);
   let total = 0;
   for (let c = 0; c < channels; c++) {
@@ -147,12 +140,13 @@ export function decodeColumns(coder, rows, { magnitude, channels }) {
     bins[c] = bin(m);
     total += share[c];
   }
-  if (!total) return result;
+  if (!total) return;
   // The common case of `coder.value` is spelt out below on local variables: a symbol of its table, no escape.
   const { words, state, mask } = coder;
   let { at, lane } = coder, energy = total;
-  for (let i = 0, place = 0; i < rows; i++) {
-    let t = 0, r = 0, g = 0;
+  for (let i = 0; i < classes.length; i++) {
+    if (classes[i] !== own) continue;
+    let t = 0, r = 0, g = 0, place = i * channels;
     for (let c = 0; c < channels; c++, place++) {
       if (!(c & 1)) g = bin(Math.floor((256 * (energy + 2 * t)) / (total + 2 * r))) - 24;
       if (!magnitude[c]) continue;
@@ -186,5 +180,4 @@ export function decodeColumns(coder, rows, { magnitude, channels }) {
   }
   coder.at = at;
   coder.lane = lane;
-  return result;
 }

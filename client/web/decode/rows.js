@@ -78,33 +78,21 @@ function decodeRows(reader, coding, rows, channels, first, end) {
   must(modes.every((mode) => mode <= TREND));
   const centres = modes.map((mode) => (mode === CENTRED ? reader.i32() : 0));
   const { values, shifts } = decodeClasses(reader, coding, rows, channels);
-  for (let c = 0; c < channels; c++) {
-    const shifted = c >= first && c < end;
-    if (modes[c] === 0 && !shifted) continue;
-    if (modes[c] === TREND) {
-      addTrend(values, c, channels, shifted ? shifts : null);
-      continue;
-    }
-    for (let i = 0, at = c; i < rows; i++, at += channels) {
-      const value = shifted ? values[at] * (1 << shifts[i]) : values[at];
-      const sum = value + centres[c];
-      must(sum === (sum | 0), "overflow");
-      values[at] = sum;
+  const totals = new Float64Array(channels);
+  for (let i = 0, at = 0; i < rows; i++) {
+    for (let c = 0; c < channels; c++, at++) {
+      const unit = c >= first && c < end ? 1 << shifts[i] : 1;
+      let value = values[at] * unit + centres[c];
+      if (modes[c] === TREND) {
+        const mean = Math.floor(totals[c] / 8);
+        value += Math.floor((mean + (unit >> 1)) / unit) * unit;
+        totals[c] += value - mean;
+      }
+      if (value !== (value | 0)) must(false, "overflow");
+      values[at] = value;
     }
   }
   return { rows, values, rowStep: channels, channelStep: 1 };
-}
-
-/** Mode 2: channel c holds differences to a running mean. @type {(values: Int32Array, c: number, channels: number, shifts: Uint8Array | null) => void} */
-function addTrend(values, c, channels, shifts) {
-  let total = 0;
-  for (let i = 0, at = c; at < values.length; i++, at += channels) {
-    const shift = shifts ? shifts[i] : 0, unit = 1 << shift;
-    const value = values[at] * unit + Math.floor((Math.floor(total / 8) + (unit >> 1)) / unit) * unit;
-    must(value === (value | 0), "overflow");
-    values[at] = value;
-    total += value - Math.floor(total / 8);
-  }
 }
 
 /** Rows in classes of precision, FORMAT.md section 6.4. @type {(reader: Reader, coding: number, rows: number, channels: number) => { values: Int32Array, shifts: Uint8Array }} */
