@@ -7,7 +7,7 @@ import tempfile
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -184,16 +184,26 @@ def _folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="fuzz"))
 
 
+@lru_cache(maxsize=64)
+def _after(packets: tuple[bytes, ...]) -> SceneDecoder:
+    """A decoder that was given these packets; remembered, because most mutants begin like their file."""
+    if not packets:
+        return SceneDecoder(LIMITS)
+    decoder = replaced(_after(packets[:-1]), SceneDecoder(LIMITS))
+    with suppress(BitstreamError):
+        decoder.push(packets[-1])
+    return decoder
+
+
 def container(data: bytes) -> None:
     """A `.slod` file."""
     path = _folder() / "fuzz.slod"
     path.write_bytes(data)
     try:
         with SlodReader(path, LIMITS) as reader:
-            decoder = SceneDecoder(LIMITS)
-            for content in reader.packets():
-                with suppress(BitstreamError):
-                    decoder.push(content)
+            packets = tuple(reader.packets())
+            for count in range(len(packets) + 1):
+                _after(packets[:count])
             with suppress(InputError):
                 reader.plan(max((entry.to_version for entry in reader.entries), default=0))
     except BitstreamError:
