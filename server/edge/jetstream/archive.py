@@ -84,15 +84,17 @@ class Archive:
                 self._add(message)
 
     async def run(self) -> None:
-        """Take note of new keyframes, and of what JetStream has discarded, until cancelled."""
-        trimming = asyncio.create_task(self._trim())
+        """Take note of new keyframes, and of what JetStream has discarded, until cancelled.
+
+        Raises:
+            ValueError: JetStream has lost all of it, and counts from one again.
+        """
+        following = asyncio.create_task(self._follow())
         try:
-            selection = Selection(self.stream, self._keyframes, headers_only=True)
-            async for message in follow(self._connection, selection, (self.newest_key or 0) + 1):
-                self._add(message)
+            await self._trim()
         finally:
-            trimming.cancel()
-            await asyncio.gather(trimming, return_exceptions=True)
+            following.cancel()
+            await asyncio.gather(following, return_exceptions=True)
 
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:
         """Packets of positions `first` to `last`, in order.
@@ -183,13 +185,22 @@ class Archive:
                     packets.append(stream_packet(-1, found.position.epoch, data))
         return packets
 
+    async def _follow(self) -> None:
+        selection = Selection(self.stream, self._keyframes, headers_only=True)
+        async for message in follow(self._connection, selection, (self.newest_key or 0) + 1):
+            self._add(message)
+
     async def _trim(self) -> None:
+        lost = False
         while True:
             await asyncio.sleep(_TRIM_SECONDS)
             try:
                 info = await self._connection.jetstream.stream_info(self.stream)
             except (Error, OSError):
                 continue
+            if lost and info.state.last_seq < (self.newest_key or 0):  # twice: a new leader may be a moment behind
+                raise ValueError("its stream in JetStream was made anew")
+            lost = info.state.last_seq < (self.newest_key or 0)
             self._groups = [group for group in self._groups if group.sequence >= info.state.first_seq]
 
 

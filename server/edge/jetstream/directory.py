@@ -43,6 +43,21 @@ async def ensure_stream(connection: NatsConnection, config: StreamConfig) -> Non
         await connection.jetstream.update_stream(config)
 
 
+def directory_config(names: Names, settings: Settings) -> StreamConfig:
+    """Of the JetStream stream that holds all descriptions; one goes when its packets are too old."""
+    return StreamConfig(
+        name=names.directory,
+        subjects=[names.description("*")],
+        max_msgs_per_subject=1,
+        max_age=max(settings.retention.seconds, SILENT_SECONDS),
+        duplicate_window=SILENT_SECONDS,
+        storage=StorageType.FILE,
+        discard=DiscardPolicy.OLD,
+        num_replicas=settings.jetstream.replicas,
+        allow_direct=True,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Told:
     """What a publisher said last.
@@ -73,20 +88,6 @@ class Directory:
         self._begun_ns = time.time_ns()
         self.fault = "NATS has not been reached yet"
 
-    def config(self) -> StreamConfig:
-        """Of the JetStream stream that holds them; a description goes when its packets are too old."""
-        return StreamConfig(
-            name=self._names.directory,
-            subjects=[self._names.description("*")],
-            max_msgs_per_subject=1,
-            max_age=max(self._settings.retention.seconds, SILENT_SECONDS),
-            duplicate_window=SILENT_SECONDS,
-            storage=StorageType.FILE,
-            discard=DiscardPolicy.OLD,
-            num_replicas=self._settings.jetstream.replicas,
-            allow_direct=True,
-        )
-
     def find(self, stream: str) -> Told | None:
         """What is known of a stream; degraded where its publisher is silent."""
         told = self._told.get(stream)
@@ -110,7 +111,7 @@ class Directory:
         selection = Selection(self._names.directory, self._names.description("*"), newest=True)
         while True:
             try:
-                await ensure_stream(self._connection, self.config())
+                await ensure_stream(self._connection, directory_config(self._names, self._settings))
                 break
             except (Error, OSError) as error:
                 self.fault = str(error) or "no answer"

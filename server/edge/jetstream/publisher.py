@@ -14,7 +14,7 @@ from nats.js.api import DiscardPolicy, RetentionPolicy, StorageType, StreamConfi
 from nats.js.errors import BadRequestError, NotFoundError
 
 from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, ensure_stream
+from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, directory_config, ensure_stream
 from server.edge.jetstream.messages import HEADER_BYTES, MAX_PIECE_BYTES, MessageId, Names, pieces_of
 from server.protocol.packets import StreamPacket
 from server.settings import Settings
@@ -59,7 +59,7 @@ class Publisher:
         self._queue: deque[_Waiting] = deque()
         self._queued = asyncio.Event()
         self._gap = False  # what comes does not follow what was stored, until a keyframe does
-        self._may_be_missing = True  # the stream in JetStream
+        self._may_be_missing = True  # what it needs in JetStream
         self._said_at = -_SAY_SECONDS
         self.waiting_bytes = self.lost_packets = 0
 
@@ -120,10 +120,12 @@ class Publisher:
         """Describe the stream, once it can be published."""
         try:
             if self._may_be_missing:
+                await ensure_stream(self._connection, directory_config(self._names, self._settings))
                 await ensure_stream(self._connection, self.stream_config())
                 self._may_be_missing = False
             ours = await self._claim.tell(self.stream.describe())
         except (Error, OSError) as error:
+            self._may_be_missing = True
             self._say(f"its description cannot be published ({error or 'no answer'})")
             return
         if ours:

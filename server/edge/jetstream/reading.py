@@ -35,7 +35,7 @@ class Selection:
         stream: of JetStream.
         subject: with wildcards.
         headers_only: leave out the bodies.
-        newest: of each subject only the newest message, and then what comes.
+        newest: of each subject only the newest message, and then what comes; again each time that a reader is lost.
     """
 
     stream: str
@@ -51,13 +51,12 @@ async def follow(
 
     Calls `on_state` with what is wrong when they have to wait, and with nothing each time that it can read.
     """
-    begun = False
     while True:
         try:
-            async with aclosing(_consume(connection, selection, first, on_state, begun=begun)) as messages:
+            async with aclosing(_consume(connection, selection, first, on_state)) as messages:
                 async for message in messages:
                     yield message
-                    first, begun = message.metadata.sequence.stream + 1, True
+                    first = message.metadata.sequence.stream + 1
         except (Error, OSError) as error:
             on_state(str(error) or "no answer")
             await asyncio.sleep(_RETRY_SECONDS)
@@ -89,15 +88,13 @@ async def _consume(
     first: int,
     on_state: Callable[[str], None] = lambda _: None,
     *,
-    begun: bool = False,
     finite: bool = False,
     end: int | None = None,
 ) -> AsyncGenerator[Msg, None]:
     """One consumer's messages; ends at once if it is `finite` and there are none."""
-    newest = selection.newest and not begun
     config = ConsumerConfig(
-        deliver_policy=DeliverPolicy.LAST_PER_SUBJECT if newest else DeliverPolicy.BY_START_SEQUENCE,
-        opt_start_seq=None if newest else max(1, first),
+        deliver_policy=DeliverPolicy.LAST_PER_SUBJECT if selection.newest else DeliverPolicy.BY_START_SEQUENCE,
+        opt_start_seq=None if selection.newest else max(1, first),
         filter_subject=selection.subject,
         ack_policy=AckPolicy.NONE,
         headers_only=selection.headers_only,
