@@ -1,0 +1,23 @@
+"""A worker process that trains on the pretend device: what a supervisor starts there in place of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+import pytest
+
+from core.train.presets import PRESETS, preset
+from server.pipeline.spec import StreamSpec
+from server.worker import process
+from tests.device.fixture import on_gpu
+
+
+def run_worker(spec: StreamSpec, pipe: Connection, *arguments: Any) -> None:
+    """`server.worker.process.run_worker` on a GPU, with a first frame of a few steps; in a process of its own."""
+    brief = preset("live")
+    brief = replace(brief, keyframe=replace(brief.keyframe, steps=12))
+    with pytest.MonkeyPatch.context() as patch, on_gpu(patch):
+        patch.setitem(PRESETS, "live", brief)
+        process.run_worker(spec, pipe, *arguments)
