@@ -13,11 +13,10 @@ from core.render.raster import Raster
 from core.train.config import KeyframeConfig
 from core.train.field.decode import Splats
 from core.train.field.exposure import Exposure
+from core.train.keyframe.random_background import over_colour
 from core.train.optimise.losses import photometric_loss
 from core.train.optimise.penalty import penalty
 from core.train.pictures.views import Views
-
-_BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +40,8 @@ class ViewLoss:
         what is behind it. Over another colour every time it must be opaque. Where a picture is black itself, nothing at
         all may be there, as around a lit stage.
         """
-        lit = self.views.targets[number].amax(dim=2) > _BLACK
-        return replace(raster, image=raster.image + (raster.transmittance * lit)[..., None] * colour)
+        image = over_colour(raster.image, raster.transmittance, self.views.targets[number], colour)
+        return replace(raster, image=image)
 
     def loss(self, raster: Raster, number: int) -> Tensor:
         """Equation 10 of the paper for camera `number`."""

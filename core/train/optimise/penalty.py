@@ -62,4 +62,4 @@ class _OnDevice(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return (*(gradient * upstream for gradient in ctx.gradients), None, None)
+        return (*torch._foreach_mul(ctx.gradients, upstream), None, None)

@@ -74,7 +74,7 @@ class _OnDevice(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, ...]:
-        return tuple(gradient * upstream for gradient in ctx.gradients)
+        return tuple(torch._foreach_mul(ctx.gradients, upstream))
 
 
 def _row_sums(latent: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:

@@ -12,6 +12,7 @@ from torch import Tensor
 from core.render import cuda
 from core.render.compiling import Compiled
 from core.train.field import decode, exposure
+from core.train.keyframe import random_background
 from core.train.optimise import losses, penalty, rate
 from core.train.residual import apply
 
@@ -54,6 +55,14 @@ CASES: dict[str, tuple[Compiled, Given]] = {
     ),
     "penalty": (penalty._PRICED, lambda n: (*_splats(n)[2:4], torch.tensor(n // 2), 0.1, 0.2)),
     "at camera": (exposure._AT_CAMERA, lambda n: (torch.rand(3), torch.rand(3), n // 2, n)),
+    "over colour": (
+        random_background._OVER,
+        lambda n: (torch.rand(n, 7, 3), torch.rand(n, 7), torch.rand(n, 7, 3) / 8, torch.rand(3)),
+    ),
+    "pulled": (
+        random_background._PULLED,
+        lambda n: (torch.rand(n, 7, 3) / 8, torch.rand(3), torch.randn(n, 7, 3)),
+    ),
     "row sums": (rate._ROW_SUMS, _changes),
     "price of a residual": (
         rate._PRICED,
@@ -79,7 +88,7 @@ def test_compiled_for_any_number_of_rows_it_equals_the_function(name: str, backe
 
 
 def test_every_compiled_function_is_compared() -> None:
-    modules = (decode, cuda, losses, penalty, exposure, rate, apply)
+    modules = (random_background, decode, cuda, losses, penalty, exposure, rate, apply)
     compiled = {value.function for module in modules for value in vars(module).values() if isinstance(value, Compiled)}
     assert compiled == {plain.function for plain, _ in CASES.values()}
 

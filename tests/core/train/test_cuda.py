@@ -18,6 +18,7 @@ from core.train import PredictConfig, TrainConfig, Trainer
 from core.train.config import KeyframeConfig
 from core.train.field.decode import Network, decode, decode_reference
 from core.train.field.exposure import Exposure
+from core.train.keyframe.random_background import over_colour
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.losses import photometric_loss, photometric_reference
 from core.train.optimise.penalty import penalty
@@ -72,6 +73,15 @@ def test_exposures_equal_the_cpu(gpu: str) -> None:
     given = torch.rand(9, 7, 3), 1 + torch.rand(4, 3), torch.rand(4, 3)
     weight = torch.rand(9, 7, 3)
     _equal_the_cpu(lambda image, *of: (Exposure(*of).apply(image, 2) * weight.to(image)).sum(), given, gpu)
+
+
+def test_random_backgrounds_equal_the_cpu(gpu: str) -> None:
+    target, colour, weight = torch.rand(9, 7, 3) / 8, torch.rand(3), torch.rand(9, 7, 3)
+
+    def weighed(image: Tensor, light: Tensor) -> Tensor:
+        return (over_colour(image, light, target.to(image), colour.to(image)) * weight.to(image)).sum()
+
+    _equal_the_cpu(weighed, (torch.rand(9, 7, 3), torch.rand(9, 7)), gpu)
 
 
 def _equal_the_cpu(function: Callable[..., Tensor], given: tuple[Tensor, ...], gpu: str) -> None:

@@ -1,0 +1,49 @@
+"""Pictures of a first frame over a random colour, so that surfaces must become opaque to hide it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from core.render.compiling import Compiled
+
+_BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
+
+
+def over_colour(image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
+    """`image` [H,W,3] over black, over `colour` [3] instead, but for pixels that `target` [H,W,3] shows black."""
+    if image.device.type == "cpu":
+        return over_colour_reference(image, transmittance, target, colour)
+    shown: Tensor = _OnDevice.apply(image, transmittance, target, colour)  # type: ignore[no-untyped-call]
+    return shown
+
+
+def over_colour_reference(image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
+    """`over_colour` differentiated by torch, on any device."""
+    lit = target.amax(dim=2) > _BLACK
+    return image + (transmittance * lit)[..., None] * colour
+
+
+def _pulled(target: Tensor, colour: Tensor, upstream: Tensor) -> Tensor:
+    """[H,W] derivative by the transmittance."""
+    return (upstream * colour).sum(dim=2) * (target.amax(dim=2) > _BLACK)
+
+
+_OVER, _PULLED = Compiled(over_colour_reference), Compiled(_pulled)
+
+
+class _OnDevice(torch.autograd.Function):
+    """`over_colour_reference` in few launches."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
+        ctx.save_for_backward(target, colour)
+        shown: Tensor = _OVER(image, transmittance, target, colour)
+        return shown
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        return upstream, _PULLED(*ctx.saved_tensors, upstream), None, None
