@@ -22,13 +22,19 @@ def over_colour(image: Tensor, transmittance: Tensor, target: Tensor, colour: Te
 
 def over_colour_reference(image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
     """`over_colour` differentiated by torch, on any device."""
-    lit = target.amax(dim=2) > _BLACK
-    return image + (transmittance * lit)[..., None] * colour
+    return image + (transmittance * _lit(target))[..., None] * colour
+
+
+def _lit(target: Tensor) -> Tensor:
+    """[H,W] bool: pixels that are not black; by two maxima, which fuse with what follows."""
+    red, green, blue = target.unbind(dim=2)
+    return torch.maximum(torch.maximum(red, green), blue) > _BLACK
 
 
 def _pulled(target: Tensor, colour: Tensor, upstream: Tensor) -> Tensor:
     """[H,W] derivative by the transmittance."""
-    return (upstream * colour).sum(dim=2) * (target.amax(dim=2) > _BLACK)
+    red, green, blue = (upstream * colour).unbind(dim=2)
+    return (red + green + blue) * _lit(target)
 
 
 _OVER, _PULLED = Compiled(over_colour_reference), Compiled(_pulled)
