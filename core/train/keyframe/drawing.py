@@ -34,12 +34,7 @@ class ViewLoss:
         return rasterise(*splats.astuple(), camera, torch.zeros(3, device=splats.means.device), backend=self.backend)
 
     def over(self, raster: Raster, number: int, colour: Tensor) -> Raster:
-        """`raster` of camera `number` over `colour` [3], but for pixels that the picture shows black.
-
-        Over black alone, a surface may stay half transparent wherever black makes its colour; to other views it shows
-        what is behind it. Over another colour every time it must be opaque. Where a picture is black itself, nothing at
-        all may be there, as around a lit stage.
-        """
+        """`raster` of camera `number` over `colour` [3], but for pixels that the picture shows black."""
         image = over_colour(raster.image, raster.transmittance, self.views.targets[number], colour)
         return replace(raster, image=image)
 
