@@ -1,7 +1,7 @@
 /** Control messages of a server (docs/protocol.md), checked before they are used. */
 
 export const VERSION = 1; // of the protocol
-const MAX_CHARACTERS = 65536; // of a message
+const MAX_CHARACTERS = 1 << 20; // of a message; 255 cameras need a third
 
 const place = { epoch: 0, version: 0 }, window = { oldest: place, newest: place };
 const state = { state: "", "detail?": "" }, progress = { "fraction?": 0, "text?": "" };
@@ -9,15 +9,19 @@ const welcome = {
   ...state, "epoch?": 0, "levels?": 0, "fps?": 0, "ack_every?": 0, "source?": "", "window?": window, "server_time_ns?": 0, "progress?": progress,
 };
 
-/** Examples of each message: its fields are of these types, those with a question mark may be absent. @type {Record<string, any>} */
+const real = -1e308, cameras = [{ name: "", width: 0, height: 0, intrinsics: [real, 9], world_to_camera: [real, 16] }, 0];
+
+/** Examples of each message: its fields are of these types, those with a question mark may be absent. Numbers are the least allowed; lists give an item and the least length. @type {Record<string, any>} */
 const EXAMPLES = {
   __proto__: null, welcome, state, progress, window, epoch: { epoch: 0 }, position: { mode: "", version: 0 }, levels: { "levels?": 0 }, skipped: { from: 0, to: 0 },
+  scene: { cameras, background: [real, 3], fps: 0, levels: 0, view_dependent: true }, picked: { id: 0, "point?": [real, 3], depth: 0 },
 };
 
-/** Of the same type; numbers are finite and not negative. @type {(value: any, example: any) => boolean} */
+/** Of the same type; numbers are finite and not below the example's. @type {(value: any, example: any) => boolean} */
 function resembles(value, example) {
   if (value === null || typeof value !== typeof example) return false;
-  if (typeof value === "number") return value >= 0 && value < Infinity;
+  if (typeof value === "number") return value >= example && value < Infinity;
+  if (Array.isArray(example)) return Array.isArray(value) && value.length >= example[1] && value.every((item) => resembles(item, example[0]));
   return typeof value !== "object" || Object.entries(example).every(([key, field]) => {
     const name = key.replace("?", "");
     return (name !== key && value[name] == null) || resembles(value[name], field);

@@ -4,7 +4,7 @@
  * `ThinLink` takes the place of the worker and `Screen` that of the renderer, so the rest of the page is the same.
  */
 
-import { heard } from "../stream/heard.js";
+import { heard, nameOf } from "../stream/heard.js";
 import { Link } from "../stream/link.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
@@ -145,12 +145,12 @@ export class ThinLink extends Link {
 
   /** @param {string} text */
   #hear(text) {
-    const message = heard(text);
-    if (message?.event === "scene") {
+    const message = heard(text), name = message && nameOf(message);
+    if (name === "scene") {
       const cameras = message.cameras.map((/** @type {any} */ { world_to_camera: worldToCamera, ...camera }) => ({ ...camera, worldToCamera }));
       const { background, fps, levels, view_dependent: viewDependent } = message;
       this.#tell({ type: "scene", cameras, background, fps, levels, viewDependent });
-    } else if (message?.event === "picked") {
+    } else if (name === "picked") {
       const kind = this.asked.get(message.id);
       this.asked.delete(message.id);
       this.#tell({ type: "picked", id: message.id, point: kind === "depth" ? [0, 0, message.depth] : message.point });

@@ -10,6 +10,7 @@ import { inflateColumns } from "../../../client/web/decode/deflate.js";
 import { Reader } from "../../../client/web/decode/packet.js";
 import { held, outside, seenSpace } from "../../../client/web/view/limits.js";
 import { Quality } from "../../../client/web/view/quality.js";
+import { heard } from "../../../client/web/stream/heard.js";
 import { LIVE_SECONDS, phaseOf } from "../../../client/web/stream/phase.js";
 import { Session } from "../../../client/web/stream/session.js";
 import { DepthSort, fillQuads } from "../../../client/web/view/sort.js";
@@ -334,7 +335,7 @@ test("phase: every transition", () => {
 });
 
 test("session: what cannot be read ends it, what is unknown does not; a server of another version is named as that", () => {
-  const wrong = ["", "{", "null", "5", "[]", "{}", JSON.stringify({ type: 3 }), "x".repeat(70000), welcome({ window: 5 }), welcome({ fps: "30" }),
+  const wrong = ["", "{", "null", "5", "[]", "{}", JSON.stringify({ type: 3 }), JSON.stringify({ type: "x".repeat(1 << 20) }), welcome({ window: 5 }), welcome({ fps: "30" }),
     welcome({ levels: "3" }), welcome({ epoch: -1 }), welcome({ state: undefined }), welcome({ progress: { fraction: "all" } }),
     event("window", { oldest: null, newest: null }), event("position", { mode: "live", version: -1 }),
     event("state", {}), event("epoch", { epoch: null }), event("skipped", {}), event("levels", { levels: [] })];
@@ -353,6 +354,28 @@ test("session: what cannot be read ends it, what is unknown does not; a server o
   }
   session.control(JSON.stringify({ type: "welcome", version: 2, window: "other" }));
   assert.equal(session.status.phase, "version");
+});
+
+test("messages to thin viewers: the largest rig is taken, a malformed scene or answer is not", () => {
+  const camera = { name: "\u00e9".repeat(32), width: 65535, height: 65535, intrinsics: new Array(9).fill(-1 / 3e7), world_to_camera: new Array(16).fill(-1 / 3e7) };
+  const facts = { background: [0, 0.5, 1], fps: 30, levels: 3, view_dependent: false };
+  const scene = (more) => event("scene", { ...facts, cameras: new Array(255).fill({ ...camera, ...more }) });
+  const escaped = scene().replaceAll("\u00e9", "\\u00e9"); // as Python writes it
+  assert.ok(escaped.length > 200_000);
+  assert.equal(heard(escaped).cameras.length, 255);
+  assert.equal(heard(event("scene", { ...facts, cameras: [] })).fps, 30);
+  for (const point of [[-1, 0, 2.5], null]) assert.deepEqual(heard(event("picked", { id: 1, point, depth: 2 })).point, point);
+  const wrong = [event("scene"), event("scene", { ...facts }), ...[5, null, {}, "all", [null], [5], [[]], [{}]].map((cameras) => event("scene", { ...facts, cameras })),
+    scene({ name: 5 }), scene({ width: -1 }), scene({ intrinsics: new Array(8).fill(0) }), scene({ world_to_camera: { ...new Array(16).fill(0) } }),
+    scene({ world_to_camera: new Array(16).fill(null) }), scene().replace(/-3[.0-9]+e-8/, "-1e999"), event("scene", { ...facts, background: { 0: 0, 1: 0, 2: 0 }, cameras: [] }),
+    event("scene", { ...facts, view_dependent: 1, cameras: [] }), event("picked"), event("picked", { id: "1", point: null, depth: 0 }),
+    event("picked", { id: 1, point: [1, 2], depth: 0 }), event("picked", { id: 1, point: "near", depth: 0 }), event("picked", { id: 1, point: null })];
+  for (const text of wrong) {
+    assert.equal(heard(text), null, text.slice(0, 200));
+    const session = new Session(0);
+    session.control(text);
+    assert.equal(session.status.phase, "failed");
+  }
 });
 
 test("session: a slow encoder is not a stall, a sudden silence is one", () => {
