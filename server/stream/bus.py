@@ -70,23 +70,26 @@ class Bus:
     def __init__(self, memory_bytes: int, recording: Recording | None = None) -> None:
         self.window = PacketWindow(memory_bytes)
         self.recording = recording
-        self._late: set[asyncio.Future[None]] = set()  # what viewers did not wait for any longer
+        self._newest: dict[str, asyncio.Future[None]] = {}  # of each writer, what viewers waited for last
 
     async def record(self, packet: StreamPacket) -> None:
         """Have the packet written, on disk and for other servers, and wait for that: nobody gets what could be lost.
 
-        Where one of these stands still, viewers wait for it once, and then no more until it has caught up.
+        Where one of these stands still, viewers wait for it once, and then no more until it has caught up; they go on
+        waiting for the other.
         """
         writings = self._write(packet)
-        if not writings or any(not late.done() for late in self._late):
-            return
-        _, self._late = await asyncio.wait(writings, timeout=_RECORD_SECONDS)
+        late = {writer for writer, newest in self._newest.items() if not newest.done()}
+        prompt = {writer: writing for writer, writing in writings.items() if writer not in late}
+        if prompt:
+            self._newest |= prompt
+            await asyncio.wait(prompt.values(), timeout=_RECORD_SECONDS)
 
-    def _write(self, packet: StreamPacket) -> list[asyncio.Future[None]]:
+    def _write(self, packet: StreamPacket) -> dict[str, asyncio.Future[None]]:
         recorded: Future[None] | None = None if self.recording is None else self.recording.append(packet)
         sent = None if self.outbox is None else self.outbox.append(packet)
-        writings = [] if recorded is None else [asyncio.wrap_future(recorded)]
-        return writings if sent is None else [*writings, sent]
+        writings = {"disk": None if recorded is None else asyncio.wrap_future(recorded), "outbox": sent}
+        return {writer: writing for writer, writing in writings.items() if writing is not None}
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
         """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""
@@ -121,7 +124,8 @@ class Bus:
         segments = self.recording.segments if self.recording else []
         found: dict[Position, GroupFile] = {s.first: s.path for s in segments if s.packets}
         found = found or {packets[0].position: packets for packets in self.window.groups()}
-        return {first: group for first, group in found.items() if firsts is None or first in firsts}
+        wanted = found.keys() if firsts is None else set(firsts)
+        return {first: group for first, group in found.items() if first in wanted}
 
     @property
     def oldest(self) -> Position | None:
