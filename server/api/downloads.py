@@ -81,7 +81,10 @@ async def bitstream(
     recording = stream.bus.recording
     if recording is not None:
         await recording.flush()
-    groups = await stream.bus.groups()
+    try:
+        groups = await stream.bus.groups()
+    except OSError as error:
+        raise _unreadable(error) from error
     if not clock.is_open:
         firsts = [group.first for group in clock.choose(groups) if epoch in (None, group.first.epoch)]
         return respond(request, await recorded_file(stream.id, stream.incarnation, await _files(stream, firsts)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from server.stream.bus import Bus
 from server.viewer.delivery import Delivery
 from server.viewer.pacing import LevelControl
 
+_LOG = logging.getLogger(__name__)
 _CHUNK_VERSIONS = 16  # read at once
 _MAX_GAP_SECONDS = 2.0
 
@@ -43,11 +45,18 @@ class Replay:
         return max(0.0, self._due(self._ahead[0]) - now) if self._ahead else None
 
     async def load(self, place: Position, is_wanted: Callable[[], bool] = lambda: True) -> None:
-        """Send from the last keyframe before `place`, while that is wanted; what leads to `place` is due at once."""
+        """Send from the last keyframe before `place`, while that is wanted; what leads to `place` is due at once.
+
+        Where the past cannot be read now, it goes on from what was sent, or is over if that is nothing.
+        """
         here, last = self._bus.key_before(place), None
         while here is not None and here <= place:
             chunk = Position(here.epoch, here.version + _CHUNK_VERSIONS - 1)
-            packets = await self._bus.read(here, min(place, chunk)) or await self._bus.read(here, place)
+            try:
+                packets = await self._bus.read(here, min(place, chunk)) or await self._bus.read(here, place)
+            except OSError as error:
+                _LOG.warning("a seek is not carried out: the past cannot be read now (%s)", error)
+                break
             while packets and not (packets[0].is_key if last is None else packets[0].follows(last.position)):
                 packets.pop(0)  # some may have left the window meanwhile
             for packet in packets:
@@ -78,13 +87,16 @@ class Replay:
             self.is_over = True
             return
         here = self._delivery.last.position
-        packets = await self._bus.read(
-            Position(here.epoch, here.version + 1), Position(here.epoch, here.version + _CHUNK_VERSIONS)
-        )
-        if not packets or not packets[0].follows(here):
-            key = self._bus.key_after(here)
-            packets = await self._bus.read(key, key) if key else []
-            packets = packets[-1:]
+        try:
+            packets = await self._bus.read(
+                Position(here.epoch, here.version + 1), Position(here.epoch, here.version + _CHUNK_VERSIONS)
+            )
+            if not packets or not packets[0].follows(here):
+                key = self._bus.key_after(here)
+                packets = await self._bus.read(key, key) if key else []
+                packets = packets[-1:]
+        except OSError:  # it cannot be read now; the session asks again
+            return
         self._ahead.extend(packets)
         self.is_over = not self._ahead
 
