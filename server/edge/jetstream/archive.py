@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from bisect import bisect_left, bisect_right
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from contextlib import aclosing
 from dataclasses import dataclass, field
+from datetime import datetime
 
 from nats.aio.msg import Msg
 from nats.errors import Error
@@ -61,6 +62,7 @@ class Archive:
         self._keyframes = names.subject(stream, incarnation, "k")
         self.subject = names.subject(stream, incarnation, "*")
         self._groups: list[_Group] = []
+        self._created: datetime | None = None  # the JetStream stream; another time means that what is known is lost
 
     @property
     def keys(self) -> list[Position]:
@@ -78,6 +80,11 @@ class Archive:
         Raises:
             OSError: NATS does not answer.
         """
+        try:
+            info = await self._connection.jetstream.stream_info(self.stream)
+        except Error as error:
+            raise OSError(f"JetStream does not answer ({error})") from error
+        self._groups, self._created = [], info.created
         selection = Selection(self.stream, self._keyframes, headers_only=True)
         async with aclosing(read(self._connection, selection, 1, None)) as messages:
             async for message in messages:
@@ -87,7 +94,7 @@ class Archive:
         """Take note of new keyframes, and of what JetStream has discarded, until cancelled.
 
         Raises:
-            ValueError: JetStream has lost all of it, and counts from one again.
+            ValueError: JetStream has lost all of it, and counts from one again; sequence numbers mean other messages.
         """
         following = asyncio.create_task(self._follow())
         try:
@@ -103,41 +110,56 @@ class Archive:
             OSError: NATS does not answer.
         """
         found: list[StreamPacket] = []
-        for group, following in self._spans():
-            if group.first > last or (following is not None and following.first < first):
-                continue
+        for group, following in self._spans(first):  # the group before ends with a packet of this position, perhaps
+            if group.first > last:
+                break
             await self._look_up(group, following)
             begin, end = bisect_left(group.positions, first), bisect_right(group.positions, last)
             if begin < end:
                 stop = group.sequences[end] if end < len(group.sequences) else group.next_sequence
-                found += await self._packets(group.sequences[begin], stop)
+                packets = await self._packets(group.sequences[begin], stop)
+                found += [packet for packet in packets if first <= packet.position <= last]  # none after a loss
         return found
 
-    async def groups(self) -> list[RetainedGroup]:
-        """All groups of pictures.
+    async def groups(self, firsts: Collection[Position] | None = None) -> list[RetainedGroup]:
+        """The groups of pictures that begin at `firsts`, by default all.
 
         Raises:
             OSError: NATS does not answer.
         """
         found = []
+        wanted = None if firsts is None else set(firsts)
         for group, following in self._spans():
+            if wanted is not None and group.first not in wanted:
+                continue
             await self._look_up(group, following)
-            if group.positions:
+            if group.positions[:1] == [group.first]:
                 size = len(group.positions), group.size_bytes
                 found.append(RetainedGroup(group.first, group.positions[-1], *size, group.begun_ns))
         return found
 
     async def group(self, first: Position) -> list[StreamPacket]:
-        """The packets of the group of pictures that begins at `first`; none where there is no such group."""
-        for group, following in self._spans():
+        """The packets of the group of pictures that begins at `first`; none where there is no such group.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        for group, following in self._spans(first):
             if group.first == first:
                 await self._look_up(group, following)
-                return await self._packets(group.sequence, group.next_sequence)
+                positions = list(group.positions)
+                packets = await self._packets(group.sequence, group.next_sequence)
+                return packets if [packet.position for packet in packets] == positions else []  # lost meanwhile
+            if group.first > first:
+                break
         return []
 
-    def _spans(self) -> list[tuple[_Group, _Group | None]]:
-        """Each group and the one that ends it."""
-        return list(zip(self._groups, [*self._groups[1:], None], strict=True))
+    def _spans(self, first: Position | None = None) -> Iterator[tuple[_Group, _Group | None]]:
+        """Each group and the one that ends it, by default all, or from the last that begins before `first`."""
+        groups = self._groups
+        begin = 0 if first is None else max(0, bisect_left(groups, first, key=lambda group: group.first) - 1)
+        for at in range(begin, len(groups)):
+            yield groups[at], groups[at + 1] if at + 1 < len(groups) else None
 
     def _add(self, message: Msg) -> None:
         found, at = id_of(message), message.metadata
@@ -162,6 +184,8 @@ class Archive:
                     found, sequence = id_of(message), message.metadata.sequence.stream
                     if found is None or found == expected:
                         continue
+                    if found.is_key and found.position != group.first:  # the next group, or what came after a loss
+                        break
                     if found.piece == 0:
                         begun, size = sequence, 0
                     size += int((message.headers or {}).get(_SIZE, 0))
@@ -198,9 +222,10 @@ class Archive:
                 info = await self._connection.jetstream.stream_info(self.stream)
             except (Error, OSError):
                 continue
-            if lost and info.state.last_seq < (self.newest_key or 0):  # twice: a new leader may be a moment behind
+            behind = info.state.last_seq < (self.newest_key or 0)
+            if info.created != self._created or (lost and behind):  # twice: a new leader may be a moment behind
                 raise ValueError("its stream in JetStream was made anew")
-            lost = info.state.last_seq < (self.newest_key or 0)
+            lost = behind
             self._groups = [group for group in self._groups if group.sequence >= info.state.first_seq]
 
 
@@ -242,12 +267,14 @@ class ArchiveBus(Bus):
             InputError: they are too much for memory.
             OSError: NATS does not answer.
         """
-        chosen = [group for group in await self._archive.groups() if firsts is None or group.first in firsts]
+        chosen = await self._archive.groups(firsts)
         size = sum(group.size_bytes for group in chosen)
-        if len(chosen) > 1 and size > self._memory_bytes:
-            fault = f"has {size} bytes, of which this server joins {self._memory_bytes}; download its groups one by one"
+        if size > self._memory_bytes:
+            parts = "groups" if len(chosen) > 1 else "packets"
+            fault = f"has {size} bytes, this server holds {self._memory_bytes}; download its {parts} one by one"
             raise InputError("the download", fault)
-        return {group.first: await self._archive.group(group.first) for group in chosen}
+        read = {group.first: await self._archive.group(group.first) for group in chosen}
+        return {first: packets for first, packets in read.items() if packets}
 
     @property
     def oldest(self) -> Position | None:

@@ -91,7 +91,11 @@ async def _consume(
     finite: bool = False,
     end: int | None = None,
 ) -> AsyncGenerator[Msg, None]:
-    """One consumer's messages; ends at once if it is `finite` and there are none."""
+    """One consumer's messages.
+
+    If it is `finite`, it ends where there are none, at once or when a request expires without one: those that were
+    pending may have been discarded meanwhile.
+    """
     config = ConsumerConfig(
         deliver_policy=DeliverPolicy.LAST_PER_SUBJECT if selection.newest else DeliverPolicy.BY_START_SEQUENCE,
         opt_start_seq=None if selection.newest else max(1, first),
@@ -125,6 +129,8 @@ async def _consume(
                 left -= 1
                 yield message
             elif status in _GOES_ON or headers.get("Description") in _BATCH_ENDS:
+                if finite and left == batch and status in _GOES_ON:
+                    return
                 left = 0
             elif status != "100":
                 raise Error(f"the reader ended with status {status} {headers.get('Description', '')}")
