@@ -19,11 +19,16 @@ _CLOSE_SECONDS = 1.0
 
 
 class NatsConnection:
-    """One connection of this server, for everything."""
+    """One connection of this server, for everything.
+
+    Attributes:
+        fault: what NATS, or the attempt to reach it, said last; empty once it answers.
+    """
 
     def __init__(self, settings: JetStreamSettings) -> None:
         self._settings = settings
         self._closing = False
+        self.fault = ""
         self.client = Client()
 
     @property
@@ -39,10 +44,15 @@ class NatsConnection:
                 _LOG.warning("the connection to NATS is lost; connecting again")
 
         async def say_back() -> None:
+            self.fault = ""
             _LOG.info("NATS answers again")
 
-        async def say_nothing(_: Exception) -> None:
-            """Attempts fail several times a second while a server is away."""
+        async def say_fault(error: Exception) -> None:
+            """Once for each fault, since attempts fail several times a second while a server is away."""
+            text = str(error) or type(error).__name__
+            if text != self.fault and not self._closing:
+                self.fault = text
+                _LOG.warning("NATS: %s", text)
 
         credentials = self._settings.credentials
         await self.client.connect(
@@ -55,8 +65,9 @@ class NatsConnection:
             ping_interval=_PING_SECONDS,
             disconnected_cb=say_lost,
             reconnected_cb=say_back,
-            error_cb=say_nothing,
+            error_cb=say_fault,
         )
+        self.fault = ""
         _LOG.info("connected to NATS")
 
     async def close(self) -> None:

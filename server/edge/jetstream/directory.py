@@ -31,16 +31,24 @@ SILENT_SECONDS = 5.0  # after which a publisher is taken for lost
 _PUBLISH_SECONDS = 1.0
 _RETRY_SECONDS = 0.25
 _WRONG_LAST = 10071  # JetStream's error code for "wrong last sequence"
+_OTHER_CONFIG = 10058  # and for "stream name already in use with a different configuration"
 _NOBODY = ""
 _CHANGES = {"starting", "live", "degraded"}  # states in which packets are to be expected
 
 
-async def ensure_stream(connection: NatsConnection, config: StreamConfig) -> None:
-    """Make a JetStream stream, or set up the one that is there in this way."""
+async def create_stream(connection: NatsConnection, config: StreamConfig) -> bool:
+    """Make a JetStream stream where it is missing; returns False where one is there that is set up differently.
+
+    Raises:
+        OSError, nats.errors.Error: JetStream does not answer, or refuses.
+    """
     try:
         await connection.jetstream.add_stream(config)
-    except BadRequestError:
-        await connection.jetstream.update_stream(config)
+    except BadRequestError as error:
+        if error.err_code != _OTHER_CONFIG:
+            raise
+        return False
+    return True
 
 
 def directory_config(names: Names, settings: Settings) -> StreamConfig:
@@ -111,7 +119,12 @@ class Directory:
         selection = Selection(self._names.directory, self._names.description("*"), newest=True)
         while True:
             try:
-                await ensure_stream(self._connection, directory_config(self._names, self._settings))
+                if not await create_stream(self._connection, directory_config(self._names, self._settings)):
+                    _LOG.warning(
+                        "the JetStream stream %s differs from this server's settings (replicas, retention) and is left "
+                        "as it is",
+                        self._names.directory,
+                    )
                 break
             except (Error, OSError) as error:
                 self.fault = str(error) or "no answer"

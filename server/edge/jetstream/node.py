@@ -68,7 +68,7 @@ class JetStream:
     async def streams(self) -> list[OriginStream]:
         """See `StreamSource`: the streams of other servers."""
         if self._directory.fault:
-            raise OSError(self._directory.fault)
+            raise OSError(self._connection.fault or self._directory.fault)
         own = {publisher.stream.id for publisher in self._publishers}
         return [each for each in self._directory.streams() if each.id not in own]
 
@@ -77,15 +77,16 @@ class JetStream:
         return ArchivedStream(self._connection, self._names, self._directory, self._settings, stream)
 
     async def _run(self) -> None:
-        await self._connection.open()
-        listening = asyncio.create_task(self._directory.run())
         try:
-            while True:
-                self._look()
-                await asyncio.sleep(_LOOK_SECONDS)
-        finally:
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
+            await self._connection.open()
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._directory.run())
+                while True:
+                    self._look()
+                    await asyncio.sleep(_LOOK_SECONDS)
+        except Exception as error:
+            self._directory.fault = f"sharing streams broke off ({error})"
+            _LOG.exception("streams are no longer shared; restart this server")
 
     def _look(self) -> None:
         """Begin to publish new streams; one of a deleted stream's id waits until that is removed."""

@@ -14,7 +14,7 @@ from nats.js.api import DiscardPolicy, RetentionPolicy, StorageType, StreamConfi
 from nats.js.errors import BadRequestError, NotFoundError
 
 from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, directory_config, ensure_stream
+from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, create_stream, directory_config
 from server.edge.jetstream.messages import HEADER_BYTES, MAX_PIECE_BYTES, MessageId, Names, pieces_of
 from server.protocol.packets import StreamPacket
 from server.settings import Settings
@@ -56,6 +56,9 @@ class Publisher:
         self._claim = Claim(connection, names, stream.id)
         self._is_ours = asyncio.Event()
         self._refused_at: float | None = None
+        self._stands_by = False  # another server publishes the stream; nothing waits here
+        self._telling = asyncio.Lock()
+        self._has_left = False
         self._queue: deque[_Waiting] = deque()
         self._queued = asyncio.Event()
         self._gap = False  # what comes does not follow what was stored, until a keyframe does
@@ -65,6 +68,8 @@ class Publisher:
 
     def append(self, packet: StreamPacket) -> asyncio.Future[None] | None:
         """See `server.stream.bus.Outbox`."""
+        if self._stands_by:
+            return None
         if self.waiting_bytes + len(packet.data) > self._settings.retention.memory_bytes and self._queue:
             self._leave_out("more packets wait than memory_bytes allows")
         if self._gap and not packet.is_key:
@@ -82,7 +87,9 @@ class Publisher:
         sending = asyncio.create_task(self._send())
         try:
             while not self.stream.deleted:
-                await self._tell()
+                async with self._telling:
+                    if not self._has_left:
+                        await self._tell()
                 state, limit = (self.stream.state, self.stream.detail), time.monotonic() + TELL_SECONDS
                 if sending.done():
                     sending.result()
@@ -97,8 +104,10 @@ class Publisher:
         """Wait for what is queued; then say that this server publishes the stream no more."""
         while self._queue and self._is_ours.is_set():
             await asyncio.sleep(0.02)
-        if self._is_ours.is_set():
-            await self._claim.tell(self.stream.describe(), leaving=True)
+        async with self._telling:
+            self._has_left = True
+            if self._is_ours.is_set():
+                await self._claim.tell(self.stream.describe(), leaving=True)
 
     def stream_config(self) -> StreamConfig:
         """Of the JetStream stream that holds the packets: limits as of a recording."""
@@ -117,26 +126,30 @@ class Publisher:
         )
 
     async def _tell(self) -> None:
-        """Describe the stream, once it can be published."""
+        """Describe the stream; only the server that may do so sets up the JetStream stream of its packets."""
         try:
             if self._may_be_missing:
-                await ensure_stream(self._connection, directory_config(self._names, self._settings))
-                await ensure_stream(self._connection, self.stream_config())
-                self._may_be_missing = False
+                await create_stream(self._connection, directory_config(self._names, self._settings))
             ours = await self._claim.tell(self.stream.describe())
+            if ours and self._may_be_missing:
+                if not await create_stream(self._connection, self.stream_config()):
+                    await self._connection.jetstream.update_stream(self.stream_config())
+                self._may_be_missing = False
         except (Error, OSError) as error:
             self._may_be_missing = True
             self._say(f"its description cannot be published ({error or 'no answer'})")
             return
         if ours:
             self._is_ours.set()
-            self._refused_at = None
+            self._refused_at, self._stands_by = None, False
             return
         self._is_ours.clear()
+        self._may_be_missing = True  # or set up differently, by the server that publishes now
         self._refused_at = self._refused_at or time.monotonic()
         self._say("another server publishes a stream of this id")
-        if time.monotonic() - self._refused_at > 2 * SILENT_SECONDS and self._queue:
-            self._leave_out("another server publishes the stream")
+        if time.monotonic() - self._refused_at > 2 * SILENT_SECONDS and not self._stands_by:
+            self._stands_by = True
+            self._discard()  # not lost: the other server's packets are the stream
 
     async def _send(self) -> None:
         while True:
@@ -187,6 +200,9 @@ class Publisher:
         """Give up what waits; readers go on with the next keyframe."""
         self._say(f"{len(self._queue)} packets are not published: {reason}")
         self.lost_packets += len(self._queue)
+        self._discard()
+
+    def _discard(self) -> None:
         for waiting in self._queue:
             waiting.stored.cancel()
         self._queue.clear()

@@ -50,7 +50,7 @@ class Identity:
         return f"{signed}.{_text(self._keys.sign(signed.encode()))}"
 
 
-def test_a_node_shows_its_credentials(clip: Clip, tmp_path: Path) -> None:
+def test_a_node_shows_its_credentials(clip: Clip, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     operator, account, user = (
         Identity(kind) for kind in (nkeys.PREFIX_BYTE_OPERATOR, nkeys.PREFIX_BYTE_ACCOUNT, nkeys.PREFIX_BYTE_USER)
     )
@@ -80,3 +80,5 @@ def test_a_node_shows_its_credentials(clip: Clip, tmp_path: Path) -> None:
             with stranger.client() as client:
                 assert client.get("/readyz").status_code == 503
             assert "main" not in stranger.registry.streams
+            refusals = [line for line in caplog.messages if "authorization" in line.lower()]
+            assert 1 <= len(refusals) <= 4  # not one for each attempt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import time
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 from websockets.exceptions import ConnectionClosed
 
 from codec.container import SlodReader
+from server.edge.jetstream.connection import NatsConnection
+from server.edge.jetstream.messages import Names
 from server.pipeline.spec import StreamSpec
 from server.settings import MEGABYTE, Retention
 from tests.codec.scenes import assert_same_state
@@ -40,6 +43,22 @@ def publishing(one: Nats, long_clip: Clip) -> Iterator[Running]:
     with running(one.settings(), StreamSpec(play=long_clip.path, loop=False, id="played")) as server:
         server.wait(lambda stream: stream["state"] == "ended", "played", 30)
         yield server
+
+
+def stream_limits(shared: Nats, stream: str) -> list[tuple[Any, Any]]:
+    """How the JetStream streams of a stream's packets and of descriptions are limited: bytes and seconds."""
+    settings = shared.settings().jetstream
+
+    async def run() -> list[tuple[Any, Any]]:
+        names, connection = Names(settings.prefix), NatsConnection(settings)
+        await connection.open()
+        try:
+            found = [await connection.jetstream.stream_info(each) for each in (names.packets(stream), names.directory)]
+        finally:
+            await connection.close()
+        return [(each.config.max_bytes, each.config.max_age) for each in found]
+
+    return asyncio.run(asyncio.wait_for(run(), 20))
 
 
 def serves(server: Running, name: str = "main") -> dict[str, Any]:
@@ -128,14 +147,22 @@ def test_large_keyframes_travel_in_pieces(tmp_path: Path) -> None:
             assert [reader.read(number) for number in range(2)] == clip.packets[:2]
 
 
-def test_of_two_nodes_with_one_stream_one_publishes(one: Nats, clip: Clip) -> None:
+def test_of_two_nodes_with_one_stream_one_publishes(
+    one: Nats, clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.edge.jetstream.publisher.SILENT_SECONDS", 0.2)  # the second one gives up sooner
     spec = StreamSpec(play=clip.path, id="twice")
+    other = one.settings().model_copy(update={"retention": Retention(bytes=RETENTION.bytes // 2, seconds=60)})
     with running(one.settings(), spec) as first:
         first.wait(lambda stream: stream["state"] == "live", "twice")
         wait(lambda: stored(one.settings(), "twice"))
-        with running(one.settings(), spec) as second:
+        limits = stream_limits(one, "twice")
+        with running(other, spec) as second:
             second.wait(lambda stream: stream["state"] == "live", "twice")
-            time.sleep(1.0)
+            time.sleep(2.5)
+            outbox: Any = second.registry.streams["twice"].bus.outbox
+            assert outbox.waiting_bytes == outbox.lost_packets == 0
+            assert stream_limits(one, "twice") == limits
             found = {name.split("/")[0] for name, _ in stored(one.settings(), "twice")}
             assert found == {first.stream("twice")["incarnation"]}
 
@@ -176,6 +203,9 @@ def test_nats_loses_its_disk(tmp_path: Path, long_clip: Clip) -> None:
         with viewing(other, max_queue=None) as viewer:
             viewer.hello().until_version(60)
             shared.servers[0].kill()
+            with other.client() as client:
+                answer = client.get("/v1/streams/main/bitstream")
+                assert (answer.status_code, answer.headers["retry-after"]) == (503, "2")
             shutil.rmtree(shared.servers[0].folder)
             shared.servers[0].start()
             shared.servers[0].wait()
