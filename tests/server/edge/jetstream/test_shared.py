@@ -161,7 +161,8 @@ def test_of_two_nodes_with_one_stream_one_publishes(
             second.wait(lambda stream: stream["state"] == "live", "twice")
             time.sleep(2.5)
             outbox: Any = second.registry.streams["twice"].bus.outbox
-            assert outbox.waiting_bytes == outbox.lost_packets == 0
+            wait(lambda: outbox.waiting_bytes == 0)
+            assert outbox.lost_packets == 0
             assert stream_limits(one, "twice") == limits
             found = {name.split("/")[0] for name, _ in stored(one.settings(), "twice")}
             assert found == {first.stream("twice")["incarnation"]}
