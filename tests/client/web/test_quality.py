@@ -37,19 +37,9 @@ DRAW = """async ([cases, number]) => {
     renderer.update(picture.rows, picture.spans);
     renderer.setOrder(picture.quads);
     renderer.missing = picture.missing;
-    const draw = () => {
-      const seen = { rotation: r, translation, focal: [k[0], k[4]], principal: [k[2], k[5]], range: pose.distance };
-      renderer.draw({ ...seen, share });
-      const { gl } = renderer;
-      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
-    };
-    const times = [0, 1, 2, 3, 4].map(() => {
-      const begin = performance.now();
-      draw();
-      return performance.now() - begin;
-    });
-    draw();
-    out.push({ png: canvas.toDataURL().split(",")[1], ms: Math.min(...times), splats: picture.splats });
+    const seen = { rotation: r, translation, focal: [k[0], k[4]], principal: [k[2], k[5]], range: pose.distance };
+    renderer.draw({ ...seen, share });
+    out.push({ png: canvas.toDataURL().split(",")[1], drawn: renderer.count / 6 });
   }
   renderer.destroy();
   return out;
@@ -78,7 +68,7 @@ def test_what_is_left_covers_what_is_left_out(page: Any, url: str) -> None:
     page.goto(f"{url}/files/blank.html")
     cases = [(1, 3), (0.3, 3), (0.08, 3), (1, 2), (1, 1)]
     drawn = page.evaluate(DRAW, [[{"share": share, "levels": levels} for share, levels in cases], 2])
-    assert drawn[0]["splats"] > 15_000
+    assert drawn[0]["drawn"] > 15_000
     full = image(drawn[0]["png"])
     background = np.array([0.08, 0.09, 0.12])
     solid = np.abs(full - background).max(axis=2) > 0.15
@@ -86,7 +76,7 @@ def test_what_is_left_covers_what_is_left_out(page: Any, url: str) -> None:
         picture = image(result["png"])
         holes = (np.abs(picture - background).max(axis=2) < 0.05)[solid].mean()
         assert holes < 0.01, (share, levels)
-    assert drawn[2]["ms"] < 0.5 * drawn[0]["ms"], "a tenth of the splats takes less than half of the time"
+    assert 0 < drawn[2]["drawn"] < 0.15 * drawn[0]["drawn"], "the graphics card gets a tenth of the splats"
 
 
 SLOW_DRAG = """async () => {

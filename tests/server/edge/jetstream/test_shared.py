@@ -18,6 +18,7 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 from websockets.exceptions import ConnectionClosed
 
 from codec.container import SlodReader
+from server.edge.jetstream import publisher
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import Names
 from server.pipeline.spec import StreamSpec
@@ -150,7 +151,7 @@ def test_large_keyframes_travel_in_pieces(tmp_path: Path) -> None:
 def test_of_two_nodes_with_one_stream_one_publishes(
     one: Nats, clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.edge.jetstream.publisher.SILENT_SECONDS", 0.2)  # the second one gives up sooner
+    monkeypatch.setattr(publisher, "SILENT_SECONDS", 0.2)  # the second one gives up sooner
     spec = StreamSpec(play=clip.path, id="twice")
     other = one.settings().model_copy(update={"retention": Retention(bytes=RETENTION.bytes // 2, seconds=60)})
     with running(one.settings(), spec) as first:
