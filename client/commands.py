@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from client.connection import WatchOptions
+from client.connection.link import WatchOptions
 from client.evaluation.file_scores import DecodedScore, evaluate_file
 from client.evaluation.report.plots import frames_plot
 from client.inspection import describe_file
@@ -64,7 +64,7 @@ def view(
 
     if pose is not None and not pose.is_file():
         raise InputError(pose, "does not exist")
-    options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), levels=levels)
+    options = WatchOptions(token=os.environ.get(TOKEN_VARIABLE), levels=levels, nearest=True)
     with tqdm(total=frames, unit="picture", desc="view", delay=0.5) as bar:
 
         def tell(text: str) -> None:

@@ -11,13 +11,18 @@ from core.scene.anchors import Scene
 
 @dataclass(frozen=True, slots=True)
 class Welcome:
-    """The server accepted us. `state` as in `Notice`; `levels` and `fps` are None before the first keyframe."""
+    """The server accepted us.
+
+    `state` as in `Notice`; `levels` and `fps` are None before the first keyframe; `edges` are addresses of servers at
+    which the same stream can be watched.
+    """
 
     stream: str
     state: str
     epoch: int
     levels: int | None
     fps: float | None
+    edges: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +42,10 @@ class NewScene:
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """An event of docs/protocol.md: state, progress, epoch, position, levels, skipped, caught_up or window."""
+    """An event of docs/protocol.md.
+
+    state, progress, epoch, position, levels, skipped, caught_up, window or draining.
+    """
 
     name: str
     fields: dict[str, Any] = field(default_factory=dict)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 from client.events import Event, NewScene, Notice, Welcome
@@ -15,7 +16,9 @@ PROTOCOL_VERSION = 1
 _ACK_SECONDS = 1.0
 _MAX_TEXT_BYTES = 65536  # of a control message from the server
 _MAX_FPS = 10_000
-_EVENTS = frozenset({"state", "progress", "epoch", "position", "levels", "skipped", "caught_up", "window"})
+_MAX_EDGES = 64  # of a list; further ones are left out
+_ADDRESS = re.compile(r"https?://[A-Za-z0-9.:\[\]-]{1,255}/?")
+_EVENTS = frozenset({"state", "progress", "epoch", "position", "levels", "skipped", "caught_up", "window", "draining"})
 
 
 class Playback:
@@ -120,12 +123,19 @@ class Playback:
             self._epoch,
             levels if isinstance(levels, int) else None,
             float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else None,
+            edges_in(message.get("edges")),
         )
 
     def _current_levels(self, version: int) -> int:
         """Number of levels at `version`, counted from the coarsest up to the first one that is older or absent."""
         lagging = (number for number, held in enumerate(self._decoder.versions) if held != version)
         return next(lagging, len(self._decoder.versions))
+
+
+def edges_in(value: object) -> tuple[str, ...]:
+    """The addresses in a field `edges`; whatever else it holds is left out."""
+    listed = value if isinstance(value, list) else []
+    return tuple(each for each in listed[:_MAX_EDGES] if isinstance(each, str) and _ADDRESS.fullmatch(each))
 
 
 def _object(text: str) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
 
-from client.connection import WatchOptions, watch
+from client.connection.link import WatchOptions
+from client.connection.watch import watch
 from client.events import Event, NewScene, Notice, Welcome
 from client.recorder import Recorder, open_recorder
 from client.viewpoints import CameraPath

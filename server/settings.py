@@ -209,7 +209,7 @@ class Settings(BaseModel):
         default_factory=JetStreamSettings, description='for `bus = "jetstream"`, as `[jetstream]`'
     )
     edges: tuple[str, ...] = Field(
-        default=(), description="addresses of edges that serve the same streams, which `/v1/server` names"
+        default=(), description="addresses of edges that serve the same streams; viewers are told of them"
     )
     edge: EdgeSettings | None = Field(default=None, description="serve the streams of another server, as `[edge]`")
 

@@ -47,7 +47,10 @@ MAX_FILES = 16  # of a folder: fifteen and __init__.py
 HEAVY = {"torch", "fastapi", "uvicorn", "pydantic", "sklearn", "scipy", "gsplat"}
 LIGHT_CLIENT = {
     "playback",
-    "connection",
+    "link",
+    "edges",
+    "moving_link",
+    "watch",
     "viewpoints",
     "recorder",
     "recording",

@@ -124,9 +124,11 @@ async def _watch(
     limits, address = registry.settings.limits, address_of(websocket)
     _find_room(registry, address)  # again: many may have been admitted before the first of them said hello
     if hello.pictures:
-        session: ViewerSession | ThinSession = ThinSession(stream, hello, transport, limits, registry.renderer)
+        session: ViewerSession | ThinSession = ThinSession(
+            stream, hello, transport, limits, registry.renderer, edges=registry.edges
+        )
     else:
-        session = ViewerSession(stream, hello, transport, limits)
+        session = ViewerSession(stream, hello, transport, limits, edges=registry.edges)
 
     def take(text: bytes) -> bool:
         try:

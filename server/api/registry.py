@@ -57,6 +57,7 @@ class Registry:
         self.sessions: dict[ViewerSession | ThinSession, str] = {}  # with the viewer's address
         self.renderer = PictureRenderer(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
+        self.edges = settings.edges  # where the same streams can be watched; an edge has those of its origin
         self.draining = False
         self.unready = ""  # why viewers should not come yet
         self._drained = False
@@ -139,18 +140,23 @@ class Registry:
         self.feed.tell("stream.changed", stream.id)
 
     async def drain(self) -> None:
-        """Disconnect viewers, stop workers and finish recordings; only the first call does anything."""
+        """Disconnect viewers, stop workers and finish recordings; only the first call does anything.
+
+        Where there are edges, viewers are told so and served until they have gone there, for a while.
+        """
         self.draining = True
         if self._drained:
             return
         self._drained = True
+        if self.edges:
+            for session in self.sessions:
+                session.drain()
+            await self._wait_for_leaving(self.settings.drain_seconds / 4)
         for session in self.sessions:
             session.end(SessionError(CloseCode.STOPPING, "the server is stopping; connect again"))
         for stream in self.streams.values():
             stream.hub.wake()  # requests that wait for something new
-        limit = asyncio.get_running_loop().time() + self.settings.drain_seconds / 2
-        while self.sessions and asyncio.get_running_loop().time() < limit:
-            await asyncio.sleep(0.02)
+        await self._wait_for_leaving(self.settings.drain_seconds / 2)
         self.renderer.close()
         for task in self._tasks:
             task.cancel()
@@ -160,6 +166,12 @@ class Registry:
             await asyncio.to_thread(self.store.close)
         if self._sockets is not None:
             self._sockets.close()
+
+    async def _wait_for_leaving(self, seconds: float) -> None:
+        """Wait until all viewers have gone, for so long at most."""
+        limit = asyncio.get_running_loop().time() + seconds
+        while self.sessions and asyncio.get_running_loop().time() < limit:
+            await asyncio.sleep(0.02)
 
     def _add(self, spec: StreamSpec) -> WorkerStream:
         recording = self.kept.pop(spec.id, None)

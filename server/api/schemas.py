@@ -24,6 +24,7 @@ _MANIFEST_EXAMPLE: dict[str, Any] = {
     "window": {"oldest": {"epoch": 1, "version": 0}, "newest": {"epoch": 1, "version": 57}},
     "gops": [{"epoch": 1, "first": 0, "last": 57, "packets": 58, "bytes": 812345, "begun_ns": 1764000000000000000,
               "path": "/v1/streams/main/incarnations/9f86d081884c7d65/gops/1/0"}],
+    "edges": ["https://edge1.example"],
 }  # fmt: skip
 
 
@@ -107,6 +108,7 @@ class Manifest(BaseModel):
     levels: int | None
     fps: float | None
     gops: list[GroupBody]
+    edges: list[str] = Field(description="addresses of servers at which the same stream can be watched")
 
 
 class NewLink(BaseModel):

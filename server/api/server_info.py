@@ -37,7 +37,7 @@ async def get_server(request: Request) -> ServerBody:
             webhooks=bool(settings.webhooks),
             stopping=registry.draining,
         ),
-        edges=list(settings.edges),
+        edges=list(registry.edges),
     )
 
 

@@ -196,8 +196,9 @@ async def get_manifest(
     wait_ms: Annotated[int, Query(ge=0, le=10_000, description="wait at most so long")] = 0,
 ) -> Manifest:
     """Which versions can be seen and downloaded. With `after_epoch`, waits until the live edge is later than that."""
+    registry = registry_of(request)
     if after_epoch is not None and wait_ms:
-        await _wait_for_later(registry_of(request), stream, Position(after_epoch, after_version), wait_ms / 1000)
+        await _wait_for_later(registry, stream, Position(after_epoch, after_version), wait_ms / 1000)
     try:
         groups = await stream.bus.groups()
     except OSError as error:
@@ -214,6 +215,7 @@ async def get_manifest(
             "levels": stream.levels,
             "fps": scene.header.fps if scene else None,
             "gops": [_group(stream, group) for group in groups],
+            "edges": registry.edges,
         }
     )
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from contextlib import suppress
 
 from server.api.registry import Registry
 from server.edge.origin import OriginStream
 from server.edge.stream import EdgeStream
 from server.edge.supply import StreamSource
+from server.stream.sealing import masked
 
 _LOG = logging.getLogger(__name__)
 
@@ -43,6 +45,11 @@ class Edge:
                 if not fault:
                     _LOG.warning("%s does not say which streams there are: %s", self._source.name, error)
                 fault = str(error) or "no answer"
+                if self._registry.unready:
+                    self._registry.unready = f"{self._source.name} has not been reached yet ({masked(fault)})"
+            else:
+                with suppress(OSError):  # an origin that does not tell them has none, or those that it told before
+                    self._registry.edges = self._registry.settings.edges or await self._source.edges()
             await asyncio.sleep(self._poll_seconds)
 
     def _take_over(self, described: list[OriginStream]) -> None:

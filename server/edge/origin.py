@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _ADDRESS = re.compile(r"https?://[A-Za-z0-9.:\[\]-]+/?")
 _ANSWER_SECONDS = 5.0
-_MAX_LIST_BYTES = 4 << 20
+_MAX_ANSWER_BYTES = 4 << 20
 _MAX_PAGES = 100
 _INCARNATION = r"[0-9a-f]{16}"
 
@@ -54,7 +54,11 @@ class _Page(BaseModel):
     next_cursor: str | None = Field(default=None, max_length=64)
 
 
-_PAGE = TypeAdapter(_Page)
+class _Server(BaseModel):
+    edges: list[str] = Field(default=[], max_length=1000)
+
+
+_PAGE, _SERVER = TypeAdapter(_Page), TypeAdapter(_Server)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +110,18 @@ class Origin:
             cursor = "&cursor=" + quote(page.next_cursor, safe="")
         raise OSError("its list of streams does not end")
 
+    async def edges(self) -> tuple[str, ...]:
+        """Addresses of its edges.
+
+        Raises:
+            OSError: it does not answer, refuses, or answers with something else.
+        """
+        try:
+            found = _SERVER.validate_python(json.loads(await self._read("/v1/server")))
+        except (ValueError, RecursionError, ValidationError) as error:
+            raise OSError(f"what it says about itself cannot be used ({str(error)[:200]})") from error
+        return tuple(edge for edge in found.edges if _ADDRESS.fullmatch(edge))
+
     @asynccontextmanager
     async def open(self, path: str, headers: dict[str, str], method: str = "GET") -> AsyncIterator[httpx.Response]:
         """The answer to a request, of any status; its body is not read yet.
@@ -128,15 +144,15 @@ class Origin:
             raise OSError(str(error) or type(error).__name__) from error
 
     async def _read(self, path: str) -> bytes:
-        """The body of a list of streams."""
+        """The body of a short answer."""
         body = bytearray()
         async with self.open(path, {"Accept": "application/json"}) as answer:
             if not answer.is_success:
                 raise OSError(f"it answers {answer.status_code}")
             async for chunk in answer.aiter_raw():
                 body += chunk
-                if len(body) > _MAX_LIST_BYTES:
-                    raise OSError("its list of streams is too long")
+                if len(body) > _MAX_ANSWER_BYTES:
+                    raise OSError("its answer is too long")
         return bytes(body)
 
 

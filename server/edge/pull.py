@@ -56,6 +56,10 @@ class OriginSource:
         """See `supply.StreamSource`."""
         return [each for each in await self.origin.streams() if not self.chosen or each.id in self.chosen]
 
+    async def edges(self) -> tuple[str, ...]:
+        """See `supply.StreamSource`."""
+        return await self.origin.edges()
+
     def supply(self, stream: OriginStream) -> Supply:
         """See `supply.StreamSource`."""
         settings = self.settings

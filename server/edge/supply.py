@@ -58,5 +58,12 @@ class StreamSource(Protocol):
             OSError: that cannot be found out now.
         """
 
+    async def edges(self) -> tuple[str, ...]:
+        """Addresses of servers that serve these streams.
+
+        Raises:
+            OSError: that cannot be found out now.
+        """
+
     def supply(self, stream: OriginStream) -> Supply:
         """The packets of one of them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -117,12 +118,19 @@ def parse_control(text: str) -> Control:
     raise SessionError(CloseCode.BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play, view, pick")
 
 
-def welcome(stream: dict[str, Any], window: dict[str, Any] | None, session: str, now_ns: int) -> dict[str, Any]:
-    """The answer to a hello, from STREAM of docs/protocol.md; `now_ns` is the Unix time of its packets' clock."""
+def welcome(
+    stream: dict[str, Any], window: dict[str, Any] | None, session: str, now_ns: int, edges: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The answer to a hello, from STREAM of docs/protocol.md.
+
+    Args:
+        now_ns: Unix time of its packets' clock.
+        edges: addresses of servers that serve the same stream.
+    """
     about = {"version": PROTOCOL_VERSION, "session": session, "stream": stream["id"]}
     names = ("incarnation", "source", "loop", "state", "detail", "progress", "epoch", "levels", "fps")
     shared = {name: stream[name] for name in names}
-    rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": now_ns}
+    rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": now_ns, "edges": list(edges)}
     return {"type": "welcome", **about, **shared, **rest}
 
 

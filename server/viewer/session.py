@@ -41,6 +41,7 @@ class ViewerSession:
         hello: what it asked for.
         transport: its connection.
         limits: of the server.
+        edges: addresses of servers that serve the same stream, for the viewer to know.
         counters: where what is sent is counted; those of the stream by default.
         on_arrival: called with the mode when the viewer is where it asked to be last: it has been told so, and
             everything up to a position of the past has been sent.
@@ -53,10 +54,12 @@ class ViewerSession:
         transport: Transport,
         limits: Limits,
         *,
+        edges: tuple[str, ...] = (),
         counters: Counters | None = None,
         on_arrival: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._stream, self._limits = stream, limits
+        self._stream, self._limits, self._edges = stream, limits, edges
+        self._is_draining = False
         self.id = secrets.token_hex(6)
         self.client = hello.client
         self._end: SessionError | None = None
@@ -107,6 +110,11 @@ class ViewerSession:
             "sent_bytes": self._delivery.receiver.sent,
             "thin": False,
         }
+
+    def drain(self) -> None:
+        """Tell the viewer to go to another server; it is served until it has gone."""
+        self._is_draining = True
+        self._notify()
 
     def end(self, reason: SessionError) -> None:
         """Close the connection soon, with the reason's code."""
@@ -160,7 +168,8 @@ class ViewerSession:
         stream.join()
         _LOG.info("stream %s: viewer %s (%s) joins", stream.id, self.id, self.client)
         try:
-            await self._delivery.send_event(welcome(stream.describe(), stream.window, self.id, stream.now_ns()))
+            about = welcome(stream.describe(), stream.window, self.id, stream.now_ns(), self._edges)
+            await self._delivery.send_event(about)
             while True:
                 self.wake.clear()
                 while not events.empty():
@@ -173,6 +182,9 @@ class ViewerSession:
                     raise SessionError(CloseCode.STOPPING, "the stream began anew; connect again")
                 if self._end is not None:
                     raise self._end
+                if self._is_draining:
+                    self._is_draining = False
+                    await self._delivery.send_event(event("draining", edges=list(self._edges)))
                 if not await self._step():
                     await self._idle()
         finally:

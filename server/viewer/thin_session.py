@@ -73,18 +73,25 @@ class ThinSession:
     """A viewer that said hello with `pictures`.
 
     Args:
-        stream, hello, transport, limits: as of `ViewerSession`.
+        stream, hello, transport, limits, edges: as of `ViewerSession`.
         renderer: draws the pictures.
     """
 
     def __init__(
-        self, stream: Stream, hello: Hello, transport: Transport, limits: Limits, renderer: PictureRenderer
+        self,
+        stream: Stream,
+        hello: Hello,
+        transport: Transport,
+        limits: Limits,
+        renderer: PictureRenderer,
+        *,
+        edges: tuple[str, ...] = (),
     ) -> None:
         self._changed = asyncio.Event()
         self._decoding = _DecodingTransport(transport, self._changed, limits.decoder)
         counters = Counters()  # packets stay in this process and are not counted as sent
         self._session = ViewerSession(
-            stream, hello, self._decoding, limits, counters=counters, on_arrival=self._arrived
+            stream, hello, self._decoding, limits, edges=edges, counters=counters, on_arrival=self._arrived
         )
         self._stream, self._limits, self._viewer, self._renderer = stream, limits, transport, renderer
         self._splatter, self._grades = Splatter(), GradeControl()
@@ -111,6 +118,10 @@ class ThinSession:
     def describe(self) -> dict[str, Any]:
         """As of `ViewerSession`; bytes are those of packets, which stay in the server."""
         return self._session.describe() | {"thin": True}
+
+    def drain(self) -> None:
+        """As of `ViewerSession`."""
+        self._session.drain()
 
     def end(self, reason: SessionError) -> None:
         """As of `ViewerSession`."""

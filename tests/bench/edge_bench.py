@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from client.connection import WatchOptions, watch
+from client.connection.link import WatchOptions
+from client.connection.watch import watch
 from client.events import NewScene
 from tests.bench.fanout_viewers import watch as watch_many
 from tests.server.conftest import make_clip

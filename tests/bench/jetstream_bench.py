@@ -22,7 +22,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from client.connection import watch
+from client.connection.watch import watch
 from client.events import NewScene
 from server.edge.jetstream.messages import Names
 from tests.bench.edge_bench import hop_delay

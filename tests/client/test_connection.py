@@ -10,8 +10,9 @@ from contextlib import aclosing
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
 
-import client.connection
-from client.connection import SUBPROTOCOL, WatchOptions, back_off, watch
+import client.connection.watch
+from client.connection.link import SUBPROTOCOL, WatchOptions
+from client.connection.watch import back_off, watch
 from client.events import Disconnected, Event, NewScene, Welcome
 from core.errors import InputError, SessionError
 from tests.client.clips import packets, states
@@ -22,7 +23,7 @@ Behaviour = Callable[[ServerConnection], Awaitable[None]]
 
 @pytest.fixture(autouse=True)
 def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client.connection, "_MIN_DELAY", 0.01)
+    monkeypatch.setattr(client.connection.watch, "_MIN_DELAY", 0.01)
 
 
 def events_from(*behaviours: Behaviour, options: WatchOptions | None = None) -> list[Event]:
@@ -135,7 +136,7 @@ def test_nobody_there_and_wrong_addresses() -> None:
 
 
 def test_back_off_doubles_to_a_limit_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client.connection, "_MIN_DELAY", 0.5)
+    monkeypatch.setattr(client.connection.watch, "_MIN_DELAY", 0.5)
     for failures, longest in ((0, 0.5), (1, 1.0), (3, 4.0), (5, 15.0), (5000, 15.0)):
         delays = [back_off(failures) for _ in range(50)]
         assert longest / 2 <= min(delays) <= max(delays) <= longest

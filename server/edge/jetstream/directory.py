@@ -94,7 +94,7 @@ class Directory:
         self._connection, self._names, self._settings = connection, names, settings
         self._told: dict[str, Told] = {}
         self._begun_ns = time.time_ns()
-        self.fault = "NATS has not been reached yet"
+        self.fault = "no answer yet"
 
     def find(self, stream: str) -> Told | None:
         """What is known of a stream; degraded where its publisher is silent."""

@@ -72,6 +72,10 @@ class JetStream:
         own = {publisher.stream.id for publisher in self._publishers}
         return [each for each in self._directory.streams() if each.id not in own]
 
+    async def edges(self) -> tuple[str, ...]:
+        """See `StreamSource`: none are known beside the setting."""
+        return ()
+
     def supply(self, stream: OriginStream) -> Supply:
         """See `StreamSource`."""
         return ArchivedStream(self._connection, self._names, self._directory, self._settings, stream)

@@ -128,6 +128,7 @@ def test_an_edge_checks_tokens_itself_and_shows_the_origin_its_own(
             answer = client.get("/readyz")  # it has no token for the origin
             assert answer.status_code == 503
             assert "origin" in answer.json()["detail"]
+            wait(lambda: "answers 401" in client.get("/readyz").json()["detail"])
             token = {"Authorization": "Bearer for-viewers"}
             with viewing(edge, additional_headers=token) as viewer, pytest.raises(ConnectionClosed) as caught:
                 viewer.connection.recv(5)

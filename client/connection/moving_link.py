@@ -1,0 +1,140 @@
+"""A connection that is left for another server, without a gap in the picture, when its own is to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncGenerator, Iterable
+from dataclasses import dataclass
+
+from websockets.exceptions import WebSocketException
+
+from client.connection.edges import at_edges, nearest
+from client.connection.link import StreamLink, WatchOptions
+from client.events import Event, NewScene, Notice, Welcome
+from client.playback import Playback
+from core.errors import SessionError
+
+_log = logging.getLogger(__name__)
+_MOVE_SECONDS = 5.0  # for the new connection to be where the old one is
+
+
+@dataclass(frozen=True, slots=True)
+class _Joined:
+    """A connection that was made beside another one.
+
+    Attributes:
+        events: told so far; of scenes only the newest one.
+        is_level: whether its scene is as new as that of the other was, under the same positions.
+    """
+
+    link: StreamLink
+    events: list[Event]
+    is_level: bool
+
+
+class MovingLink:
+    """Connections one after the other, the next one made before the last one ends.
+
+    Args:
+        url: live websocket of the stream, where to begin.
+        options: what to ask the servers for.
+    """
+
+    def __init__(self, url: str, options: WatchOptions) -> None:
+        self._link, self._options = StreamLink(url, options), options
+        self._move: asyncio.Task[_Joined | None] | None = None
+
+    @property
+    def url(self) -> str:
+        """Where it is connected."""
+        return self._link.url
+
+    @property
+    def playback(self) -> Playback:
+        """The state of the stream."""
+        return self._link.playback
+
+    async def events(self, start: tuple[int, int] | None) -> AsyncGenerator[Event, None]:
+        """What is told; no scene is older than one before it only because the server is another.
+
+        Raises:
+            OSError, WebSocketException, SessionError: what ended the connection.
+        """
+        await self._link.open(start)
+        async for event in self._told():
+            yield event
+        while True:
+            joined = await self._joined()
+            if joined is None:
+                raise OSError("the server is stopping, and no edge is ready")
+            seen = self.playback.position if joined.is_level else None
+            await self._link.close()
+            self._link = joined.link
+            async for event in self._told(joined.events):
+                here = self.playback.position
+                if isinstance(event, NewScene) and seen is not None and here is not None and here <= seen:
+                    continue
+                yield event
+
+    async def close(self) -> None:
+        """Leave."""
+        if self._move is not None:
+            self._move.cancel()
+            (joined,) = await asyncio.gather(self._move, return_exceptions=True)
+            if isinstance(joined, _Joined):
+                await joined.link.close()
+        await self._link.close()
+
+    async def _joined(self) -> _Joined | None:
+        move, self._move = self._move, None
+        return None if move is None else await move
+
+    async def _told(self, before: Iterable[Event] = ()) -> AsyncGenerator[Event, None]:
+        """The events of this connection, those `before` first, until there is another one to go to."""
+        edges: tuple[str, ...] = ()
+        try:
+            async for event in _chain(before, self._link.events):
+                yield event
+                if isinstance(event, Welcome):
+                    edges = at_edges(self.url, event.edges)
+                if isinstance(event, Notice) and event.name == "draining" and self._move is None:
+                    self._move = asyncio.create_task(_join(self._link, edges, self._options))
+                if self._move is not None and self._move.done() and self._move.result() is not None:
+                    return
+        except (OSError, WebSocketException):
+            if self._move is None:
+                raise
+
+
+async def _chain(before: Iterable[Event], events: AsyncGenerator[Event, None]) -> AsyncGenerator[Event, None]:
+    for event in before:
+        yield event
+    async for event in events:
+        yield event
+
+
+async def _join(left: StreamLink, edges: tuple[str, ...], options: WatchOptions) -> _Joined | None:
+    """A connection to the nearest edge that answers; None where none does, or it is not as far as `left` in time."""
+    place = await nearest(each for each in edges if each != left.url)
+    if place is None:
+        return None
+    link, aim = StreamLink(place, options), left.playback.position
+    told: list[Event] = []
+    scenes: list[Event] = []
+    try:
+        async with asyncio.timeout(_MOVE_SECONDS):
+            await link.open(aim if left.playback.mode == "replay" else None)
+            async for event in link.events:
+                (scenes if isinstance(event, NewScene) else told).append(event)
+                here = link.playback.position
+                is_level = here is not None and aim is not None and here >= aim
+                if is_level or (isinstance(event, Notice) and event.name == "caught_up"):
+                    return _Joined(link, told + scenes[-1:], is_level)
+    except (OSError, WebSocketException, SessionError) as error:
+        _log.info("%s cannot be moved to (%s)", place, error or "too slow")
+    except asyncio.CancelledError:
+        await link.close()
+        raise
+    await link.close()
+    return None

@@ -1,0 +1,138 @@
+"""Viewers that go on at another edge: when theirs is stopped, and when it is killed."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, aclosing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from client.connection.edges import edges_of, nearest
+from client.connection.link import WatchOptions
+from client.connection.watch import watch
+from client.events import Disconnected, NewScene, Notice, Welcome
+from tests.server.conftest import Clip
+from tests.server.edge.processes import Node, begin, free_ports, listening, wait
+
+pytestmark = pytest.mark.cluster
+
+
+@dataclass(slots=True)
+class Seen:
+    """What a viewer was told: a time and a version for each scene, and the rest."""
+
+    times: list[float] = field(default_factory=list)
+    versions: list[int] = field(default_factory=list)
+    welcomes: list[Welcome] = field(default_factory=list)
+    breaks: list[str] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+
+    @property
+    def gap_seconds(self) -> float:
+        """The longest time from one scene to the next."""
+        return max(later - before for before, later in zip(self.times, self.times[1:], strict=False))
+
+
+def look(url: str, act: Callable[[], None], after: int, more: int, options: WatchOptions) -> Seen:
+    """Watch; call `act` after so many scenes, and watch for so many more that another server has sent."""
+
+    async def run() -> Seen:
+        seen, acted, end = Seen(), False, 0
+        async with asyncio.timeout(30), aclosing(watch(url, options)) as events:
+            async for event in events:
+                match event:
+                    case NewScene():
+                        seen.times.append(time.monotonic())
+                        seen.versions.append(event.scene.version)
+                    case Welcome():
+                        seen.welcomes.append(event)
+                        end = len(seen.times) + more
+                    case Disconnected():
+                        seen.breaks.append(event.reason)
+                    case Notice():
+                        seen.notices.append(event.name)
+                if len(seen.times) >= after and not acted:
+                    acted = True
+                    await asyncio.to_thread(act)
+                elif acted and len(seen.welcomes) > 1 and len(seen.times) >= end:
+                    return seen
+        raise AssertionError(seen)
+
+    return asyncio.run(run())
+
+
+@pytest.fixture(scope="module")
+def nodes(long_clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Node, Node, Node]]:
+    """An origin that knows two edges, and the edges, which hear of each other from it."""
+    folder: Path = tmp_path_factory.mktemp("edges")
+    ports = free_ports(3)
+    config = folder / "origin.toml"
+    config.write_text(f'edges = ["http://127.0.0.1:{ports[1]}", "http://127.0.0.1:{ports[2]}"]\n')
+    with ExitStack() as stack:
+        started = [begin(folder, "serve", "--play", long_clip.path, "--config", config, port=ports[0])]
+        started += [begin(folder, "edge", "--origin", f"http://127.0.0.1:{ports[0]}", port=port) for port in ports[1:]]
+        for process, _ in started:
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+        found = tuple(listening(each) for each in started)
+        for each in found:
+            wait(lambda each=each: each.get("/readyz").status_code == 200)
+            wait(lambda each=each: each.get("/v1/server").json()["edges"])
+        yield found  # type: ignore[misc]
+
+
+def live(server: Node) -> str:
+    return f"ws://127.0.0.1:{server.port}/v1/streams/main/live"
+
+
+def test_origin_and_edges_name_the_edges(nodes: tuple[Node, Node, Node]) -> None:
+    edges = [edge.url for edge in nodes[1:]]
+    for each in nodes:
+        assert each.get("/v1/streams/main/manifest").json()["edges"] == edges
+        with each.viewing() as viewer:
+            assert viewer.hello().welcome["edges"] == edges
+    assert asyncio.run(edges_of(live(nodes[0]), None)) == tuple(edges)
+
+
+def test_a_viewer_takes_the_edge_that_answers(nodes: tuple[Node, Node, Node]) -> None:
+    """Of three, one does not exist and one never answers."""
+    path = "/v1/streams/main/live"
+    with socket.create_server(("127.0.0.1", 0)) as listener:  # nobody takes its connections
+        lost = [f"ws://127.0.0.1:{port}{path}" for port in (listener.getsockname()[1], *free_ports(1))]
+        begun = time.monotonic()
+        assert asyncio.run(nearest(lost)) is None
+        assert asyncio.run(nearest([*lost, live(nodes[2])])) == live(nodes[2])
+    assert time.monotonic() - begun < 4  # 2 s of which were for nobody
+
+
+def test_an_edge_that_stops_is_left_without_a_gap(nodes: tuple[Node, Node, Node]) -> None:
+    """The other one's picture is there before the connection ends, and no version is shown twice or left out."""
+    stopped = nodes[1]
+
+    def stop() -> None:
+        stopped.process.send_signal(signal.SIGTERM)
+
+    with nodes[2].viewing() as warm:  # as where others watch; a cold edge takes longer, which is no gap either
+        warm.hello().until("caught_up")
+        seen = look(live(stopped), stop, 100, 100, WatchOptions())
+    assert "draining" in seen.notices
+    assert seen.breaks == []
+    assert len(seen.welcomes) == 2
+    steps = {later - before for before, later in zip(seen.versions[60:], seen.versions[61:], strict=False)}
+    assert steps <= {1, 0, -399}  # a keyframe may have its residual's version; the clip begins again after its last
+    assert seen.gap_seconds < 1.0  # at 50 frames a second, on a busy machine
+    assert stopped.process.wait(10) == 0
+
+
+def test_a_killed_edge_is_replaced_by_the_other_within_two_seconds(nodes: tuple[Node, Node, Node]) -> None:
+    """It was chosen as the nearest of the edges that the origin names, where the first one has gone."""
+    killed = nodes[2]
+    seen = look(live(nodes[0]), killed.kill, 50, 20, WatchOptions(nearest=True))
+    assert len(seen.breaks) == 1  # so it was not at the origin
+    assert seen.gap_seconds < 2
