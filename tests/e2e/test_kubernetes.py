@@ -1,0 +1,173 @@
+"""The manifests of docker/kubernetes, as far as that can be seen without a cluster: schemas, and parts that fit."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tomllib
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from server.service.app import create_app
+from server.settings import Settings
+from tests.e2e.test_compose import CLUSTER, FOLDER
+
+yaml = pytest.importorskip("yaml", reason="PyYAML is missing: pip install pyyaml")
+
+SCHEMAS = "1.32"  # the version of Kubernetes
+CUSTOM: dict[str, Any] = yaml.safe_load((FOLDER / "kustomization.yaml").read_text())
+MANIFESTS: list[dict[str, Any]] = [
+    manifest for name in CUSTOM["resources"] for manifest in yaml.safe_load_all((FOLDER / name).read_text())
+]
+WORKLOADS = {each["metadata"]["name"]: each for each in MANIFESTS if each["kind"] in {"Deployment", "StatefulSet"}}
+SERVICES = {each["metadata"]["name"]: each["spec"] for each in MANIFESTS if each["kind"] == "Service"}
+CONFIGS = {each["name"]: each["files"] for each in CUSTOM["configMapGenerator"]}
+OTHERS = {"nats": {"/healthz"}, "proxy": {"/readyz"}, "watch": {"/-/ready", "/-/healthy"}}  # probes of other programs
+PROBES = ("startupProbe", "readinessProbe", "livenessProbe")
+
+
+def pods() -> Iterator[tuple[str, dict[str, Any]]]:
+    for name, workload in WORKLOADS.items():
+        yield name, workload["spec"]["template"]["spec"]
+
+
+def containers(pod: dict[str, Any]) -> list[dict[str, Any]]:
+    return [*pod.get("initContainers", []), *pod["containers"]]
+
+
+def test_every_manifest_fits_its_schema() -> None:
+    validator = pytest.importorskip(
+        "kubernetes_validate", reason="kubernetes-validate is missing: pip install kubernetes-validate"
+    )
+    assert len(MANIFESTS) > 20
+    for manifest in MANIFESTS:
+        validator.validate(manifest, SCHEMAS, strict=True)
+    broken = {**MANIFESTS[-1], "spec": {"ports": "8000"}}
+    with pytest.raises(validator.ValidationError):
+        validator.validate(broken, SCHEMAS, strict=True)
+
+
+@pytest.mark.skipif(shutil.which("kubectl") is None, reason="kubectl is missing")
+def test_kustomize_builds_them_with_their_configuration() -> None:
+    done = subprocess.run(["kubectl", "kustomize", FOLDER], check=True, capture_output=True, text=True)
+    built = list(yaml.safe_load_all(done.stdout))
+    assert len(built) == len(MANIFESTS) + len(CONFIGS)
+    maps = {each["metadata"]["name"]: each for each in built if each["kind"] == "ConfigMap"}
+    for each in built:
+        assert each["kind"] == "Namespace" or each["metadata"]["namespace"] == CUSTOM["namespace"]
+        for volume in each.get("spec", {}).get("template", {}).get("spec", {}).get("volumes", []):
+            assert "configMap" not in volume or volume["configMap"]["name"] in maps
+    assert any("upstream streamlod_edges" in text for each in maps.values() for text in each["data"].values())
+
+
+def test_they_are_the_servers_of_the_compose_profile() -> None:
+    names = {"nats" if name.startswith("nats") else name for name in CLUSTER}
+    assert set(WORKLOADS) == names
+    for name, pod in pods():
+        service = CLUSTER["nats1" if name == "nats" else name]
+        (container,) = pod["containers"]
+        assert container["image"] == service["image"]
+        if name in {"second", "edge1", "edge2"}:
+            assert container["args"][:-1] == service["command"][:-1]
+        if name == "origin":
+            begun = "exec streamlod " + " ".join(container["args"][:-1])
+            assert begun in service["command"][0]
+            assert (
+                pod["initContainers"][0]["args"][0].split("streamlod synth")[1].split()[1:]
+                == (service["command"][0].split("streamlod synth")[1].split("exec")[0].split()[1:])
+            )
+        if name == "proxy":
+            assert container["args"][0].split("mkdir")[0] == service["command"][0].split("mkdir")[0]
+
+
+def test_what_is_mounted_is_there_and_where_the_commands_look() -> None:
+    for files in CONFIGS.values():
+        assert all((FOLDER / file.rpartition("=")[2]).is_file() for file in files)
+    for name, pod in pods():
+        claims = {each["metadata"]["name"] for each in WORKLOADS[name]["spec"].get("volumeClaimTemplates", [])}
+        volumes = {each["name"]: each for each in pod["volumes"]}
+        places: set[str] = set()
+        for container in containers(pod):
+            for mount in container["volumeMounts"]:
+                assert mount["name"] in claims | volumes.keys()
+                config = volumes.get(mount["name"], {}).get("configMap")
+                files = [] if config is None else CONFIGS[config["name"]]
+                places |= {f"{mount['mountPath']}/{file.partition('=')[0].rpartition('/')[2]}" for file in files}
+        words = " ".join(pod["containers"][0]["args"]).replace("=", " ").split()
+        assert len(places) == 1
+        assert places < set(words)
+
+
+def test_services_lead_to_ports_that_are_open() -> None:
+    pods_by_label = {name: workload["spec"]["template"]["metadata"]["labels"] for name, workload in WORKLOADS.items()}
+    for name, service in SERVICES.items():
+        workload = service["selector"]["app"]
+        assert pods_by_label[workload] == {"app": workload} == WORKLOADS[workload]["spec"]["selector"]["matchLabels"]
+        pod = service["selector"].get("statefulset.kubernetes.io/pod-name", "")
+        assert pod in {"", *(f"{workload}-{n}" for n in range(WORKLOADS[workload]["spec"].get("replicas", 1)))}
+        (container,) = WORKLOADS[workload]["spec"]["template"]["spec"]["containers"]
+        open_ports = {each["name"]: each["containerPort"] for each in container["ports"]}
+        assert {(each["targetPort"], each["port"]) for each in service["ports"]} <= set(open_ports.items()), name
+    for workload in WORKLOADS.values():
+        assert workload["kind"] == "Deployment" or workload["spec"]["serviceName"] in SERVICES
+
+
+def test_names_in_the_configuration_are_services() -> None:
+    shared = Settings.model_validate(tomllib.loads((FOLDER / "cluster" / "shared.toml").read_text()))
+    wanted = [url.removeprefix("nats://") for url in shared.jetstream.servers]
+    targets = yaml.safe_load((FOLDER / "cluster" / "prometheus.yml").read_text())["scrape_configs"][0]
+    wanted += targets["static_configs"][0]["targets"]
+    wanted += [f"{name}:6222" for name in ("nats1", "nats2", "nats3")]
+    assert all(name in (FOLDER / "cluster" / "nats.conf").read_text() for name in wanted[-3:])
+    wanted += ["origin:8000", "second:8000", "edge1:8000", "edge2:8000"]
+    for name, _, port in (each.partition(":") for each in wanted):
+        assert int(port) in {each["port"] for each in SERVICES[name]["ports"]}
+    assert shared.jetstream.replicas == WORKLOADS["nats"]["spec"]["replicas"]
+
+
+def test_probes_ask_for_what_there_is() -> None:
+    ours = {path for route in create_app(Settings()).routes if (path := getattr(route, "path", None))}
+    for name, pod in pods():
+        (container,) = pod["containers"]
+        ports = {each["name"] for each in container["ports"]}
+        assert {"readinessProbe", "livenessProbe"} <= container.keys()
+        for probe in (container[each] for each in PROBES if each in container):
+            asked = probe.get("httpGet") or probe["tcpSocket"]
+            assert asked["port"] in ports
+            assert "path" not in asked or asked["path"].partition("?")[0] in OTHERS.get(name, ours)
+        if name not in OTHERS:
+            assert container["readinessProbe"]["httpGet"]["path"] == "/readyz"
+
+
+def test_nothing_runs_as_root_or_without_limits_or_as_whatever_is_latest() -> None:
+    namespace = next(each for each in MANIFESTS if each["kind"] == "Namespace")
+    assert namespace["metadata"]["labels"]["pod-security.kubernetes.io/enforce"] == "restricted"
+    for name, pod in pods():
+        context = pod["securityContext"]
+        assert context["runAsNonRoot"] is True
+        assert context["runAsUser"] > 0
+        assert context["seccompProfile"] == {"type": "RuntimeDefault"}
+        assert pod["automountServiceAccountToken"] is False
+        for container in containers(pod):
+            assert container["image"].partition(":")[2] not in {"", "latest"}
+            confined = container["securityContext"]
+            assert confined == {
+                "allowPrivilegeEscalation": False,
+                "readOnlyRootFilesystem": True,
+                "capabilities": {"drop": ["ALL"]},
+            }
+            for kind in ("requests", "limits"):
+                assert {"cpu", "memory"} <= container["resources"][kind].keys(), name
+        grace = pod.get("terminationGracePeriodSeconds", 30)
+        assert grace >= Settings().drain_seconds + 10  # the rest is the end of the worker
+
+
+def test_edges_ask_their_origin_by_a_name_that_it_answers_to() -> None:
+    shared = Settings.model_validate(tomllib.loads((FOLDER / "cluster" / "shared.toml").read_text()))
+    for name in ("edge1", "edge2"):
+        args = WORKLOADS[name]["spec"]["template"]["spec"]["containers"][0]["args"]
+        host = args[args.index("--origin") + 1].removeprefix("http://").partition(":")[0]
+        assert host in SERVICES
+        assert host in shared.hosts
