@@ -4,7 +4,9 @@
 operation that mixes them with CPU tensors raises, as on CUDA, but for copies and for numbers (0-dim CPU tensors).
 `numpy()` of them raises in torch itself. Every operation counts as a launch, and every one that makes the host wait
 (`item`, `nonzero`, boolean indices, copies to the host, and copies from it that are not `non_blocking`) as a wait, by
-name. What a compiler would fuse can be counted beside that as the kernels that it would leave.
+name. Copies to the host that are `non_blocking` hold no numbers until an event after them has been waited for, which is
+a wait where the device would have run out of work. What a compiler would fuse can be counted beside that as the kernels
+that it would leave.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ _WAITS = {
 _FREE = {_ATEN.detach.default, _ATEN.empty.memory_format, _ATEN.empty_strided.default, _ATEN._unsafe_view.default}
 _FREE |= {_ATEN.empty_like.default, _ATEN.new_empty.default, _ATEN.new_empty_strided.default}
 _TWICE = {_ATEN.select_backward.default, _ATEN.slice_backward.default, _ATEN.masked_fill.Scalar}  # fill, then copy
+_AHEAD = 50  # launches after which a device is still busy when the host comes to read what was before them
 _INDEXING = {_ATEN.index.Tensor, _ATEN.index_put.default, _ATEN.index_put_.default, _ATEN._index_put_impl_.default}
 
 
@@ -71,6 +74,22 @@ class Counts:
         return left
 
 
+class _Queue:
+    """What the device was asked for: the number of launches, and copies to the host with the numbers they will hold."""
+
+    def __init__(self) -> None:
+        self.launches = 0
+        self.arriving: list[tuple[Tensor, Tensor]] = []
+
+    def arrive(self, copies: list[tuple[Tensor, Tensor]]) -> None:
+        """Fill `copies`, which have arrived, or did before."""
+        for copy, numbers in copies:
+            copy.copy_(numbers)
+        done = {id(copy) for copy, _ in copies}
+        self.arriving = [pair for pair in self.arriving if id(pair[0]) not in done]
+
+
+_queue = _Queue()
 _counting: list[Counts] = []
 _lock = threading.Lock()
 _local = threading.local()  # whether this thread is inside a compiled function
@@ -141,12 +160,23 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     to_host = target is not None and target.type == "cpu"
     _count(func, args, kwargs, tree_leaves((args, kwargs, results)), to_host)
     if to_host:
-        return results
+        return _on_its_way(results) if kwargs.get("non_blocking") else results
     if func is _ATEN.copy_.default and not isinstance(args[0], DeviceTensor):
         return args[0]  # a copy from the device into a tensor of the host
     if func._schema.is_mutable and isinstance(args[0], DeviceTensor) and results is args[0].held:
         return args[0]
     return tree_map(lambda value: DeviceTensor(value) if isinstance(value, Tensor) else value, results)
+
+
+def _on_its_way(numbers: Tensor) -> Tensor:
+    """A copy of `numbers` that holds none of them yet."""
+    kind = torch.finfo if numbers.is_floating_point() else torch.iinfo
+    copy = (
+        torch.zeros_like(numbers) if numbers.dtype is torch.bool else torch.full_like(numbers, kind(numbers.dtype).min)
+    )
+    with _lock:
+        _queue.arriving.append((copy, numbers.clone()))
+    return copy
 
 
 def _held(value: Any) -> Any:
@@ -155,13 +185,16 @@ def _held(value: Any) -> Any:
 
 def _count(func: Any, args: Any, kwargs: dict[str, Any], values: list[Any], to_host: bool) -> None:
     """Add one operation, with the tensors among `values`, to whoever counts."""
-    waits = func in _WAITS or to_host or _waits_to_copy(func, args, kwargs)
+    waits = func in _WAITS or (to_host and not kwargs.get("non_blocking")) or _waits_to_copy(func, args, kwargs)
     if func in _INDEXING:  # booleans are counted first, and indices of the host copied
         indices = [index for index in tree_leaves(args[1]) if isinstance(index, Tensor)]
         waits = any(index.dtype is torch.bool or not isinstance(index, DeviceTensor) for index in indices)
     moved = sum(value.nbytes for value in values if isinstance(value, Tensor))
     launches = 0 if func in _FREE or _is_view(func) else 2 if func in _TWICE else 1
     with _lock:
+        _queue.launches += launches
+        if waits:
+            _queue.arrive(_queue.arriving)
         for counts in _counting:
             if waits:
                 counts.waits[f"{func} in {_place()}"] += 1
@@ -219,7 +252,19 @@ class _Generator(torch.Generator):
 
 
 class Event:
-    """An event that is complete when it is recorded: everything runs at once here."""
+    """An event at this place of what the device was asked for; everything else runs at once here."""
+
+    def __init__(self) -> None:
+        with _lock:
+            self._launches, self._copies = _queue.launches, list(_queue.arriving)
+
+    def synchronize(self) -> None:
+        """Wait for what was asked for before."""
+        with _lock:
+            _queue.arrive(self._copies)
+            if _queue.launches - self._launches < _AHEAD:
+                for counts in _counting:
+                    counts.waits[f"event in {_place()}"] += 1
 
     def wait(self, stream: object = None) -> None:
         """Nothing to wait for."""
@@ -232,7 +277,7 @@ class Stream:
         self.device = device
 
     def record_event(self) -> Event:
-        """An event that is complete."""
+        """An event after all that was asked for until now."""
         return Event()
 
     def wait_event(self, event: Event) -> None:

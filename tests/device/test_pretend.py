@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from core.render.compiling import Compiled
+from core.train.optimise.host_copy import HostCopy
 from tests.device import pretend, rasterization
 from tests.device.fusing import count_fused
 from tests.device.pretend import DeviceTensor, MixedDevicesError, compiled, counted
@@ -88,6 +89,27 @@ def test_copies_that_nobody_waits_for_and_memory_alone_are_no_waits_and_no_launc
         sent[1:3].detach().view(2, 1)
     assert counts.waits == {}
     assert sum(counts.launches.values()) == 1
+
+
+def test_a_copy_to_the_host_holds_its_numbers_once_an_event_after_it_was_waited_for(device: str) -> None:
+    numbers = torch.arange(5.0, device=device)
+    with counted() as counts:
+        copy = numbers.to("cpu", non_blocking=True)
+        arrival = torch.get_device_module(device).current_stream().record_event()
+        assert not torch.equal(copy, torch.arange(5.0))
+        for _ in range(100):
+            numbers = numbers + 1
+        arrival.synchronize()
+    assert torch.equal(copy, torch.arange(5.0))
+    assert counts.waits == {}
+
+
+def test_whoever_reads_at_once_waits(device: str) -> None:
+    with counted() as counts:
+        copy = HostCopy(torch.ones((), device=device))
+        assert not copy.is_here
+        assert float(copy.read()) == 1
+    assert sum(counts.waits.values()) == 1
 
 
 def test_what_is_compiled_counts_as_its_kernels_beside_every_operation(device: str) -> None:

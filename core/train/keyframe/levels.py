@@ -27,16 +27,16 @@ def needed_levels(levels: int, loss: Callable[[int], float]) -> int:
 
 
 class CoarseRows:
-    """Anchors up to a level, looked up once for each set of anchors, since the host waits for a GPU to find them."""
+    """Anchors up to each level, looked up once for each set of anchors, since the host waits for a GPU to find them.
 
-    def __init__(self) -> None:
-        self._level: Tensor | None = None
-        self._rows: dict[int, Tensor] = {}
+    Args:
+        level: [N] of the anchors.
+        levels: how many there are.
+    """
 
-    def rows(self, level: Tensor, highest: int) -> Tensor:
-        """Rows of `level` [N], which nobody changes in place, that are at most `highest`."""
-        if level is not self._level:
-            self._level, self._rows = level, {}
-        if highest not in self._rows:
-            self._rows[highest] = torch.nonzero(level <= highest)[:, 0]
-        return self._rows[highest]
+    def __init__(self, level: Tensor, levels: int) -> None:
+        self._rows = [torch.nonzero(level <= highest)[:, 0] for highest in range(levels - 1)]
+
+    def up_to(self, highest: int) -> Tensor | None:
+        """Rows of the anchors whose level is at most `highest`; None for all."""
+        return self._rows[highest] if highest < len(self._rows) else None

@@ -76,7 +76,7 @@ class KeyframeTrainer:
             separate=config.model.heads == "separate",
         )
         self._growth = growth_rule(self._config)
-        self._statistics, self._coarse = _no_statistics(field), CoarseRows()
+        self._begin_with_anchors(field)
         self._highest = field.octree.levels - 1
         self._precision, self._space = precision, space
         self._steps = 0
@@ -156,7 +156,7 @@ class KeyframeTrainer:
         if self._steps % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             limits = self._highest, self._model.max_anchors
             refine(self._learned, self._statistics, self._growth, *limits, self._generator, self._astray())
-            self._statistics = _no_statistics(self._learned.live)
+            self._begin_with_anchors(self._learned.live)
         if progress < config.growth_until <= self._run.progress:
             self._drop_idle_levels()
         return loss.detach()
@@ -175,7 +175,7 @@ class KeyframeTrainer:
         """Anchors of a step: all, those up to level `highest`, or those that the camera's distances call for."""
         if self._model.selection == "distance":
             return torch.nonzero(visible_levels(field, self._centres[number], highest))[:, 0]
-        return None if highest == field.octree.levels - 1 else self._coarse.rows(field.level, highest)
+        return self._coarse.up_to(highest)
 
     def _decode(self, field: Field, number: int, rows: Tensor | None, *, rounded: bool) -> Splats:
         values = (field.feature, field.offset, field.scaling, field.position)
@@ -230,7 +230,12 @@ class KeyframeTrainer:
         needed = needed_levels(field.octree.levels, loss)
         if needed < field.octree.levels:
             self._learned.shallower(needed)
-            self._statistics = _no_statistics(self._learned.live)
+            self._begin_with_anchors(self._learned.live)
+
+    def _begin_with_anchors(self, field: Field) -> None:
+        """Go on with the anchors of `field`, some of which have just come, or others gone."""
+        self._statistics = GrowthStatistics(len(field), field.slots, field.level.device)
+        self._coarse = CoarseRows(field.level, field.octree.levels)
 
 
 def _at_contrast(config: KeyframeConfig, contrast: float) -> KeyframeConfig:
@@ -241,7 +246,3 @@ def _at_contrast(config: KeyframeConfig, contrast: float) -> KeyframeConfig:
     return replace(
         config, opacity_weight=share * config.opacity_weight, growth_threshold=share * config.growth_threshold
     )
-
-
-def _no_statistics(field: Field) -> GrowthStatistics:
-    return GrowthStatistics(len(field), field.slots, field.level.device)

@@ -7,6 +7,8 @@ a step is one numba pass over each parameter.
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 import torch
@@ -26,20 +28,27 @@ class RowAdam:
     """
 
     def __init__(self, parameters: dict[str, Tensor], memory: float = _BETA1) -> None:
-        self.parameters = dict(parameters)
-        self._moments = {name: _zeros(value) for name, value in parameters.items()}
+        self.parameters: dict[str, Tensor] = {}
+        self._moments: dict[str, list[Tensor]] = {}
+        self._joined: dict[str, int] = {}  # steps that had been taken before
         self._steps, self._memory = 0, memory
         self._broken: list[Tensor] = []
+        self.join(parameters)
 
     @property
     def broken(self) -> int:
         """Gradient entries so far that were not finite and were taken as zero."""
         return sum(int(count) for count in self._broken)
 
+    def join(self, parameters: dict[str, Tensor]) -> None:
+        """Further parameters, of which no step has been taken yet."""
+        for name, value in parameters.items():
+            self.parameters[name], self._moments[name] = value, [torch.zeros_like(value), torch.zeros_like(value)]
+            self._joined[name] = self._steps
+
     def step(self, rates: dict[str, float]) -> None:
         """Apply the gradients and clear them."""
         self._steps += 1
-        correction1, correction2 = 1 - self._memory**self._steps, 1 - _BETA2**self._steps
         due = {
             name: (value, value.grad)
             for name, value in self.parameters.items()
@@ -50,10 +59,12 @@ class RowAdam:
         if due:
             values, gradients = map(list, zip(*due.values(), strict=True))
             moments = [self._moments[name] for name in due]
-            scaled = [rates[name] / correction1 for name in due]
+            steps = {name: self._steps - self._joined[name] for name in due}
+            scaled = [rates[name] / (1 - self._memory ** steps[name]) for name in due]
+            corrections = [1 - _BETA2 ** steps[name] for name in due]
             # counted on the device and read at the end: asking here would stall a GPU at every step
             with torch.no_grad():
-                self._count_broken(update(values, gradients, moments, scaled, correction2, self._memory))
+                self._count_broken(update(values, gradients, moments, scaled, corrections, self._memory))
 
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
         """Keep the rows `kept` of every parameter named in `added` and append its new rows, with fresh moments."""
@@ -74,7 +85,7 @@ def update(
     gradients: list[Tensor],
     moments: list[list[Tensor]],
     rates: list[float],
-    correction2: float,
+    corrections: list[float],
     memory: float = _BETA1,
 ) -> Tensor:
     """Change `values` and their moments in place; returns how many entries of the gradients were broken.
@@ -83,15 +94,15 @@ def update(
 
     Args:
         moments: first and second of each value, of its shape.
-        rates: learning rates over the correction of the first moment. correction2: that of the second.
+        rates: learning rates over the corrections of the first moments. corrections: those of the second moments.
         memory: beta_1.
     """
     parts = [(v, g.contiguous(), *m) for v, g, m in zip(values, gradients, moments, strict=True)]
     if not all(_fits_kernel(part) for row in parts for part in row):
-        return update_all(values, gradients, moments, rates, correction2, memory)
+        return update_all(values, gradients, moments, rates, corrections, memory)
     broken = np.zeros((len(parts), numba.get_num_threads()), np.int64)
-    for row, rate, lost in zip(parts, rates, broken, strict=True):
-        numbers = tuple(np.float32(number) for number in (rate, 1 / correction2, 1 - memory, 1 - _BETA2, _EPSILON))
+    for row, rate, correction, lost in zip(parts, rates, corrections, broken, strict=True):
+        numbers = tuple(np.float32(number) for number in (rate, 1 / correction, 1 - memory, 1 - _BETA2, _EPSILON))
         workers = min(len(lost), row[0].numel())
         adam_step(workers, *(part.detach().view(-1).numpy() for part in row), numbers, lost)
     return torch.tensor(broken.sum())
@@ -102,10 +113,13 @@ def update_all(
     gradients: list[Tensor],
     moments: list[list[Tensor]],
     rates: list[float],
-    correction2: float,
+    corrections: list[float],
     memory: float = _BETA1,
 ) -> Tensor:
-    """`update` by torch on any device, each operation over all values at once; nothing waits for the device."""
+    """`update` by torch on any device, each operation over all values at once; nothing waits for the device.
+
+    The root of a second moment is corrected by a factor of the rate and of epsilon, which costs no pass over memory.
+    """
     firsts, seconds = ([pair[i] for pair in moments] for i in (0, 1))
     flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
     sound = flat.nan_to_num(0.0, 0.0, 0.0)
@@ -114,10 +128,11 @@ def update_all(
     torch._foreach_lerp_(firsts, usable, 1 - memory)
     torch._foreach_mul_(seconds, _BETA2)
     torch._foreach_addcmul_(seconds, usable, usable, value=1 - _BETA2)
-    spreads = torch._foreach_div(seconds, correction2)
-    torch._foreach_sqrt_(spreads)
-    torch._foreach_add_(spreads, _EPSILON)
-    torch._foreach_addcdiv_(values, firsts, spreads, scalars=[-rate for rate in rates])
+    roots = [math.sqrt(correction) for correction in corrections]
+    spreads = torch._foreach_sqrt(seconds)
+    torch._foreach_add_(spreads, [_EPSILON * root for root in roots])
+    scalars = [-rate * root for rate, root in zip(rates, roots, strict=True)]
+    torch._foreach_addcdiv_(values, firsts, spreads, scalars=scalars)
     return (sound != flat).sum()
 
 
@@ -142,7 +157,3 @@ def update_reference(
 
 def _fits_kernel(part: Tensor) -> bool:
     return part.device.type == "cpu" and part.dtype == torch.float32 and part.is_contiguous()
-
-
-def _zeros(value: Tensor) -> list[Tensor]:
-    return [torch.zeros_like(value), torch.zeros_like(value)]

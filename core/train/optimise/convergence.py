@@ -1,4 +1,7 @@
-"""Progress of a training run: where the loss hardly falls any more, the schedule advances faster."""
+"""Progress of a training run: where the loss hardly falls any more, the schedule advances faster.
+
+Losses of a GPU are judged a step after the last of them, so that no step waits for its own.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,8 @@ from typing import Protocol
 
 import torch
 from torch import Tensor
+
+from core.train.optimise.host_copy import HostCopy
 
 _WINDOW, _MIN_STEPS = 0.025, 25  # share of the run, and steps, over whose length losses are compared
 PLATEAU_STEP_FACTOR = 4  # steps of the schedule that one step counts for while the loss hardly falls
@@ -40,6 +45,7 @@ class PlateauProgress:
         self._done, self._step_factor = 0, 1
         self._phase = -1
         self._window: list[tuple[int, Tensor]] = []
+        self._full: tuple[list[int], HostCopy] | None = None  # views and losses of a window that is to be judged
         self._before: dict[int, float] = {}
 
     @property
@@ -55,26 +61,29 @@ class PlateauProgress:
         """
         phase = sum(self.progress >= mark for mark in self._marks)
         if phase != self._phase:
-            self._phase, self._step_factor, self._window, self._before = phase, 1, [], {}
+            self._phase, self._step_factor, self._window, self._full, self._before = phase, 1, [], None, {}
         self._done += self._step_factor
+        if self._full is not None:
+            self._judge(*self._full)
         if self._least_gain <= 0 or loss is None:
             return
         self._window.append((view, loss.detach()))
-        views = {seen for seen, _ in self._window}
-        if len(self._window) >= max(self._length, 2 * len(views)):
-            self._judge()
+        views = [seen for seen, _ in self._window]
+        if len(views) >= max(self._length, 2 * len(set(views))):
+            self._full, self._window = (views, HostCopy(torch.stack([loss for _, loss in self._window]))), []
+            if self._full[1].is_here:
+                self._judge(*self._full)
 
-    def _judge(self) -> None:
-        """Compare the window that is full with the one before it, and begin another."""
-        losses = torch.stack([loss for _, loss in self._window]).tolist()
+    def _judge(self, views: list[int], losses: HostCopy) -> None:
+        """Compare a full window with the one before it."""
         seen: dict[int, list[float]] = {}
-        for (view, _), loss in zip(self._window, losses, strict=True):
+        for view, loss in zip(views, losses.read().tolist(), strict=True):
             seen.setdefault(view, []).append(loss)
         now = {view: sum(values) / len(values) for view, values in seen.items()}
         ratios = [now[view] / max(self._before[view], 1e-12) for view in now.keys() & self._before.keys()]
         fell = not ratios or sum(ratios) / len(ratios) < 1 - self._least_gain
         self._step_factor = 1 if fell else PLATEAU_STEP_FACTOR
-        self._window, self._before = [], now
+        self._full, self._before = None, now
 
 
 class EpochProgress:
@@ -91,6 +100,7 @@ class EpochProgress:
     def __init__(self, views: int, least_gain: float) -> None:
         self._views, self._least_gain = views, least_gain
         self._losses: list[Tensor] = []
+        self._ended: HostCopy | None = None  # mean loss of an epoch that is to be judged
         self._means: list[float] = []
         self._step_factor = 1
         self.done = 0
@@ -100,11 +110,18 @@ class EpochProgress:
         self.done += self._step_factor
         if self._least_gain <= 0:
             return
+        if self._ended is not None:
+            self._judge(self._ended)
         self._losses.append(loss)
-        if len(self._losses) < self._views:
-            return
-        self._means.append(float(torch.stack(self._losses).mean()))
-        self._losses = []
+        if len(self._losses) == self._views:
+            self._ended, self._losses = HostCopy(torch.stack(self._losses).mean()), []
+            if self._ended.is_here:
+                self._judge(self._ended)
+
+    def _judge(self, mean: HostCopy) -> None:
+        """Compare what an epoch gained with what those before it did."""
+        self._means.append(float(mean.read()))
+        self._ended = None
         if len(self._means) > 2:  # the first gain has nothing to be compared with
             first, *_, before, now = self._means
             average = (first - before) / (len(self._means) - 2)

@@ -28,6 +28,9 @@ class RowOptimiser(Protocol):
     def broken(self) -> int:
         """Gradient entries so far that were not finite and were taken as zero."""
 
+    def join(self, parameters: dict[str, Tensor]) -> None:
+        """Train further parameters, by names of their own, as if the run began for them now."""
+
     def step(self, rates: dict[str, float]) -> None:
         """Apply the gradients with the learning rate of each parameter, and clear them."""
 

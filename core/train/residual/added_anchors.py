@@ -6,6 +6,9 @@ numbers are sent, so all of them learn, rounded as they will be sent.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,8 +17,7 @@ from core.arrays import Int32
 from core.scene.anchors import Scene
 from core.scene.keyframe import coarseness
 from core.train.field.field import Field
-from core.train.field.rounding import round_through
-from core.train.optimise.optimisers import Optimiser
+from core.train.optimise.optimisers import RowOptimiser
 
 _RATES = {"feature": 0.02, "offset": 0.04, "scaling": 0.03}  # those of the first frame (`KeyframeConfig`)
 _SLOWLY = ("feature", "scaling")  # decay to the square root of what the others decay to, as there
@@ -26,50 +28,81 @@ class AddedAnchors:
 
     Args:
         start: the seven arrays of a field, by name, with n rows.
-        known: the field that they join. scene: the same, whose steps they are rounded to.
-        optimiser: of their numbers.
+        known: the anchors that they are trained with. scene: what these are of, to whose steps new ones are rounded.
+        optimiser: of the run that they join.
     """
 
-    def __init__(self, start: dict[str, Tensor], known: Field, scene: Scene, optimiser: Optimiser) -> None:
+    def __init__(self, start: dict[str, Tensor], known: Field, scene: Scene, optimiser: RowOptimiser) -> None:
         header, device = scene.header, known.feature.device
         base = (header.feature_steps, header.offset_steps.reshape(-1, 3), header.scaling_steps)
         steps = dict(zip(_RATES, (torch.from_numpy(width.copy()).to(device) for width in base), strict=True))
-        self._steps = {name: width * _usual_coarseness(scene) for name, width in steps.items()}
-        self._steps["position"] = torch.from_numpy(header.position_steps).to(device)[start["level"]][:, None]
+        steps = {name: width * _usual_coarseness(scene) for name, width in steps.items()}
+        self._rates = {name: rate / float(steps[name].mean()) for name, rate in _RATES.items()}
+        steps["position"] = torch.from_numpy(header.position_steps).to(device)[start["level"]][:, None]
         cell = known.octree.root_cell / 2.0 ** start["level"].double()
         origin = torch.from_numpy(known.octree.origin).to(device)
         self._node = (origin + start["voxel"] * cell[:, None]).float()
-        self._fixed = {name: start[name] for name in ("level", "voxel", "extra_level")}
         begin = start | {"position": start["position"] - self._node}
-        leaves = {name: (begin[name] / width).requires_grad_() for name, width in self._steps.items()}
-        self._rates = {name: rate / float(self._steps[name].mean()) for name, rate in _RATES.items()}
-        self._optimiser = optimiser.start(leaves)
-
-    @property
-    def broken(self) -> int:
-        """Gradient entries so far that were not finite and were taken as zero."""
-        return self._optimiser.broken
+        leaves = {f"new_{name}": (begin[name] / width).requires_grad_() for name, width in steps.items()}
+        optimiser.join(leaves)
+        self._parameters, self._names = optimiser.parameters, tuple(steps)
+        self._steps = [steps[name].expand_as(begin[name]).contiguous() for name in self._names]
+        fixed = ("level", "voxel", "extra_level")
+        self._fixed = {name: torch.cat([getattr(known, name), start[name]]) for name in fixed}
 
     @property
     def rows(self) -> dict[str, Tensor]:
-        """The seven arrays, rounded; gradients go straight through the rounding."""
-        values = {name: round_through(value) * self._steps[name] for name, value in self._optimiser.parameters.items()}
-        return self._fixed | values | {"position": self._node + values["position"]}
+        """Their features, offsets, scalings and positions, rounded; gradients go straight through the rounding."""
+        values = (self._parameters[f"new_{name}"] for name in self._names)
+        rounded = _Rounded.apply(self._node, *self._steps, *values)  # type: ignore[no-untyped-call]
+        return dict(zip(self._names, rounded, strict=True))
 
     @property
     def moved(self) -> Int32:
         """[n,3] steps from their nodes."""
-        steps = self._optimiser.parameters["position"].detach().nan_to_num(0.0, 0.0, 0.0)
+        steps = self._parameters["new_position"].detach().nan_to_num(0.0, 0.0, 0.0)
         return np.asarray(steps.round().to(torch.int32).cpu().numpy())
 
-    def step(self, position_rate: float, decay: float) -> None:
-        """Apply the gradients.
+    def behind(self, known: Field) -> Field:
+        """The anchors that they are trained with, as these are now, and then they."""
+        rows = self.rows
+        return replace(
+            known,
+            level=self._fixed["level"],
+            voxel=self._fixed["voxel"],
+            extra_level=self._fixed["extra_level"],
+            position=torch.cat([known.position, rows["position"]]),
+            feature=torch.cat([known.feature, rows["feature"]]),
+            offset=torch.cat([known.offset, rows["offset"]]),
+            scaling=torch.cat([known.scaling, rows["scaling"]]),
+        )
+
+    def rates(self, position_rate: float, decay: float) -> dict[str, float]:
+        """How fast each of their parameters learns.
 
         Args:
             position_rate: in steps. decay: share of their first rates at which all but `_SLOWLY` learn.
         """
         rates = {name: rate * (decay**0.5 if name in _SLOWLY else decay) for name, rate in self._rates.items()}
-        self._optimiser.step(rates | {"position": position_rate * decay})
+        return {f"new_{name}": rate for name, rate in (rates | {"position": position_rate * decay}).items()}
+
+
+class _Rounded(torch.autograd.Function):
+    """Values in steps to values rounded to them, the last of them beside nodes [n,3]; few launches, on any device."""
+
+    @staticmethod
+    def forward(ctx: Any, node: Tensor, *parts: Tensor) -> tuple[Tensor, ...]:
+        steps, values = parts[: len(parts) // 2], parts[len(parts) // 2 :]
+        ctx.save_for_backward(*steps)
+        rounded: tuple[Tensor, ...] = tuple(torch._foreach_mul(torch._foreach_round(values), steps))
+        return (*rounded[:-1], node + rounded[-1])
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        steps = ctx.saved_tensors
+        gradients = torch._foreach_mul([part.contiguous() for part in upstream], steps)
+        return (None, *[None] * len(steps), *gradients)
 
 
 def _usual_coarseness(scene: Scene) -> float:

@@ -16,7 +16,7 @@ from core.train.field.rounding import dead_zone, dead_zone_through
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnitChange:
-    """What one step changes: feature [12,F] and offset [12,3K] by the latent decoders, position [L] for each level."""
+    """What one step changes: feature [12,F] and offset [12,3K] by the latent decoders, position [n,1] of n anchors."""
 
     feature: Tensor
     offset: Tensor
@@ -29,8 +29,7 @@ def applied(field: Field, latent: Tensor, position: Tensor, unit: UnitChange) ->
     Args:
         latent: [n,24], position: [n,3] real numbers, in steps.
     """
-    steps = unit.position[field.level][:, None]
-    parts = (latent, position, field.feature, field.offset, field.position, unit.feature, unit.offset, steps)
+    parts = (latent, position, field.feature, field.offset, field.position, unit.feature, unit.offset, unit.position)
     feature, offset, moved = _Applied.apply(*parts)  # type: ignore[no-untyped-call]
     return replace(field, feature=feature, offset=offset, position=moved)
 
@@ -43,7 +42,7 @@ def applied_reference(field: Field, latent: Tensor, position: Tensor, unit: Unit
         field,
         feature=field.feature + latent[:, :FEATURE_LATENTS] @ unit.feature,
         offset=field.offset + offset.reshape(field.offset.shape),
-        position=field.position + position * unit.position[field.level][:, None],
+        position=field.position + position * unit.position,
     )
 
 

@@ -8,9 +8,12 @@ neighbourhood has a shift and a turn that are trained beside the anchors' own po
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
+
+from core.render.compiling import Compiled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,14 +33,45 @@ class Groups:
         """[count,3] float32 shifts and turns of groups that do not move."""
         return {name: torch.zeros(self.count, 3, device=self.arm.device) for name in ("shift", "turn")}
 
-    def motion(self, shift: Tensor, turn: Tensor) -> Tensor:
-        """[n,3] how far each anchor goes if its group is shifted and turned by `shift` and `turn` [count,3].
+    def moved(self, own: Tensor, shift: Tensor, turn: Tensor) -> Tensor:
+        """[n,3] how far each anchor goes if it goes `own` [n,3] and its group is shifted and turned by [count,3] each.
 
-        Both are lengths of one unit: `turn` is how far the end of an arm of length 1 goes that is at right angles to it
+        All are lengths of one unit: `turn` is how far the end of an arm of length 1 goes that is at right angles to it
         (the small rotation turn x arm).
         """
-        turned: Tensor = torch.linalg.cross(turn[self.number], self.arm)
-        return shift[self.number] + turned
+        moved: Tensor = _Moved.apply(own, shift, turn, self.number, self.arm)  # type: ignore[no-untyped-call]
+        return moved
+
+
+def _moved(own: Tensor, shift: Tensor, turn: Tensor, number: Tensor, arm: Tensor) -> Tensor:
+    turned: Tensor = torch.linalg.cross(turn[number], arm)
+    return own + (shift[number] + turned)
+
+
+def _pulled(upstream: Tensor, arm: Tensor) -> Tensor:
+    """[2,n,3] what each anchor asks of its group's shift and turn."""
+    return torch.stack([upstream, torch.linalg.cross(arm, upstream)])
+
+
+_MOVED, _PULLED = Compiled(_moved), Compiled(_pulled)
+
+
+class _Moved(torch.autograd.Function):
+    """A few launches instead of autograd's ten; on any device."""
+
+    @staticmethod
+    def forward(ctx: Any, own: Tensor, shift: Tensor, turn: Tensor, number: Tensor, arm: Tensor) -> Tensor:
+        ctx.save_for_backward(number, arm)
+        ctx.count = len(shift)
+        moved: Tensor = _MOVED(own, shift, turn, number, arm)
+        return moved
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        number, arm = ctx.saved_tensors
+        by_group = upstream.new_zeros(2, ctx.count, 3).index_add_(1, number, _PULLED(upstream, arm))
+        return (upstream, *by_group, None, None)
 
 
 def neighbourhoods(position: Tensor, width: float) -> Groups:

@@ -74,13 +74,14 @@ class ResidualTrainer:
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
         self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
         self._known, self._useful = len(rows), useful
-        self._scene, self._alive, self._masks, self._new_optimiser = scene, state.alive, masks, optimiser
+        self._scene, self._alive, self._masks = scene, state.alive, masks
         device = field.feature.device
         black = torch.zeros(3, device=device)
         self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
-        self._unit_change = UnitChange(*(torch.from_numpy(part).to(device) for part in steps))
+        feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
+        self._unit_change = UnitChange(feature, offset, by_level[self._base.level][:, None])
         start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
         begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
         self._groups: Groups | None = None
@@ -177,9 +178,8 @@ class ResidualTrainer:
             if growth.uses_gradients:
                 self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
         rates = dict.fromkeys(("position", "shift", "turn"), config.position_rate * decay)
-        self._optimiser.step(rates | {"latent": config.latent_rate * decay})
-        if self._added is not None:
-            self._added.step(config.position_rate, decay)
+        new = {} if self._added is None else self._added.rates(config.position_rate, decay)
+        self._optimiser.step(rates | {"latent": config.latent_rate * decay} | new)
         return loss.detach()
 
     def _cache_of(self, number: int, dynamic: Splats, backend: Backend) -> TileCache:
@@ -196,13 +196,13 @@ class ResidualTrainer:
         """
         moved = self._position() if position is None else position
         known = applied(self._base, self._optimiser.parameters["latent"], moved, self._unit_change)
-        return known if self._added is None else known.with_appended(self._added.rows)
+        return known if self._added is None else self._added.behind(known)
 
     def _position(self) -> Tensor:
         """[n,3] how far each anchor goes in steps, by itself and with its group."""
         parameters = self._optimiser.parameters
         own = parameters["position"]
-        return own if self._groups is None else own + self._groups.motion(parameters["shift"], parameters["turn"])
+        return own if self._groups is None else self._groups.moved(own, parameters["shift"], parameters["turn"])
 
     def _dynamic_splats(self, number: int, position: Tensor | None = None) -> Splats:
         return self._exposure.before(self._dynamic_field(position).decode(self._centres[number]), number)
@@ -223,7 +223,7 @@ class ResidualTrainer:
         )
         start = growth.new_anchors(seen, torch.Generator().manual_seed(self._known))
         if len(start["level"]):
-            self._added = AddedAnchors(start, self._all, self._scene, self._new_optimiser)
+            self._added = AddedAnchors(start, self._base, self._scene, self._optimiser)
 
     def _integer_update(self, steps: int, loss: float) -> IntegerUpdate:
         latent, position = map(_finite_integers, (self._optimiser.parameters["latent"], self._position()))
@@ -232,14 +232,13 @@ class ResidualTrainer:
             opacity = field.decode(self._centres[self._views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
         # what looks different to every camera may be transparent to one only
         shown = (opacity > _TRANSPARENT).cpu().numpy() | (not self._all.looks_the_same)
-        added, broken = None, self._optimiser.broken
+        added = None
         if self._added is not None:
             new = np.flatnonzero(shown[self._known :])
             chosen = field.with_rows(torch.from_numpy(new + self._known).to(opacity.device))
             added = added_levels(chosen, self._added.moved[new], self._scene.header)
-            broken += self._added.broken
         gone = ~shown[: self._known]
-        return IntegerUpdate(latent, position, gone, added, steps, loss, broken, wanted=self._wanted())
+        return IntegerUpdate(latent, position, gone, added, steps, loss, self._optimiser.broken, wanted=self._wanted())
 
     def _wanted(self) -> Float32:
         """[n,27] latents and positions before rounding, of the anchors that were there before."""

@@ -14,7 +14,7 @@ from core.render.compiling import Compiled
 from core.train.field import decode, exposure
 from core.train.keyframe import random_background
 from core.train.optimise import losses, penalty, rate
-from core.train.residual import apply
+from core.train.residual import apply, groups
 
 SLOTS = 2
 Given = Callable[[int], tuple[object, ...]]
@@ -69,6 +69,11 @@ CASES: dict[str, tuple[Compiled, Given]] = {
         lambda n: (*_changes(n), torch.rand(n), torch.rand(n), *torch.rand(2), rate._table(torch.device("cpu"))),
     ),
     "integers": (apply._INTEGERS, _changes),
+    "moved": (
+        groups._MOVED,
+        lambda n: (torch.rand(n, 3), torch.rand(9, 3), torch.rand(9, 3), torch.randint(0, 9, (n,)), torch.rand(n, 3)),
+    ),
+    "pulled by groups": (groups._PULLED, lambda n: (torch.rand(n, 3), torch.rand(n, 3))),
 }
 
 
@@ -88,7 +93,7 @@ def test_compiled_for_any_number_of_rows_it_equals_the_function(name: str, backe
 
 
 def test_every_compiled_function_is_compared() -> None:
-    modules = (random_background, decode, cuda, losses, penalty, exposure, rate, apply)
+    modules = (random_background, decode, cuda, losses, penalty, exposure, rate, apply, groups)
     compiled = {value.function for module in modules for value in vars(module).values() if isinstance(value, Compiled)}
     assert compiled == {plain.function for plain, _ in CASES.values()}
 

@@ -53,7 +53,7 @@ def test_decode_equals_the_reference(count: int, gpu: str) -> None:
 def test_residuals_are_applied_as_on_the_cpu(gpu: str) -> None:
     field, found = random_field(90), list[list[Tensor]]()
     values = [3 * torch.randn(90, LATENTS), 3 * torch.randn(90, 3)]
-    parts = [torch.randn(LATENTS - OFFSET_LATENTS, 8), torch.randn(OFFSET_LATENTS, 12), torch.rand(3)]
+    parts = [torch.randn(LATENTS - OFFSET_LATENTS, 8), torch.randn(OFFSET_LATENTS, 12), torch.rand(90, 1)]
     for device in ("cpu", gpu):
         leaves = [value.to(device).requires_grad_() for value in values]
         after = applied(field.to(device), *leaves, UnitChange(*(part.to(device) for part in parts)))

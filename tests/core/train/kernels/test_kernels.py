@@ -13,7 +13,7 @@ from core.scene.anchors import LATENTS
 from core.train.growth.depth_search import matched_pixels
 from core.train.kernels import adam, decode, rate, windows
 from core.train.kernels.warming import warm
-from core.train.optimise.adam import update, update_all, update_reference
+from core.train.optimise.adam import RowAdam, update, update_all, update_reference
 from core.train.optimise.rate import residual_bits, residual_bits_reference
 from core.train.pictures.views import Views
 from tests.core.train.fields import random_field
@@ -31,7 +31,7 @@ def test_adam_equals_torch_step_by_step(count: int) -> None:
             gradient[0] = math.nan
             gradient[-1] = -math.inf
         rate, correction2 = 0.1 / (1 - 0.9**step), 1 - 0.999**step
-        broken = update([ours[0]], [gradient], [ours[1:]], [rate], correction2)
+        broken = update([ours[0]], [gradient], [ours[1:]], [rate], [correction2])
         assert broken == update_reference(theirs[0], gradient, theirs[1], theirs[2], rate, correction2)
         assert int(broken) == (min(count, 2) if step == 5 else 0)
     for found, wanted in zip(ours, theirs, strict=True):
@@ -49,13 +49,31 @@ def test_adam_of_many_at_once_equals_one_by_one() -> None:
         if step == 3:
             gradients[0][0, :2] = torch.tensor([math.nan, math.inf])
         moments = [list(pair) for pair in zip(*ours[1:], strict=True)]
-        broken = update_all(ours[0], gradients, moments, rates, 1 - 0.999**step)
-        rows = zip(*theirs, gradients, rates, strict=True)
-        wanted = sum(update_reference(v, g, m, n, rate, 1 - 0.999**step) for v, m, n, g, rate in rows)
+        corrections = [1 - 0.999 ** (step + late) for late in range(len(shapes))]
+        broken = update_all(ours[0], gradients, moments, rates, corrections)
+        rows = zip(*theirs, gradients, rates, corrections, strict=True)
+        wanted = sum(update_reference(v, g, m, n, rate, correction) for v, m, n, g, rate, correction in rows)
         assert int(broken) == int(wanted) == (2 if step == 3 else 0)
     for found, one_by_one in zip(ours, theirs, strict=True):
         for mine, reference in zip(found, one_by_one, strict=True):
             torch.testing.assert_close(mine, reference, rtol=1e-12, atol=1e-14)
+
+
+def test_parameters_that_join_a_run_begin_their_own() -> None:
+    generator = torch.Generator().manual_seed(2)
+    start, later = (torch.randn(6, 3, generator=generator) for _ in range(2))
+    adam = RowAdam({"start": start.clone().requires_grad_()})
+    for step in range(6):
+        if step == 3:
+            adam.join({"later": later.clone().requires_grad_()})
+        for value in adam.parameters.values():
+            value.grad = value.detach() * (step % 3 + 1)
+        adam.step({"start": 0.1, "later": 0.1})
+    alone = RowAdam({"later": later.clone().requires_grad_()})
+    for step in range(3):
+        alone.parameters["later"].grad = alone.parameters["later"].detach() * (step + 1)
+        alone.step({"later": 0.1})
+    assert torch.equal(adam.parameters["later"], alone.parameters["later"])
 
 
 def test_adam_is_the_same_for_any_number_of_threads() -> None:
@@ -63,7 +81,7 @@ def test_adam_is_the_same_for_any_number_of_threads() -> None:
     for count in (1, MAX_THREADS):
         value, first, second = torch.ones(1001), torch.zeros(1001), torch.zeros(1001)
         with kernel_threads(count):
-            update([value], [torch.linspace(-1, 1, 1001)], [[first, second]], [0.1], 0.001)
+            update([value], [torch.linspace(-1, 1, 1001)], [[first, second]], [0.1], [0.001])
         found.append(value)
     assert all(torch.equal(found[0], other) for other in found)
 
@@ -105,7 +123,7 @@ def test_warming_compiles_what_training_uses() -> None:
     kernels = (adam.adam_step, rate.residual_bits, decode.activate, decode.differentiate, windows.best_depths)
     signatures = [len(kernel.signatures) for kernel in kernels]
     value, moments = torch.ones(3, 2), [torch.zeros(3, 2), torch.zeros(3, 2)]
-    update([value], [torch.ones(3, 2)], [moments], [0.1], 0.001)
+    update([value], [torch.ones(3, 2)], [moments], [0.1], [0.001])
     residual_bits(torch.ones(3, LATENTS), torch.ones(3, 3))
     field = random_field(6)
     field.network.hidden_weight.requires_grad_()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 
-from core.train.optimise.convergence import EpochProgress, PlateauProgress
+from core.train.optimise.convergence import PLATEAU_STEP_FACTOR, EpochProgress, PlateauProgress
 
 
 def steps_of(run: PlateauProgress, loss: Callable[[int, float], float | None], views: int = 3) -> int:
@@ -86,3 +87,28 @@ def test_a_later_frame_slows_down_when_it_gains_again() -> None:
         return 1.0 - 0.1 * min(epoch, 1) if epoch < 4 else 0.9 - 0.2 * (epoch - 3)
 
     assert steps_until(0.5, 80, loss) > steps_until(0.5, 80, lambda epoch: 1.0 - 0.1 * min(epoch, 1)) + 10
+
+
+@pytest.mark.cuda
+def test_losses_of_a_gpu_are_judged_a_step_later(gpu: str) -> None:
+    generator = torch.Generator().manual_seed(0)
+    losses = [float(loss) for loss in torch.rand(200, generator=generator) * 0.97 ** torch.arange(200).clamp(max=90)]
+
+    def later_frame(device: str) -> list[float]:
+        run, done = EpochProgress(3, 0.5), list[float]()
+        for loss in losses:
+            run.advance(torch.tensor(loss).to(device))
+            done.append(run.done)
+        return done
+
+    def first_frame(device: str) -> list[float]:
+        run, done = PlateauProgress(1000, 0.02, ()), list[float]()
+        for number, loss in enumerate(losses):
+            run.advance(number % 3, torch.tensor(loss).to(device))
+            done.append(1000 * run.progress)
+        return done
+
+    for frame in (later_frame, first_frame):
+        here, there = (np.diff(frame(device)).round() for device in ("cpu", gpu))
+        assert {1, PLATEAU_STEP_FACTOR} == set(here)
+        np.testing.assert_array_equal(there[1:], here[:-1])

@@ -28,6 +28,9 @@ class NoSteps:
         for value in self.parameters.values():
             value.grad = None
 
+    def join(self, parameters: dict[str, Tensor]) -> None:
+        self.parameters.update(parameters)
+
     def replace_rows(self, kept: Tensor, added: dict[str, Tensor]) -> None:
         for name, rows in added.items():
             self.parameters[name] = torch.cat([self.parameters[name].detach()[kept], rows]).requires_grad_()

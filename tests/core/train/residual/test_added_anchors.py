@@ -19,11 +19,12 @@ from core.train.field.convert import field_of, level_starts, scene_of
 from core.train.field.exposure import neutral
 from core.train.field.field import Field
 from core.train.field.rendered import rendered
+from core.train.field.rounding import round_through
 from core.train.growth.gradient import NewAnchors
 from core.train.growth.later import later_growth
 from core.train.growth.new_anchors import first_values
 from core.train.motion.partition import Partition
-from core.train.optimise.optimisers import Adam
+from core.train.optimise.optimisers import Adam, RowOptimiser
 from core.train.pictures.views import Views
 from core.train.residual.added_anchors import AddedAnchors
 from core.train.residual.state import State, fresh_state
@@ -40,17 +41,18 @@ CAMERAS = tuple(
 )  # fmt: skip
 
 
-def few_new(scene: Scene) -> tuple[AddedAnchors, Field]:
+def few_new(scene: Scene) -> tuple[AddedAnchors, Field, RowOptimiser]:
     known = field_of(scene)
     new = NewAnchors(np.array([[1, 2, 3], [4, 5, 6]], np.int32), np.array([0, 2]), np.array([3, 4]))
     start = first_values(known, new, torch.Generator().manual_seed(0))
     start["position"] = start["position"] + 0.013
-    return AddedAnchors(start, known, scene, Adam()), known
+    optimiser = Adam().start({})
+    return AddedAnchors(start, known, scene, optimiser), known, optimiser
 
 
 def test_their_numbers_are_multiples_of_the_usual_steps() -> None:
     scene = scene_of(random_field(60), CONFIG, CAMERAS, 30.0, 0)
-    new, _ = few_new(scene)
+    new, *_ = few_new(scene)
     header = scene.header
     shifts = np.concatenate([coarseness(level, np.arange(len(level))) for level in scene.levels])
     times = 2.0 ** np.floor(np.median(shifts))
@@ -67,18 +69,36 @@ def test_their_numbers_are_multiples_of_the_usual_steps() -> None:
 
 def test_a_step_moves_all_of_their_numbers_and_nothing_else() -> None:
     scene = scene_of(random_field(60), CONFIG, CAMERAS, 30.0, 0)
-    new, _ = few_new(scene)
-    before = {name: value.detach().clone() for name, value in new.rows.items()}
+    new, known, optimiser = few_new(scene)
+    before = new.behind(known)
+    learned = ("feature", "offset", "scaling", "position")
     for _ in range(20):
         rows = new.rows
-        sum(rows[name].sum() for name in ("feature", "offset", "scaling", "position")).backward()
-        new.step(1.0, 1.0)
-    after = new.rows
-    for name in ("feature", "offset", "scaling", "position"):
-        assert (after[name] < before[name]).all()
+        sum(rows[name].sum() for name in learned).backward()
+        optimiser.step(new.rates(1.0, 1.0))
+    after = new.behind(known)
+    assert len(after) == len(known) + 2
+    for name in learned:
+        assert (getattr(after, name) < getattr(before, name))[-2:].all()
+        assert torch.equal(getattr(after, name)[:-2], getattr(known, name))
     for name in ("level", "voxel", "extra_level"):
-        assert torch.equal(after[name], before[name])
-    assert new.broken == 0
+        assert torch.equal(getattr(after, name), getattr(before, name))
+    assert optimiser.broken == 0
+
+
+def test_they_are_rounded_with_the_gradient_of_the_identity() -> None:
+    scene = scene_of(random_field(60), CONFIG, CAMERAS, 30.0, 0)
+    new, _, optimiser = few_new(scene)
+    for name in ("feature", "offset", "scaling", "position"):
+        value, rows = optimiser.parameters[f"new_{name}"], new.rows[name]
+        weight = torch.rand(rows.shape, generator=torch.Generator().manual_seed(1))
+        (found,) = torch.autograd.grad((rows * weight).sum(), value)
+        steps = found / weight
+        plain = round_through(value) * steps
+        (wanted,) = torch.autograd.grad((plain * weight).sum(), value)
+        torch.testing.assert_close(found, wanted)
+        node = new._node if name == "position" else 0
+        torch.testing.assert_close(rows, plain + node)
 
 
 @pytest.fixture(scope="module")

@@ -49,5 +49,6 @@ def _case(count: int, slots: int) -> tuple[Field, Tensor, Tensor, UnitChange]:
         return torch.randn(*shape, generator=generator)
 
     features = field.feature.shape[1]
-    quantum = UnitChange(random(LATENTS - OFFSET_LATENTS, features), random(OFFSET_LATENTS, 3 * slots), random(3).abs())
+    decoders = random(LATENTS - OFFSET_LATENTS, features), random(OFFSET_LATENTS, 3 * slots)
+    quantum = UnitChange(*decoders, random(count, 1).abs())
     return field, 3 * random(count, LATENTS), 3 * random(count, 3), quantum

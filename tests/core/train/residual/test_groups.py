@@ -40,9 +40,19 @@ def test_a_turn_is_a_small_rotation_about_the_groups_middle() -> None:
     rotation = torch.linalg.matrix_exp(torch.linalg.cross(angle.expand(3, 3), torch.eye(3)))
     centre = position.mean(dim=0)
     turned = centre + (position - centre) @ rotation - position
-    moved = groups.motion(torch.zeros(1, 3), 1e-3 * 4.0 * axis)
+    own = torch.rand(50, 3)
+    moved = groups.moved(torch.zeros(50, 3), torch.zeros(1, 3), 1e-3 * 4.0 * axis)
     torch.testing.assert_close(moved, turned, atol=1e-5, rtol=0)
-    torch.testing.assert_close(groups.motion(axis, torch.zeros(1, 3)), axis.expand(50, 3))
+    torch.testing.assert_close(groups.moved(own, axis, torch.zeros(1, 3)), own + axis)
+
+
+def test_gradients_are_those_of_autograd() -> None:
+    generator = torch.Generator().manual_seed(1)
+    groups = neighbourhoods(torch.rand(70, 3, generator=generator) * 4, 2.0)
+    groups = replace(groups, arm=groups.arm.double())
+    own, shift, turn = (torch.rand(rows, 3, generator=generator).double() for rows in (70, groups.count, groups.count))
+    leaves = [value.requires_grad_() for value in (own, shift, turn)]
+    assert torch.autograd.gradcheck(groups.moved, leaves)
 
 
 def test_groups_follow_a_motion_that_single_anchors_lose() -> None:
