@@ -19,7 +19,7 @@ pytestmark = [
     pytest.mark.cuda,
     pytest.mark.skipif(cuda_fault() is None, reason="a real GPU does not tell its launches"),
 ]
-MAX_LAUNCHES = 340  # of a step, where nothing is compiled; docs/benchmarks.md says how many are left where it is
+MAX_LAUNCHES = 325  # of a step, where nothing is compiled; docs/benchmarks.md says how many are left where it is
 
 ONCE = {f"core/train/keyframe/{name}.py" for name in ("precision", "drawing")}
 
@@ -31,7 +31,7 @@ def test_steps_do_not_wait(gpu: str, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(
         config,
         keyframe=replace(config.keyframe, steps=30, growth_until=0.0, rounding_from=0.4, average_from=0.4),
-        predict=replace(config.predict, epochs=4, minimum_steps=0, growth_share=0.0),
+        predict=replace(config.predict, epochs=4, minimum_steps=0),
     )
     steps = list[Counts]()
     for trained, name in ((KeyframeTrainer, "step"), (ResidualTrainer, "_step"), (EpochProgress, "advance")):
@@ -55,4 +55,5 @@ def test_steps_do_not_wait(gpu: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(waiting) == 1  # how numbers are rounded is measured once
     assert {name.split()[-1] for waits in waiting for name in waits} <= ONCE
     assert not any(counts.waits for counts in steps[later:])
-    assert max(sum(counts.launches.values()) for counts in steps[later:]) < MAX_LAUNCHES
+    usual = sorted(sum(counts.launches.values()) for counts in steps[:later])[later // 2]
+    assert max(usual, *(sum(counts.launches.values()) for counts in steps[later:])) < MAX_LAUNCHES
