@@ -202,7 +202,7 @@ class PredictConfig:
 
     epochs: int = setting(20, "passes over the training cameras", given(10, "V-A", "10 epochs"))
     minimum_steps: int = setting(
-        60, "fewest steps, however few the cameras", given(0, "V-A", "10 epochs, however few the cameras")
+        80, "fewest steps, however few the cameras", given(0, "V-A", "10 epochs, however few the cameras")
     )
     least_gain: float = setting(
         0.3,

@@ -10,7 +10,7 @@ PRESETS = {
     "live": TrainConfig(
         ModelConfig(max_anchors=24_000),
         KeyframeConfig(steps=800, growth_interval=25),
-        PredictConfig(epochs=10, minimum_steps=40),
+        PredictConfig(epochs=10),
     ),
     "balanced": TrainConfig(),
     "quality": TrainConfig(
