@@ -109,6 +109,18 @@ class WorkerSettings(BaseModel):
     )
 
 
+class RaySettings(BaseModel):
+    """Run workers on a Ray cluster."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    address: str = Field(
+        default="auto", description="HOST:PORT of the cluster, of which this machine is a node; auto finds it"
+    )
+    cpus: float = Field(default=1.0, gt=0, description="cores that a worker reserves and uses; may be fractions")
+    gpus: float = Field(default=0.0, ge=0, description="GPUs that a worker reserves: a part of one, or whole ones")
+
+
 class EdgeSettings(BaseModel):
     """Serve the streams of another server."""
 
@@ -202,6 +214,10 @@ class Settings(BaseModel):
     limits: Limits = Field(default_factory=Limits)
     retention: Retention = Field(default_factory=Retention)
     worker: WorkerSettings = Field(default_factory=WorkerSettings)
+    jobs: Literal["local", "ray"] = Field(
+        default="local", description="where streams are trained: in processes of this machine, or on a Ray cluster"
+    )
+    ray: RaySettings = Field(default_factory=RaySettings, description='for `jobs = "ray"`, as `[ray]`')
     bus: Literal["local", "jetstream"] = Field(
         default="local", description="where packets go besides viewers: nowhere, or to NATS JetStream for other servers"
     )
@@ -237,7 +253,8 @@ class Settings(BaseModel):
         """Refuse combinations that are not safe.
 
         Raises:
-            InputError: a public address without tokens, or half a certificate, or origins that are none.
+            InputError: a public address without tokens, half a certificate, part of a second GPU, or origins that
+                are none.
         """
         if self.is_public and not (self.has_tokens or self.insecure):
             raise InputError(
@@ -248,6 +265,8 @@ class Settings(BaseModel):
             raise InputError("edge", "an edge has neither streams nor a state folder of its own; leave them out")
         if self.edge is not None and self.bus != "local":
             raise InputError("bus", "an edge gets its streams from its origin; leave out `bus`, or `edge`")
+        if self.ray.gpus > 1 and self.ray.gpus % 1:
+            raise InputError("ray.gpus", f"is a part of one GPU, or whole ones, not {self.ray.gpus:g}")
         if (self.certificate is None) != (self.certificate_key is None):
             raise InputError("certificate", "TLS needs both the certificate and its key")
         for name, network in (

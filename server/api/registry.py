@@ -13,11 +13,11 @@ from typing import Any
 from core.close_codes import CloseCode
 from core.errors import InputError, SessionError, StorageError
 from server.auth.gate import Gate
+from server.ingest.push.socket_folder import SocketFolder
 from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings
 from server.stream.bus import Outbox
 from server.stream.feed import Feed
-from server.stream.socket_folder import SocketFolder
 from server.stream.store import Recording, Store
 from server.stream.stream import Stream
 from server.stream.worker_stream import WorkerStream

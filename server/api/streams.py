@@ -56,7 +56,8 @@ async def list_streams(
     "", status_code=201, summary="Create a stream", responses={status: PROBLEMS[status] for status in (409, 507)}
 )
 async def create_stream(body: NewStream, request: Request, response: Response) -> StreamBody:
-    """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle without `start`."""
+    """Create a stream from a data set, live cameras, a recorded file or a synthetic clip; idle without `start`. With
+    it, a stream for which the workers' cluster has no room is not created: 409, with what would have to stop."""
     registry = registry_of(request)
     problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
     if problem is not None:
@@ -68,6 +69,10 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
         raise Problem(507, str(error)) from error
     except InputError as error:
         raise Problem(409 if body.id in registry.streams else 422, str(error)) from error
+    if no_room := await stream.until_placed():
+        if not stream.deleted:
+            await registry.delete(stream, erase=True)
+        raise Problem(409, no_room)
     response.headers.update({"Location": f"/v1/streams/{body.id}", **tag_headers(stream)})
     return StreamBody.model_validate(stream.describe())
 
@@ -152,11 +157,14 @@ async def delete_stream(
     status_code=202,
     summary="Start",
     dependencies=[need(Right.CONTROL), IfMatch],
-    responses=_problems(412),
+    responses=_problems(409, 412),
 )
 async def start_stream(stream: WorkerStreamOf) -> StreamBody:
-    """Start the worker; one that runs goes on, an ended source begins again."""
+    """Start the worker; one that runs goes on, an ended source begins again. Where the workers' cluster has no room for
+    it the answer is 409, with what would have to stop."""
     stream.start()
+    if no_room := await stream.until_placed():
+        raise Problem(409, no_room)
     return StreamBody.model_validate(stream.describe())
 
 

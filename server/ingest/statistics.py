@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from server.ingest.sync.clock import ClockSource
 from server.ingest.sync.synchroniser import CameraState, Counts
@@ -49,18 +48,3 @@ class Statistics:
     latency_ns: int
     clock_steps: int
     cameras: dict[str, CameraStatistics]
-
-
-def complaint(figures: dict[str, Any]) -> str:
-    """Which cameras deliver nothing that can be used, and why, in a sentence; empty where none is.
-
-    Args:
-        figures: a `Statistics` in JSON.
-    """
-    parts = []
-    for name, one in figures["cameras"].items():
-        if one["state"] == CameraState.LOST:
-            parts.append(f"camera {name} is lost" + (f" ({one['fault']})" if one["fault"] else ""))
-        elif one.get("refused"):
-            parts.append(f"camera {name} {one['refused']}")
-    return "; ".join(parts)

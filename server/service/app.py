@@ -67,7 +67,10 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
 
     Raises:
         InputError: tokens, state folder or streams cannot be used.
+        BackendUnavailable: a package that a setting needs is missing.
     """
+    if settings.jobs == "ray" and importlib.util.find_spec("ray") is None:
+        raise BackendUnavailable("jobs ray", "install it: pip install 'streamlod[ray]'")
     shared = _shared(settings)
     registry = Registry(settings, specs, None if shared is None else shared.outbox)
     origin = None if settings.edge is None else Origin(settings.edge.origin, os.environ.get("STREAMLOD_TOKEN"))

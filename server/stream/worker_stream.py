@@ -8,6 +8,7 @@ import json
 import logging
 import secrets
 import time
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
@@ -15,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from core.errors import StorageError, StreamlodError
-from server.ingest.statistics import complaint
 from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
 from server.protocol.packets import StreamPacket, stream_packet
@@ -25,11 +25,14 @@ from server.stream.feed import Feed
 from server.stream.store import Recording
 from server.stream.stream import Stream
 from server.worker.camera_pictures import unpack_pictures
+from server.worker.cluster.driver import run_on_ray
+from server.worker.ingest_report import complaint
 from server.worker.process import Resume, Tag
 from server.worker.supervisor import Ending, Supervisor
 
 _LOG = logging.getLogger(__name__)
 _WAITS = "it starts with its first viewer"
+_PLACING_SECONDS = 20.0  # that a start waits for room in a cluster, most of them for a local process to load Ray
 MAX_AWAY_SECONDS = 60.0  # a server that was gone for longer trains its streams anew: what they film has changed
 
 
@@ -61,6 +64,8 @@ class WorkerStream(Stream):
         self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
         self._epoch = recording.last_epoch if recording else 0
         self._new_epoch = True
+        self._placed = asyncio.Event()  # or given up
+        self._refused = False
         self._supervisor = self._make_supervisor()
         self._task: asyncio.Task[None] | None = None
         self._armed = False  # whether the next viewer starts it
@@ -113,6 +118,22 @@ class WorkerStream(Stream):
         else:
             self._launch()
 
+    async def until_placed(self) -> str:
+        """Wait, some seconds at most, until its worker has room in the cluster; at once where it needs none.
+
+        Returns why there is no room, in which case the stream has failed; otherwise nothing.
+        """
+        if self.is_running and self._in_cluster:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_PLACING_SECONDS):
+                    await self._placed.wait()
+        return f"stream {self.id}: {self.detail}" if self._refused else ""
+
+    @property
+    def _in_cluster(self) -> bool:
+        """Whether its worker runs in a cluster; one that plays a file does not: it needs the file and little else."""
+        return self._settings.jobs == "ray" and self.spec.job is not None
+
     def join(self) -> None:
         """A viewer has come; it may be what a stream on demand waits for."""
         super().join()
@@ -143,6 +164,8 @@ class WorkerStream(Stream):
     def _launch(self) -> None:
         if self.state in {"ended", "failed"}:
             self._frames_done, self._new_epoch = 0, True
+        self._placed.clear()
+        self._refused = False
         self._supervisor = self._make_supervisor()
         self._enter("starting")
         self._task = asyncio.create_task(self._supervisor.run())
@@ -221,6 +244,9 @@ class WorkerStream(Stream):
             self._on_ingest(json.loads(body))
         elif tag is Tag.PICTURES:
             self.camera_pictures = self.camera_pictures | unpack_pictures(body)
+        elif tag is Tag.PLACED:
+            self._placed.set()
+            _LOG.info("stream %s: its worker runs on node %s", self.id, json.loads(body)["node"])
         elif tag is Tag.EPOCH:
             self._new_epoch, self._frames_done = True, 0
 
@@ -235,6 +261,7 @@ class WorkerStream(Stream):
         """See `supervisor.Owner`."""
         _LOG.warning("stream %s: %s; restart in %g s", self.id, ending.text, delay_seconds)
         state = "degraded" if self.newest else "starting"
+        self._placed.set()
         self._enter(state, f"{ending.text}; it is being restarted")
 
     def on_finish(self, ending: Ending) -> None:
@@ -243,6 +270,8 @@ class WorkerStream(Stream):
         if self.bus.recording is not None:
             asyncio.get_running_loop().create_task(self.bus.recording.close())
         self._note(trained_from="", **({"running": False} if ending.done else {}))
+        self._refused = ending.refused
+        self._placed.set()
         self._enter("ended" if ending.done else "failed", ending.text)
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
@@ -296,4 +325,5 @@ class WorkerStream(Stream):
     def _make_supervisor(self) -> Supervisor:
         settings = self._settings
         limit, pictures = settings.limits.packet_bytes, settings.camera_pictures
-        return Supervisor(self.spec, settings.worker, limit, self, self.push_socket, pictures)
+        entry = partial(run_on_ray, settings.ray, limit + 1) if self._in_cluster else None
+        return Supervisor(self.spec, settings.worker, limit, self, self.push_socket, pictures, entry)

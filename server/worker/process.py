@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
 _INGEST_SECONDS = 0.5
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _NICENESS = 5  # of training: serving has priority, and so has publishing the last state again
 _LOADING_NICENESS = 19  # of loading code into a spare worker
 
@@ -47,12 +48,13 @@ class Tag(IntEnum):
     PREVIEW = 2  # an early keyframe, shown but not recorded
     REPORT = 3  # JSON: figures of a finished frame
     PROGRESS = 4  # JSON: fraction, loss, text
-    FAILURE = 5  # JSON: text, fatal
+    FAILURE = 5  # JSON: text, fatal, and refused where there was no room for it
     EPOCH = 6  # empty: versions begin anew
     END = 7  # empty: the source has no more frames
-    HEARTBEAT = 8  # empty
+    HEARTBEAT = 8  # resident memory in bytes, as 8 bytes
     INGEST = 9  # JSON: figures of live cameras, and whether training waits for them
     PICTURES = 10  # of `camera_pictures`
+    PLACED = 11  # JSON: node of the cluster that the worker runs on
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,10 +317,18 @@ def _plain(value: Any) -> Any:
     return float(value) if math.isfinite(float(value)) else None
 
 
+def resident_bytes(pid: int | None) -> int:
+    """Resident memory of a process of this machine; 0 where the system does not tell."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES
+    except (OSError, IndexError, ValueError):
+        return 0
+
+
 def _beat(sender: Sender) -> None:
     try:
         while True:
-            sender.send(Tag.HEARTBEAT)
+            sender.send(Tag.HEARTBEAT, resident_bytes(os.getpid()).to_bytes(8))
             time.sleep(HEARTBEAT_SECONDS)
     except OSError:
         os._exit(1)  # the supervisor is gone; nobody needs this process

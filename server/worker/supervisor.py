@@ -7,9 +7,8 @@ import contextlib
 import json
 import logging
 import multiprocessing
-import os
 import time
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -19,21 +18,24 @@ from typing import Any, Protocol
 
 from server.pipeline.spec import StreamSpec
 from server.settings import WorkerSettings
-from server.worker.process import Resume, Tag, run_worker, send_resume
+from server.worker.process import Resume, Tag, resident_bytes, run_worker, send_resume
 
 _LOG = logging.getLogger(__name__)
 _WATCH_SECONDS = 0.25
 _SPARE_AFTER_SECONDS = 3.0  # of progress first, because a starting worker needs the whole processor
-_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a worker ended: `text` for people, `done` at the source's end, `fatal` when a restart would not help."""
+    """How a worker ended: `text` for people, `done` at the source's end, `fatal` when a restart would not help.
+
+    `refused`: it never began, as the cluster has no room for it.
+    """
 
     text: str
     done: bool = False
     fatal: bool = False
+    refused: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,7 @@ class Supervisor:
         owner: gets all messages and events.
         push_socket: where workers take pictures that capture nodes push, or none.
         camera_pictures: whether they send what the cameras see.
+        entry: what runs in a worker's process, in place of `run_worker`.
     """
 
     def __init__(
@@ -85,7 +88,9 @@ class Supervisor:
         owner: Owner,
         push_socket: Path | None = None,
         camera_pictures: bool = False,
+        entry: Callable[..., None] | None = None,
     ) -> None:
+        self._entry = entry
         self._spec, self._settings, self._owner = spec, settings, owner
         self._limit, self._push_socket, self._camera_pictures = packet_bytes + 1, push_socket, camera_pictures
         self._worker: _Worker | None = None
@@ -93,6 +98,7 @@ class Supervisor:
         self._heard = self._progressed = 0.0
         self._ending: Ending | None = None
         self._handling = self._spoke = False
+        self._reported = 0  # bytes of memory, of the worker
         self.restarts = 0
 
     @property
@@ -129,7 +135,7 @@ class Supervisor:
 
     async def _run_once(self) -> Ending:
         resume = await self._owner.resume_point()
-        self._ending, self._heard, self._spoke = None, time.monotonic(), False
+        self._ending, self._heard, self._spoke, self._reported = None, time.monotonic(), False, 0
         spare, self._spare = self._spare, None
         worker = self._worker = spare if spare is not None and spare.process.is_alive() else self._start()
         begun = self._heard
@@ -166,7 +172,7 @@ class Supervisor:
         ours, theirs = context.Pipe()
         name = f"streamlod-{self._spec.id}"
         arguments = (self._spec, theirs, self._push_socket, spare, self._camera_pictures)
-        process = context.Process(target=run_worker, args=arguments, name=name, daemon=True)
+        process = context.Process(target=self._entry or run_worker, args=arguments, name=name, daemon=True)
         process.start()
         theirs.close()
         return _Worker(process, ours)
@@ -184,15 +190,18 @@ class Supervisor:
                 message = pipe.recv_bytes(self._limit)
             except (EOFError, OSError):
                 return
-            self._heard, self._spoke = time.monotonic(), True
             tag, body = Tag(message[0]), message[1:]
+            self._heard = time.monotonic()
+            self._spoke = self._spoke or tag is not Tag.PLACED  # its actor has not started yet
             if tag is Tag.HEARTBEAT:
+                self._reported = int.from_bytes(body)
                 continue
             if tag is Tag.END:
                 self._ending = Ending("the source has ended", done=True)
             elif tag is Tag.FAILURE:
                 failure: dict[str, Any] = json.loads(body)
-                self._ending = Ending(failure["text"], fatal=failure["fatal"])
+                refused = failure.get("refused", False)
+                self._ending = Ending(failure["text"], fatal=failure["fatal"], refused=refused)
             else:
                 self._handling = True
                 handled: Awaitable[None] = self._owner.on_message(tag, body)
@@ -219,7 +228,7 @@ class Supervisor:
             return f"the worker was silent for {self._settings.heartbeat_seconds:g} s"
         if now - self._progressed > self._settings.stall_seconds:
             return f"the worker made no progress for {self._settings.stall_seconds:g} s"
-        used = _resident_bytes(self.pid)
+        used = max(resident_bytes(self.pid), self._reported)  # an actor may run on another machine
         if used > self._settings.memory_bytes:
             return f"the worker took {used / 1e6:.0f} MB of memory"
         return None
@@ -235,15 +244,7 @@ async def _await(handled: Awaitable[None]) -> None:
 
 def _is_progress(tag: Tag, body: bytes) -> bool:
     """Whether a message shows that the worker gets on; waiting for pictures counts, having read some does not."""
-    return tag is not Tag.PICTURES and (tag is not Tag.INGEST or json.loads(body)["waiting"] is True)
-
-
-def _resident_bytes(pid: int | None) -> int:
-    """Resident memory of a process; 0 where the system does not tell."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES
-    except (OSError, IndexError, ValueError):
-        return 0
+    return tag not in {Tag.PICTURES, Tag.PLACED} and (tag is not Tag.INGEST or json.loads(body)["waiting"] is True)
 
 
 def _cause(exit_code: int | None) -> str:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 _MAX_ANSWER_BYTES = 4096
+_MAX_PUSH_BYTES = MAX_MESSAGE_BYTES + 1024
 _BACKLOG = 64
 
 
@@ -64,7 +65,38 @@ class RelayedIntake:
 
 @contextlib.contextmanager
 def listening(path: Path, make_intake: Callable[[], Intake]) -> Iterator[None]:
-    """Take pictures from the serving process at `path` while the context lasts; the socket is this user's alone.
+    """Take pictures from the serving process at `path` while the context lasts.
+
+    Raises:
+        InputError: the socket cannot be made there.
+    """
+    stopping = threading.Event()
+
+    def serve(pipe: Connection) -> None:
+        intake = make_intake()
+        try:
+            while not stopping.is_set():
+                message = pipe.recv_bytes(_MAX_PUSH_BYTES)
+                pipe.send_bytes(_answer(intake, message))
+        except (OSError, EOFError):
+            pass
+        finally:
+            pipe.close()
+            intake.close()
+
+    with serving_socket(path, serve):
+        try:
+            yield
+        finally:
+            stopping.set()
+
+
+@contextlib.contextmanager
+def serving_socket(path: Path, serve: Callable[[Connection], None]) -> Iterator[None]:
+    """Take connections at `path` while the context lasts; the socket is this user's alone.
+
+    Args:
+        serve: called with each connection on a thread of its own; closes it.
 
     Raises:
         InputError: the socket cannot be made there.
@@ -78,7 +110,6 @@ def listening(path: Path, make_intake: Callable[[], Intake]) -> Iterator[None]:
     finally:
         os.umask(mask)
     stopping = threading.Event()
-    pipes: set[Connection] = set()
 
     def accept() -> None:
         while not stopping.is_set():
@@ -86,21 +117,7 @@ def listening(path: Path, make_intake: Callable[[], Intake]) -> Iterator[None]:
                 pipe = listener.accept()
             except OSError:
                 return
-            pipes.add(pipe)
             threading.Thread(target=serve, args=(pipe,), daemon=True, name="pushed").start()
-
-    def serve(pipe: Connection) -> None:
-        intake = make_intake()
-        try:
-            while not stopping.is_set():
-                message = pipe.recv_bytes(MAX_MESSAGE_BYTES + 1024)
-                pipe.send_bytes(_answer(intake, message))
-        except (OSError, EOFError):
-            pass
-        finally:
-            pipes.discard(pipe)
-            pipe.close()
-            intake.close()
 
     thread = threading.Thread(target=accept, daemon=True, name="push socket")
     thread.start()
@@ -113,6 +130,14 @@ def listening(path: Path, make_intake: Callable[[], Intake]) -> Iterator[None]:
         thread.join(1)
         listener.close()
         path.unlink(missing_ok=True)
+
+
+def pass_on(asking: Connection, answering: Connection) -> None:
+    """Pass pushed pictures one way and their answers the other, one at a time, until either end has gone."""
+    with contextlib.suppress(OSError, EOFError), asking, answering:
+        while True:
+            answering.send_bytes(asking.recv_bytes(_MAX_PUSH_BYTES))
+            asking.send_bytes(answering.recv_bytes(_MAX_ANSWER_BYTES))
 
 
 def _answer(intake: Intake, message: bytes) -> bytes:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from server.stream.socket_folder import SocketFolder
+from server.ingest.push.socket_folder import SocketFolder
 
 _HOLD = """
 import sys
-from server.stream.socket_folder import SocketFolder
+from server.ingest.push.socket_folder import SocketFolder
 folder = SocketFolder()
 folder.new_socket().touch()
 print("ready", flush=True)

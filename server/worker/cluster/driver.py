@@ -1,0 +1,140 @@
+"""The local process of a stream whose worker is a Ray actor: places the actor and passes its messages on.
+
+It stands where the worker's own process stands otherwise, with the same messages on the same pipe, so that the
+supervisor watches, kills and restarts it in the same way. Ray is loaded in this process alone: whatever becomes of the
+cluster, the server goes on. When this process ends, Ray ends the actor and frees its room.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import closing, contextmanager
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from core.background_log import log_in_background
+from core.errors import StreamlodError
+from server.ingest.push.relay import pass_on, serving_socket
+from server.pipeline.spec import StreamSpec
+from server.settings import RaySettings
+from server.worker.cluster.link import LinkAddress, cut, dial, listening_at
+from server.worker.cluster.room import NoRoom
+from server.worker.process import Sender, Tag, receive_resume, send_resume
+
+_LOG = logging.getLogger(__name__)
+
+
+def run_on_ray(
+    settings: RaySettings,
+    limit: int,
+    spec: StreamSpec,
+    pipe: Connection,
+    push_socket: Path | None = None,
+    spare: bool = False,
+    camera_pictures: bool = False,
+) -> None:
+    """Entry of the process, in place of `run_worker`; returns when the actor has ended, and never raises.
+
+    Args:
+        settings: of the cluster.
+        limit: bytes of the longest message.
+        spec, pipe, push_socket, camera_pictures: as of `run_worker`.
+        spare: have the actor load everything before it is needed, if there is room for it by then.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the supervisor decides
+    log_in_background()
+    from server.worker.cluster.placing import joined, reserve
+
+    sender = Sender(pipe)
+    try:
+        with joined(settings) as host:
+            try:
+                place = reserve(spec.id, settings)
+            except NoRoom:
+                if not spare:
+                    raise
+                pipe.poll(None)  # until it is needed
+                place = reserve(spec.id, settings)
+            sender.send(Tag.PLACED, {"node": place.host})
+
+            def start(back: LinkAddress) -> Future[Any]:
+                return place.start(spec, back, spare, camera_pictures)
+
+            if not _pass_all(start, host, pipe, push_socket, limit):
+                text = f"its process on node {place.host} of the cluster was lost, or that node"
+                sender.send(Tag.FAILURE, {"text": text, "fatal": False})
+    except NoRoom as error:
+        started = receive_resume(pipe).frames > 0
+        sender.send(Tag.FAILURE, {"text": error.fault, "fatal": not started, "refused": True})
+    except StreamlodError as error:
+        sender.send(Tag.FAILURE, {"text": str(error), "fatal": False})
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return  # the supervisor is gone
+    except Exception as error:
+        _LOG.exception("stream %s: its actor", spec.id)
+        sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
+
+
+def _pass_all(
+    start: Callable[[LinkAddress], Future[Any]], host: str, pipe: Connection, push_socket: Path | None, limit: int
+) -> bool:
+    """Pass on what the supervisor tells the actor, then all that this sends; whether it has said how it ended."""
+    with _linked(start, host) as link:
+        if link is None:
+            return False
+        pictures = json.loads(link.recv_bytes(limit))["pictures"]
+        with _passing_pictures(push_socket, pictures):
+            if pipe not in wait([pipe, link]):
+                return False
+            send_resume(receive_resume(pipe), link)
+            tag = None
+            while True:
+                try:
+                    message = link.recv_bytes(limit)
+                except (EOFError, OSError):
+                    return tag in {Tag.END, Tag.FAILURE}
+                tag = message[0]
+                pipe.send_bytes(message)
+
+
+@contextmanager
+def _linked(start: Callable[[LinkAddress], Future[Any]], host: str) -> Iterator[Connection | None]:
+    """Start the actor and give the connection to it; None where it ended before it had one."""
+    found: queue.SimpleQueue[Connection | None] = queue.SimpleQueue()
+    with listening_at(host, found.put) as back:
+        ended = start(back)
+        ended.add_done_callback(lambda _: found.put(None))
+        link = found.get()
+    if link is None:
+        yield None
+        return
+    with closing(link):
+        ended.add_done_callback(lambda _: cut(link))  # Ray may know first
+        yield link
+
+
+@contextmanager
+def _passing_pictures(push_socket: Path | None, told: tuple[str, int, str] | None) -> Iterator[None]:
+    """Pass pictures that come at `push_socket` on to the actor, each when the one before is answered."""
+    if push_socket is None or told is None:
+        yield
+        return
+    host, port, secret = told
+    address = LinkAddress(host, port, bytes.fromhex(secret))
+
+    def serve(pipe: Connection) -> None:
+        try:
+            link = dial(address)
+        except OSError:
+            pipe.close()
+            return
+        pass_on(pipe, link)
+
+    with serving_socket(push_socket, serve):
+        yield

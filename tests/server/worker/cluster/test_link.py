@@ -1,0 +1,152 @@
+"""Connections between an actor and its local process, and pictures that are passed on over them."""
+
+from __future__ import annotations
+
+import queue
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from multiprocessing.connection import Client, Connection
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from core.errors import InputError, SessionError
+from server.ingest.push.intake import Intake
+from server.ingest.push.message import Codec, PushMessage
+from server.ingest.push.relay import RelayedIntake, listening, pass_on, serving_socket
+from server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
+
+HOST = "127.0.0.1"
+
+
+@contextmanager
+def linked() -> Iterator[tuple[Connection, Connection]]:
+    """Both ends of a connection."""
+    found: queue.SimpleQueue[Connection] = queue.SimpleQueue()
+    with listening_at(HOST, found.put) as address, dial(address) as one, found.get(timeout=5) as other:
+        yield one, other
+
+
+def test_messages_go_both_ways_however_long_they_are() -> None:
+    with linked() as (one, other):
+        sending = threading.Thread(target=one.send_bytes, args=(bytes(3_000_000),))
+        sending.start()
+        assert other.recv_bytes() == bytes(3_000_000)
+        sending.join(5)
+        other.send_bytes(b"back")
+        assert one.recv_bytes() == b"back"
+
+
+def test_who_does_not_know_the_secret_is_not_listened_to() -> None:
+    found: queue.SimpleQueue[Connection] = queue.SimpleQueue()
+    with listening_at(HOST, found.put) as address, ExitStack() as stack:
+        with dial(replace(address, secret=bytes(32))) as wrong, pytest.raises((EOFError, ConnectionResetError)):
+            wrong.recv_bytes()
+        for _ in range(MAX_UNPROVEN // 2):  # who say nothing at all hold nobody up
+            stack.enter_context(socket.create_connection((address.host, address.port)))
+        with dial(address), found.get(timeout=2):
+            assert found.empty()
+
+
+def test_so_many_may_be_silent_and_no_more() -> None:
+    with listening_at(HOST, lambda link: link.close()) as address, ExitStack() as stack:
+        for _ in range(MAX_UNPROVEN):
+            stack.enter_context(socket.create_connection((address.host, address.port)))
+        time.sleep(0.2)
+        with socket.create_connection((address.host, address.port), timeout=2) as further:
+            assert further.recv(1) == b""
+
+
+def test_a_sender_waits_for_who_reads() -> None:
+    with linked() as (one, other):
+        sent: list[int] = []
+
+        def send() -> None:
+            for number in range(64):
+                one.send_bytes(bytes(1_000_000))
+                sent.append(number)
+
+        threading.Thread(target=send, daemon=True).start()
+        time.sleep(0.5)
+        assert len(sent) < 32  # the rest is not in memory
+        for _ in range(64):
+            other.recv_bytes()
+
+
+def test_a_connection_is_cut_under_who_waits_on_it() -> None:
+    with linked() as (one, _):
+        threading.Timer(0.2, cut, (one,)).start()
+        with pytest.raises((EOFError, OSError)):
+            one.recv_bytes()
+
+
+class Intakes:
+    """Stands in for a rig's intakes: keeps what comes, refuses an empty camera name, and takes its time."""
+
+    def __init__(self) -> None:
+        self.got: list[int] = []
+        self.may_go_on = threading.Event()
+        self.closed = threading.Event()
+
+    def accept(self, message: PushMessage) -> None:
+        self.got.append(message.sequence)
+        self.may_go_on.wait(5)
+        if message.camera == "bad":
+            raise InputError("camera bad", "is not one of the rig's")
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+def picture(sequence: int, camera: str = "left") -> PushMessage:
+    return PushMessage(camera, sequence, 1, Codec.JPEG, bytes(100_000))
+
+
+@pytest.fixture
+def far(tmp_path: Path) -> Iterator[tuple[Path, Intakes]]:
+    """The socket that capture nodes' pictures go to here, and where they arrive behind a connection between nodes."""
+    here, there, intakes = tmp_path / "here", tmp_path / "there", Intakes()
+
+    def to_worker(link: Connection) -> None:
+        pass_on(link, Client(str(there), family="AF_UNIX"))
+
+    with (
+        listening(there, lambda: cast(Intake, intakes)),
+        listening_at(HOST, to_worker) as address,
+        serving_socket(here, lambda pipe: pass_on(pipe, dial(address))),
+    ):
+        yield here, intakes
+
+
+def test_a_picture_waits_until_the_one_before_is_answered(far: tuple[Path, Intakes]) -> None:
+    here, intakes = far
+    intake = RelayedIntake(here)
+    sending = threading.Thread(target=lambda: [intake.accept(picture(number)) for number in range(3)], daemon=True)
+    sending.start()
+    time.sleep(0.5)
+    assert intakes.got == [0]  # so the capture node drops and counts those that it may not send
+    intakes.may_go_on.set()
+    sending.join(5)
+    assert intakes.got == [0, 1, 2]
+    with pytest.raises(InputError, match="is not one of the rig's"):
+        intake.accept(picture(3, "bad"))
+    intake.close()
+    assert intakes.closed.wait(5)
+
+
+def test_pictures_have_nowhere_to_go_when_the_other_node_has_gone(tmp_path: Path) -> None:
+    gone = LinkAddress(HOST, 1, bytes(32))
+
+    def serve(pipe: Connection) -> None:
+        with pipe, pytest.raises(OSError, match="refused"):
+            dial(gone)
+
+    with serving_socket(tmp_path / "here", serve):
+        intake = RelayedIntake(tmp_path / "here")
+        with pytest.raises(SessionError, match="try again later"):
+            intake.accept(picture(0))
