@@ -112,6 +112,7 @@ class WorkerStream(Stream):
         if self.is_running or self.deleted:
             return
         self._note(running=True)
+        self._refused = False
         self._armed = self.spec.on_demand
         if self._armed and not self.viewers:
             self._enter("idle", _WAITS)

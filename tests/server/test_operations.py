@@ -17,6 +17,7 @@ from server.settings import (
     EdgeSettings,
     JetStreamSettings,
     Limits,
+    RaySettings,
     Retention,
     Settings,
     Webhook,
@@ -32,6 +33,7 @@ def test_every_setting_is_documented_with_its_default() -> None:
     models: tuple[tuple[str, type[BaseModel]], ...] = (
         ("", Settings), ("limits.", Limits), ("retention.", Retention), ("worker.", WorkerSettings),
         ("webhooks.", Webhook), ("edge.", EdgeSettings), ("jetstream.", JetStreamSettings),
+        ("ray.", RaySettings),
     )  # fmt: skip
     for prefix, model in models:
         for name, field in model.model_fields.items():

@@ -64,7 +64,9 @@ def run_on_ray(
             sender.send(Tag.PLACED, {"node": place.host})
 
             def start(back: LinkAddress) -> Future[Any]:
-                return place.start(spec, back, spare, camera_pictures)
+                ended = place.start(spec, back, spare, camera_pictures)
+                ended.add_done_callback(lambda _: _log_fault(spec.id, ended))
+                return ended
 
             if not _pass_all(start, host, pipe, push_socket, limit):
                 text = f"its process on node {place.host} of the cluster was lost, or that node"
@@ -101,6 +103,12 @@ def _pass_all(
                     return tag in {Tag.END, Tag.FAILURE}
                 tag = message[0]
                 pipe.send_bytes(message)
+
+
+def _log_fault(stream: str, ended: Future[Any]) -> None:
+    """What Ray says about the end of an actor, if that was not as it should be."""
+    if (error := ended.exception()) is not None:
+        _LOG.warning("stream %s: its actor: %s", stream, error)
 
 
 @contextmanager

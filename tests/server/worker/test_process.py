@@ -8,7 +8,10 @@ import math
 import multiprocessing
 import os
 import signal
+import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +20,10 @@ import pytest
 from core.errors import InputError
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec, spec_from_json
-from server.settings import Settings
+from server.settings import Settings, WorkerSettings
 from server.stream.worker_stream import WorkerStream
 from server.worker.process import Resume, Sender, Tag, play, receive_resume, send_resume
+from server.worker.supervisor import Ending, Supervisor
 from tests.server.conftest import Clip, running
 
 
@@ -91,6 +95,67 @@ def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) ->
     with running(settings, StreamSpec(play=clip.path)) as server:
         found = server.wait(lambda stream: stream["restarts"] >= 1)
         assert "memory" in found["detail"] or found["state"] == "starting"
+
+
+class Reports:
+    """Owns a supervisor and keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.tags: list[Tag] = []
+        self.endings: list[Ending] = []
+
+    async def on_message(self, tag: Tag, body: bytes) -> None:
+        self.tags.append(tag)
+
+    async def resume_point(self) -> Resume:
+        return Resume()
+
+    def on_restart(self, ending: Ending, delay_seconds: float) -> None:
+        self.endings.append(ending)
+
+    def on_finish(self, ending: Ending) -> None:
+        self.endings.append(ending)
+
+
+def grow_elsewhere(_: StreamSpec, pipe: Connection, *__: object) -> None:
+    """Entry of a process whose worker is on another machine, and large."""
+    receive_resume(pipe)
+    sender = Sender(pipe)
+    sender.send(Tag.PLACED, {"node": "far"})
+    sender.send(Tag.HEARTBEAT, (10**12).to_bytes(8))
+    time.sleep(60)
+
+
+def find_no_room(_: StreamSpec, pipe: Connection, *__: object) -> None:
+    """Entry of a process that finds no room for its worker."""
+    receive_resume(pipe)
+    Sender(pipe).send(Tag.FAILURE, {"text": "stop another", "fatal": True, "refused": True})
+
+
+def be_placed_and_wait(_: StreamSpec, pipe: Connection, *__: object) -> None:
+    """Entry of a process whose worker, on another machine, takes long to start."""
+    receive_resume(pipe)
+    sender = Sender(pipe)
+    sender.send(Tag.PLACED, {"node": "far"})
+    time.sleep(2)
+    sender.send(Tag.END)
+
+
+@pytest.mark.parametrize(
+    ("entry", "ending"),
+    [
+        (grow_elsewhere, Ending("the worker took 1000000 MB of memory")),
+        (find_no_room, Ending("stop another", fatal=True, refused=True)),
+        (be_placed_and_wait, Ending("the source has ended", done=True)),
+    ],
+)
+def test_a_worker_elsewhere_is_watched_by_what_it_tells(entry: Callable[..., None], ending: Ending) -> None:
+    watched = WorkerSettings(heartbeat_seconds=1, attempts=1, first_delay_seconds=0.01)
+    owner = Reports()
+    spec = StreamSpec(play=Path("none.slod"))
+    asyncio.run(asyncio.wait_for(Supervisor(spec, watched, 1000, owner, entry=entry).run(), 60))
+    assert set(owner.endings) == {ending}
+    assert (owner.tags.count(Tag.PLACED) == len(owner.endings)) is (entry is not find_no_room)
 
 
 def test_a_deleted_stream_is_not_started_again(clip: Clip) -> None:

@@ -27,19 +27,28 @@ class Nodes:
     """
 
     def __init__(self, cluster: Any) -> None:
-        self._cluster = cluster
+        self._cluster, self._nodes = cluster, list[Any]()
         self.address: str = cluster.address
 
-    def kill_worked_on(self) -> None:
-        """Kill everything of a node that an actor runs on."""
-        (node, *_) = [found for found in self._cluster.worker_nodes if _actors_of(found)]
-        for pid in [_raylet(node), *_children(_raylet(node))]:
+    def actors(self) -> list[int]:
+        """How many actors run on each node that has not been killed."""
+        return [len(_actors_of(node)) for node in self._nodes]
+
+    def oldest(self) -> int:
+        """The node of the actor that has run longest: of two, the one that is no spare."""
+        ages = [max(_actors_of(node), default=-1) for node in self._nodes]
+        return ages.index(max(ages))
+
+    def kill(self, number: int) -> None:
+        """Kill all processes of a node, which is then left out."""
+        raylet = _raylet(self._nodes.pop(number))
+        for pid in [raylet, *_children(raylet)]:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
-    def actors(self) -> int:
-        """How many actors run."""
-        return sum(_actors_of(node) for node in self._cluster.worker_nodes)
+    def add(self, cpus: int) -> None:
+        """Add a node with so many cores; it is there soon."""
+        self._nodes.append(self._cluster.add_node(wait=False, num_cpus=cpus, **_NODE))
 
 
 @contextmanager
@@ -52,10 +61,11 @@ def ray_nodes(*cpus: int) -> Iterator[Nodes]:
             patch.setenv(name, value)
         cluster = Cluster(initialize_head=True, head_node_args=_NODE | {"num_cpus": 0})
         try:
+            nodes = Nodes(cluster)
             for count in cpus:
-                cluster.add_node(wait=False, num_cpus=count, **_NODE)
+                nodes.add(count)
             cluster.wait_for_nodes()
-            yield Nodes(cluster)
+            yield nodes
         finally:
             cluster.shutdown()
 
@@ -70,7 +80,8 @@ def _children(pid: int) -> list[int]:
     return [int(each) for each in found.stdout.split()]
 
 
-def _actors_of(node: Any) -> int:
-    titles = [subprocess.run(["ps", "-o", "args=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
-              for pid in _children(_raylet(node))]  # fmt: skip
-    return sum("Actor" in title for title in titles)
+def _actors_of(node: Any) -> list[int]:
+    """For how many seconds each of a node's actors has run."""
+    pids = ",".join(str(pid) for pid in _children(_raylet(node)))
+    found = subprocess.run(["ps", "-o", "etimes=,args=", "-p", pids], capture_output=True, text=True, check=False)
+    return [int(line.split()[0]) for line in found.stdout.splitlines() if "Actor" in line]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -13,16 +14,15 @@ pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'"
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 from server.settings import RaySettings, Settings, WorkerSettings
-from tests.server.conftest import running, viewing
-from tests.server.worker.cluster import brief
+from tests.server.conftest import make_clip, running, viewing
+from tests.server.worker.cluster import actors
 from tests.server.worker.cluster.nodes import Nodes, ray_nodes
 
 pytestmark = [
     pytest.mark.cluster,
     pytest.mark.filterwarnings("ignore::ResourceWarning"),  # of Ray's own files and processes
 ]
-CLIP: dict[str, int | float | str | bool] = {"cameras": 3, "frames": 1000, "width": 64, "height": 36}
-SOURCE = {"synthetic": CLIP, "preset": "live", "points": "random"}
+KEY_EVERY = 10  # frames
 
 
 @pytest.fixture(scope="module")
@@ -32,44 +32,62 @@ def nodes() -> Iterator[Nodes]:
         yield found
 
 
-def settings(nodes: Nodes, cpus: float) -> Settings:
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes at two frames a second."""
+    path = tmp_path_factory.mktemp("clip") / "clip.slod"
+    return make_clip(path, 250, (5, 10), KEY_EVERY, frame_ns=500_000_000).path
+
+
+def settings(nodes: Nodes, cpus: float, *, spare: bool = False) -> Settings:
     ray = RaySettings(address=nodes.address, cpus=cpus)
-    return Settings(jobs="ray", ray=ray, worker=WorkerSettings(spare=False))
+    return Settings(jobs="ray", ray=ray, worker=WorkerSettings(spare=spare))
 
 
-def test_a_stream_without_room_is_refused_with_what_would_have_to_stop(nodes: Nodes) -> None:
+def test_a_stream_without_room_is_refused_with_what_would_have_to_stop(
+    nodes: Nodes, clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", actors.play_on_ray)
+    source = {"data": str(clip)}
     with running(settings(nodes, 2)) as server, server.client(timeout=60) as client:
-        assert client.post("/v1/streams", json={"id": "first", "start": True, **SOURCE}).status_code == 201
-        refused = client.post("/v1/streams", json={"id": "second", "start": True, **SOURCE})
+        assert client.post("/v1/streams", json={"id": "first", "start": True, **source}).status_code == 201
+        refused = client.post("/v1/streams", json={"id": "second", "start": True, **source})
         assert refused.status_code == 409
         assert refused.json()["detail"].endswith("it needs 2 CPU on one node of the cluster, and none has them free; "
                                                  "stop first")  # fmt: skip
         assert [stream["id"] for stream in client.get("/v1/streams").json()["items"]] == ["first"]
-        assert client.post("/v1/streams", json={"id": "second", **SOURCE}).status_code == 201
+        assert client.post("/v1/streams", json={"id": "second", **source}).status_code == 201
         assert client.post("/v1/streams/second/start").status_code == 409
         assert server.stream("second")["state"] == "failed"
         client.post("/v1/streams/first/stop")
         assert client.post("/v1/streams/second/start").status_code == 202
     with running(settings(nodes, 64)) as server, server.client(timeout=60) as client:
-        refused = client.post("/v1/streams", json={"id": "large", "start": True, **SOURCE})
+        refused = client.post("/v1/streams", json={"id": "large", "start": True, **source})
         assert (refused.status_code, "no node is that large" in refused.json()["detail"]) == (409, True)
     assert not multiprocessing.active_children()
 
 
-def test_a_stream_goes_on_at_another_node_when_its_own_is_killed(nodes: Nodes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", brief.run_on_ray)
-    spec = StreamSpec(job=TrainJob(synthetic=CLIP, preset="live", points="random"))
-    with running(settings(nodes, 1), spec) as server, viewing(server) as viewer:
+def test_a_stream_goes_on_at_another_node_when_its_own_is_killed(
+    nodes: Nodes, clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", actors.play_on_ray)
+    spec = StreamSpec(job=TrainJob(data=clip))
+    with running(settings(nodes, 1, spare=True), spec) as server, viewing(server) as viewer:
         viewer.hello()
-        server.wait(lambda stream: stream["state"] == "live" and stream["version"] > 1, seconds=90)
-        shown = server.stream()["version"]
-        begin = time.monotonic()
-        nodes.kill_worked_on()
-        degraded = server.wait(lambda stream: stream["state"] == "degraded", seconds=10)
-        assert "lost" in degraded["detail"]
-        server.wait(lambda stream: stream["epoch"] == 2, seconds=60)
-        print(f"a picture of the new epoch {time.monotonic() - begin:.1f} s after the kill")
-        found = server.wait(lambda stream: stream["state"] == "live" and stream["version"] > shown + 1, seconds=60)
-        assert (found["restarts"], nodes.actors()) == (1, 1)
-        while not viewer.named("epoch") or min(viewer.decoder.versions) <= shown:
-            viewer.step(20)
+        server.wait(lambda stream: stream["state"] == "live", seconds=60)
+        limit = time.monotonic() + 60
+        while nodes.actors() != [1, 1]:  # one waits on the other node
+            assert time.monotonic() < limit
+            viewer.step()
+        shown = server.wait(lambda stream: stream["version"] > KEY_EVERY and stream["version"] % KEY_EVERY == 3)[
+            "version"
+        ]
+        nodes.kill(nodes.oldest())
+        viewer.until("epoch", 30)
+        (degraded,) = [event["detail"] for event in viewer.named("state") if event["state"] == "degraded"]
+        assert "was lost" in degraded
+        viewer.next_packet()
+        assert set(viewer.decoder.versions) == {shown - shown % KEY_EVERY}  # the last keyframe
+        found = server.wait(lambda stream: stream["state"] == "live" and stream["version"] > shown)
+        assert (found["restarts"], found["epoch"]) == (1, 2)
+    assert not multiprocessing.active_children()

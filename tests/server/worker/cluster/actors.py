@@ -1,0 +1,47 @@
+"""Actors for tests of what flows rather than of quality: one plays a file, one trains a first frame of a few steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from server.pipeline.spec import StreamSpec
+from server.worker.cluster import actor, driver
+
+
+class PlayingActor(actor.WorkerActor):
+    """Plays the recorded file that the job names as its data, once."""
+
+    def run(self, spec: StreamSpec, *arguments: Any) -> None:
+        assert spec.job is not None
+        super().run(StreamSpec(spec.id, play=spec.job.data, loop=False), *arguments)
+
+
+class BriefActor(actor.WorkerActor):
+    """Trains the preset `live` briefly."""
+
+    def run(self, *arguments: Any) -> None:
+        from core.train.presets import PRESETS, preset  # which takes seconds, and a file is played without
+
+        brief = preset("live")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(PRESETS, "live", replace(brief, keyframe=replace(brief.keyframe, steps=12)))
+            super().run(*arguments)
+
+
+def play_on_ray(*arguments: Any) -> None:
+    """`server.worker.cluster.driver.run_on_ray` with an actor that plays; in a process of its own."""
+    _run(PlayingActor, arguments)
+
+
+def train_on_ray(*arguments: Any) -> None:
+    """The same with an actor that trains."""
+    _run(BriefActor, arguments)
+
+
+def _run(kind: type[actor.WorkerActor], arguments: tuple[Any, ...]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("server.worker.cluster.placing.WorkerActor", kind)
+        driver.run_on_ray(*arguments)
