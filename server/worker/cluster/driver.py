@@ -91,7 +91,7 @@ def _pass_all(
         if link is None:
             return False
         pictures = json.loads(link.recv_bytes(limit))["pictures"]
-        with _passing_pictures(push_socket, pictures):
+        with passing_pictures(push_socket, pictures):
             if pipe not in wait([pipe, link]):
                 return False
             send_resume(receive_resume(pipe), link)
@@ -128,7 +128,7 @@ def _linked(start: Callable[[LinkAddress], Future[Any]], host: str) -> Iterator[
 
 
 @contextmanager
-def _passing_pictures(push_socket: Path | None, told: tuple[str, int, str] | None) -> Iterator[None]:
+def passing_pictures(push_socket: Path | None, told: tuple[str, int, str] | None) -> Iterator[None]:
     """Pass pictures that come at `push_socket` on to the actor, each when the one before is answered."""
     if push_socket is None or told is None:
         yield

@@ -47,10 +47,11 @@ def refusal(needed: Amounts, nodes: Mapping[str, Amounts], holdings: Sequence[Ho
     large = [node for node, amounts in nodes.items() if _fits(needed, amounts)]
     if not large:
         return f"{wanted}, and no node is that large; ask for less, or add a node"
-    ways = sorted({way for node in large if (way := _to_stop(needed, nodes[node], holdings, node))}, key=len)
+    ways = {way for node in large if (way := _to_stop(needed, nodes[node], holdings, node))}
     if not ways:
         return f"{wanted}, and other programs hold them; wait for these, or add a node"
-    return f"{wanted}, and none has them free; stop {', or '.join(' and '.join(way) for way in ways)}"
+    fewest_first = sorted(ways, key=lambda way: (len(way), way))
+    return f"{wanted}, and none has them free; stop {', or '.join(' and '.join(way) for way in fewest_first)}"
 
 
 def in_words(amounts: Amounts) -> str:

@@ -18,8 +18,9 @@ import pytest
 from core.errors import InputError, SessionError
 from server.ingest.push.intake import Intake
 from server.ingest.push.message import Codec, PushMessage
-from server.ingest.push.relay import RelayedIntake, listening, pass_on, serving_socket
-from server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
+from server.ingest.push.relay import RelayedIntake, listening, pass_on
+from server.worker.cluster.driver import passing_pictures
+from server.worker.cluster.link import MAX_UNPROVEN, cut, dial, listening_at
 
 HOST = "127.0.0.1"
 
@@ -113,12 +114,15 @@ def far(tmp_path: Path) -> Iterator[tuple[Path, Intakes]]:
     here, there, intakes = tmp_path / "here", tmp_path / "there", Intakes()
 
     def to_worker(link: Connection) -> None:
-        pass_on(link, Client(str(there), family="AF_UNIX"))
+        try:
+            pass_on(link, Client(str(there), family="AF_UNIX"))
+        except OSError:
+            link.close()
 
     with (
         listening(there, lambda: cast(Intake, intakes)),
         listening_at(HOST, to_worker) as address,
-        serving_socket(here, lambda pipe: pass_on(pipe, dial(address))),
+        passing_pictures(here, (address.host, address.port, address.secret.hex())),
     ):
         yield here, intakes
 
@@ -140,13 +144,7 @@ def test_a_picture_waits_until_the_one_before_is_answered(far: tuple[Path, Intak
 
 
 def test_pictures_have_nowhere_to_go_when_the_other_node_has_gone(tmp_path: Path) -> None:
-    gone = LinkAddress(HOST, 1, bytes(32))
-
-    def serve(pipe: Connection) -> None:
-        with pipe, pytest.raises(OSError, match="refused"):
-            dial(gone)
-
-    with serving_socket(tmp_path / "here", serve):
+    with passing_pictures(tmp_path / "here", (HOST, 1, "")):
         intake = RelayedIntake(tmp_path / "here")
         with pytest.raises(SessionError, match="try again later"):
             intake.accept(picture(0))
