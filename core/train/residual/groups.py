@@ -49,8 +49,8 @@ def _moved(own: Tensor, shift: Tensor, turn: Tensor, number: Tensor, arm: Tensor
 
 
 def _pulled(upstream: Tensor, arm: Tensor) -> Tensor:
-    """[2,n,3] what each anchor asks of its group's shift and turn."""
-    return torch.stack([upstream, torch.linalg.cross(arm, upstream)])
+    """[n,6] what each anchor asks of its group's shift and turn."""
+    return torch.cat([upstream, torch.linalg.cross(arm, upstream)], dim=1)
 
 
 _MOVED, _PULLED = Compiled(_moved), Compiled(_pulled)
@@ -70,8 +70,9 @@ class _Moved(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         number, arm = ctx.saved_tensors
-        by_group = upstream.new_zeros(2, ctx.count, 3).index_add_(1, number, _PULLED(upstream, arm))
-        return (upstream, *by_group, None, None)
+        by_group = upstream.new_zeros(ctx.count, 6).index_add_(0, number, _PULLED(upstream, arm))
+        parts = by_group.view(-1, 2, 3).transpose(0, 1).contiguous()  # one copy rather than one for each leaf
+        return (upstream, *parts, None, None)
 
 
 def neighbourhoods(position: Tensor, width: float) -> Groups:
