@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 export OMP_WAIT_POLICY = PASSIVE
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint bench bench-web clean
+.PHONY: help install demo test test-cluster lint bench bench-web clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -28,6 +28,9 @@ demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-ou
 
 test: install ## Run the tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+
+test-cluster: install ## Run the tests of several servers: edges, NATS, Ray
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder -m cluster
 
 lint: install ## ruff and mypy
 	$(BIN)/ruff check .
