@@ -1,6 +1,6 @@
 """Servers that share streams over NATS JetStream: what the hop costs, and how long pictures stay away after a kill.
 
-    streamlod bench jetstream [--seconds 10 --rounds 5 --servers 3 --short]
+    streamlod bench jetstream [--seconds 10 --repeats 10 --servers 3 --short]
 
 Starts NATS servers, a node that plays a synthetic recording and publishes it, and a node that serves it, each a process
 on this machine. The delay is between a packet's arrival at a viewer of the one node and at a viewer of the other; the
@@ -12,27 +12,20 @@ node that serves (after its own kill: until a viewer that connects again has a p
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import tempfile
-import time
-from collections.abc import Callable
 from contextlib import ExitStack
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from client.connection.watch import watch
-from client.events import NewScene
 from server.edge.jetstream.messages import Names
 from tests.bench.edge_bench import hop_delay
+from tests.bench.pictures import longest_gap
 from tests.server.conftest import make_clip
 from tests.server.edge.jetstream.nats_servers import Nats, free_ports, nats
 from tests.server.edge.processes import Node, begin, listening, wait
 
 _COUNTS = (100, 400, 1500)  # anchors by level
-_SETTLE_SECONDS = 3.0  # of pictures after the fault
-_LIMIT_SECONDS = 60.0
 
 
 class Pair:
@@ -61,35 +54,6 @@ class Pair:
             each.kill()
 
 
-def longest_gap(port: int, fault: Callable[[], None]) -> float:
-    """Seconds without a new picture at a viewer, at most, from just before `fault` until pictures come steadily."""
-
-    async def run() -> float:
-        pictures: list[float] = []
-
-        async def look() -> None:
-            async for event in watch(f"ws://127.0.0.1:{port}/v1/streams/main/live", attempts=1000):
-                if isinstance(event, NewScene):
-                    pictures.append(time.monotonic())
-
-        task = asyncio.create_task(look())
-        while len(pictures) < 30:
-            await asyncio.sleep(0.01)
-        begun = time.monotonic()
-        await asyncio.to_thread(fault)
-        done = time.monotonic()
-        while not pictures or pictures[-1] < done + _SETTLE_SECONDS:
-            if time.monotonic() > begun + _LIMIT_SECONDS:
-                raise SystemExit(f"no pictures within {_LIMIT_SECONDS:g} s of the fault")
-            await asyncio.sleep(0.01)
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        seen = [at for at in pictures if at > begun - 0.2]
-        return max(later - earlier for earlier, later in pairwise(seen))
-
-    return asyncio.run(run())
-
-
 def kill_nats(shared: Nats) -> None:
     """Kill the server that leads the stream; a single one is started again at once."""
     if len(shared.servers) == 1:
@@ -103,13 +67,13 @@ def main() -> None:
     """Run all rounds and print a line each."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--servers", type=int, choices=(1, 3), default=3)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--short", action="store_true", help="5 seconds, 2 rounds")
+    parser.add_argument("--short", action="store_true", help="5 seconds, each fault twice")
     options = parser.parse_args()
     if options.short:
-        options.seconds, options.rounds = 5.0, 2
+        options.seconds, options.repeats = 5.0, 2
     found: dict[str, Any] = {"NATS servers": options.servers}
 
     def note(name: str, value: Any) -> None:
@@ -125,7 +89,7 @@ def main() -> None:
         port = pair.nodes[1].port
         note("delay behind the hop [ms]: p50, p99, packets", hop_delay(pair.nodes, options.seconds)["1 hops"])
         gaps: dict[str, list[float]] = {"NATS leader": [], "serving node": [], "publishing node": []}
-        for _ in range(options.rounds):
+        for _ in range(options.repeats):
             gaps["NATS leader"].append(longest_gap(port, lambda: kill_nats(shared)))
             for server in shared.servers:
                 if server.process is None:
