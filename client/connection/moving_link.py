@@ -44,6 +44,7 @@ class MovingLink:
     def __init__(self, url: str, options: WatchOptions) -> None:
         self._link, self._options = StreamLink(url, options), options
         self._move: asyncio.Task[_Joined | None] | None = None
+        self._closing: list[asyncio.Task[None]] = []
 
     @property
     def url(self) -> str:
@@ -69,8 +70,8 @@ class MovingLink:
             if joined is None:
                 raise OSError("the server is stopping, and no edge is ready")
             seen = self.playback.position if joined.is_level else None
-            await self._link.close()
-            self._link = joined.link
+            left, self._link = self._link, joined.link
+            self._closing.append(asyncio.create_task(left.close()))  # which may take half a second
             async for event in self._told(joined.events):
                 here = self.playback.position
                 if isinstance(event, NewScene) and seen is not None and here is not None and here <= seen:
@@ -84,7 +85,7 @@ class MovingLink:
             (joined,) = await asyncio.gather(self._move, return_exceptions=True)
             if isinstance(joined, _Joined):
                 await joined.link.close()
-        await self._link.close()
+        await asyncio.gather(self._link.close(), *self._closing, return_exceptions=True)
 
     async def _joined(self) -> _Joined | None:
         move, self._move = self._move, None
