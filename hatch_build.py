@@ -54,7 +54,9 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
         content = path.read_bytes()
         if path.suffix == ".js":
             script = rjsmin.jsmin(SHADER.sub(_without_comments, content.decode())).replace("}\n", "}")
-            content = re.sub(r"\bconst\b", "let", script).encode()  # shorter; our shaders have no const
+            script = re.sub(r"\bconst\b", "let", script)  # shorter; our shaders have no const
+            # semicolons before braces can be left out, except in shaders
+            content = re.sub(rf"({SHADER.pattern})|;(?=\}})", r"\1", script, flags=re.DOTALL).encode()
         elif path.suffix == ".css":
             content = re.sub(rb"/\*.*?\*/\s*", b"", content, flags=re.DOTALL)
             content = re.sub(rb"\s*([{};])\s*|([:,])\s+", rb"\1\2", content)

@@ -48,7 +48,7 @@ export function decodeRemoved(chunk, level, room) {
   reader.u8();
   const count = existing(reader, 1, level, room);
   const rows = ascending(inflateColumns(reader, count, 1), count, level.count);
-  must(rows.every((row) => level.alive[row])); // a row that was removed before cannot be removed again
+  must(rows.every((row) => level.alive[row])); // none is removed twice
   return rows;
 }
 
@@ -65,7 +65,7 @@ function ascending(gaps, count, limit) {
   const rows = new Uint32Array(count);
   for (let i = 0, row = 0; i < count; i++) {
     row += gaps[i];
-    must((gaps[i] > 0 || (i === 0 && row === 0)) && row < limit); // rows must ascend and lie inside the level
+    must((gaps[i] > 0 || (i === 0 && row === 0)) && row < limit); // ascending, inside the level
     rows[i] = row;
   }
   return rows;

@@ -22,7 +22,7 @@ export function crc32(bytes, crc = 0) {
   return ~c >>> 0;
 }
 
-/** Checksums of what never changes in a row, by the voxels, which are never changed either. @type {WeakMap<Int32Array, number>} */
+/** Checksums of what never changes in a row, by the voxels. @type {WeakMap<Int32Array, number>} */
 const FIXED = new WeakMap();
 
 /** Everything that a level holds, as AnchorLevel.digest. @type {(level: import("./scene.js").Level) => number} */

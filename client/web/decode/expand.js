@@ -233,7 +233,7 @@ export class Expander {
         x[o + features + 3] = distance / referenceDistance;
       }
     }
-    const pairs = (count + 1) >> 1; // an odd batch computes one row of leftovers more, which nobody reads
+    const pairs = (count + 1) >> 1; // an odd batch computes one row more, which nobody reads
     kernel.dense(pairs, pointers[4], inputs, pointers[0], pointers[1], pointers[5], HIDDEN / 16, 1);
     kernel.dense(pairs, pointers[5], HIDDEN, pointers[2], pointers[3], pointers[6], columns / 16, 0);
     kernel.sigmoid(pointers[6], count, 4 * columns, Math.ceil((7 * this.slots) / 4));

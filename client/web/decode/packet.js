@@ -33,7 +33,7 @@ export function must(condition, code = "corrupt_chunk", detail = code) {
   if (!condition) throw new BitstreamError(code, detail);
 }
 
-/** What the chunks of one level may describe: rows that may be added to the state, and the length of all these chunks. @typedef {{ rows: number, bytes: number }} Room */
+/** What the chunks of one level may hold: rows to add, and bytes. @typedef {{ rows: number, bytes: number }} Room */
 
 /** Refuse a table with too few bytes behind it (codec/FORMAT.md section 6). @type {(rows: number, columns: number, room: Room) => void} */
 export function checkTable(rows, columns, { bytes }) {

@@ -1,4 +1,4 @@
-/** The integer state that travels, as in core/scene/anchors.py and core/scene/residual.py: levels of anchors, keyframes, residuals. */
+/** The integer state that travels, as in core/scene: levels of anchors, keyframes, residuals. */
 
 export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
 
@@ -105,7 +105,7 @@ export function appendRows({ count, ...first }, second) {
   return { count: count + second.count, ...Object.fromEntries(columns) };
 }
 
-/** The level after a change of rows inside it; the old one stays as it was. @type {(level: Level, change: LevelChange) => Level} @throws {BitstreamError} an integer leaves its type */
+/** The level after a change; the old one stays. @type {(level: Level, change: LevelChange) => Level} @throws {BitstreamError} an integer leaves its type */
 export function changed(level, { rows, position, latent, removed, added }) {
   const next = { ...level, position: level.position.slice(), latent: level.latent.slice(), alive: level.alive.slice() };
   for (let i = 0; i < rows.length; i++) {

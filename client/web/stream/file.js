@@ -1,4 +1,4 @@
-/** A `.slod` file at an address: its bytes by range where the server can, whole where it cannot; what it holds, and a part of it as a file of its own. */
+/** A `.slod` file at an address: its bytes, by range where the server can; what it holds, and parts of it as files. */
 
 import { checkHead, FILE_HEAD, FOOTER, readFooter, readIndex, walkRecords } from "../decode/container.js";
 import { KEY, must } from "../decode/packet.js";

@@ -6,7 +6,7 @@ const MAX_CHARACTERS = 1 << 20; // of a message; 255 cameras need a third
 const place = { epoch: 0, version: 0 }, window = { oldest: place, newest: place };
 const state = { state: "", "detail?": "" }, progress = { "fraction?": 0, "text?": "" };
 const welcome = {
-  ...state, "epoch?": 0, "levels?": 0, "fps?": 0, "ack_every?": 0, "source?": "", "window?": window, "server_time_ns?": 0, "progress?": progress,
+  ...state, "epoch?": 0, "levels?": 0, "fps?": 0, "ack_every?": 0, "source?": "", "window?": window, "server_time_ns?": 0, "progress?": progress, "edges?": ["", 0],
 };
 
 const real = -1e308, cameras = [{ name: "", width: 0, height: 0, intrinsics: [real, 9], world_to_camera: [real, 16] }, 0];

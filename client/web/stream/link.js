@@ -1,4 +1,4 @@
-/** A websocket that speaks the protocol by a session, and is opened again after a break. What comes of it is up to subclasses. */
+/** A websocket that speaks the protocol by a session and is opened again after a break; subclasses take what comes. */
 
 import { PROTOCOL, Session } from "./session.js";
 
@@ -13,6 +13,7 @@ export class Link {
     /** @type {WebSocket | null} */
     this.socket = null;
     this.retry = 0;
+    this.home = "";
     this.ticker = setInterval(() => this.#tick(), TICK_MS);
   }
 
@@ -39,7 +40,7 @@ export class Link {
   /** @param {number} code @param {string} reason */
   closed(code, reason) {
     const wait = this.session.closed(code, reason, performance.now(), Math.random());
-    if (wait !== null) this.retry = self.setTimeout(() => this.open(), wait);
+    if (wait !== null) this.retry = self.setTimeout(() => this.#move(), wait);
     this.tell();
   }
 
@@ -47,6 +48,23 @@ export class Link {
     const before = this.session.status.phase;
     this.transmit(this.session.tick(performance.now()));
     if (this.session.status.phase !== before) this.tell();
+    if (this.session.leaves) this.#move();
+  }
+
+  /** Go on at the edge that answers first, or where this began. */
+  async #move() {
+    const { session, socket } = this;
+    session.leaves = false;
+    this.home ||= this.url;
+    const ready = session.edges.map(async (edge) => {
+      if (!(await fetch(edge + "/readyz", { signal: AbortSignal.timeout(2000) })).ok) throw edge;
+      return edge.replace("http", "ws") + new URL(this.home).pathname;
+    });
+    const url = await Promise.any(ready).catch(() => this.home);
+    if (socket !== this.socket || (url === this.url && socket?.readyState === WebSocket.OPEN)) return;
+    this.url = url;
+    this.open();
+    socket?.close();
   }
 
   /** @param {object[]} messages */

@@ -1,4 +1,4 @@
-/** What is going on, as one word that follows from what is known: the only place where it is decided. */
+/** What is going on, as one word; decided here alone. */
 
 /**
  * - `connecting`, `waiting`: no picture yet; the server does not answer yet, or has nothing yet

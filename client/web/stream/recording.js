@@ -132,7 +132,7 @@ export class Recording {
     must(await this.handlers.packet(packet), "bad_file", "the recording is damaged");
   }
 
-  /** What has come of one packet, until it is whole, reading on a little where it is not there yet. @param {number} number @returns {AsyncGenerator<Uint8Array, void>} */
+  /** What has come of one packet, until it is whole, reading on a little. @param {number} number @returns {AsyncGenerator<Uint8Array, void>} */
   async *#packet(number) {
     const known = this.cache.get(number);
     if (known) return yield known;

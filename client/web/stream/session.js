@@ -69,9 +69,11 @@ export class Session {
     this.epoch = 0;
     this.streamState = "";
     this.refused = 0;
+    this.edges = /** @type {string[]} */ ([]);
+    this.leaves = false; // for an edge
     /** @type {{ levels?: number | null, kilobytes_per_second?: number | null }} */
     this.wishes = {};
-    /** Where to begin; after a break, where the viewer was. @type {"live" | Position} */
+    /** Where to begin; later on, where the viewer was. @type {"live" | Position} */
     this.start = "live";
   }
 
@@ -81,6 +83,8 @@ export class Session {
     this.received = this.unacknowledged = 0;
     this.lastAck = this.lastPacket = this.saidHello = now;
     this.isQuiet = this.isFresh = false;
+    const { mode, position } = this.status;
+    if (position) this.start = mode === "live" ? mode : position;
     const wishes = Object.fromEntries(Object.entries(this.wishes).filter(([, value]) => value != null));
     return [{ type: "hello", versions: [VERSION], client: CLIENT, start: this.start, ...wishes }];
   }
@@ -109,9 +113,10 @@ export class Session {
         this.attempts = 0;
         this.link = "open";
         this.epoch = message.epoch ?? 0;
+        this.leaves = !this.edges.length && message.source === "cameras"; // an edge has not all of the past
+        this.edges = message.edges ?? [];
         this.ackEvery = message.ack_every ?? 8;
-        Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, window: message.window });
-        Object.assign(status, { source: message.source ?? "cameras", loops: message.loop === true });
+        Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, window: message.window, source: message.source ?? "cameras", loops: message.loop === true });
         if (message.server_time_ns) status.clockMs = message.server_time_ns / 1e6 - (unixMs - (now - this.saidHello) / 2);
         status.fraction = message.progress?.fraction ?? null;
         this.#streamState(message.state, message.detail || message.progress?.text);
@@ -140,6 +145,9 @@ export class Session {
         break;
       case "caught_up":
         if (status.mode !== "paused") status.mode = "live";
+        break;
+      case "draining":
+        this.leaves = true;
         break;
       case "window":
         status.window = { oldest: message.oldest, newest: message.newest };
@@ -182,7 +190,7 @@ export class Session {
   /** The state is at `version` now. @type {(version: number, decodeMs: number, now: number) => object[]} */
   applied(version, decodeMs, now) {
     const position = (this.status.position = { epoch: this.epoch, version });
-    const { window } = this.status; // told once a second, and not while paused: what was shown can be sought all the same
+    const { window } = this.status; // told once a second, not while paused; what was shown can be sought
     if (window && window.newest.epoch === this.epoch && window.newest.version < version) this.status.window = { ...window, newest: position };
     this.refused = 0;
     this.isFresh = true;
@@ -235,8 +243,6 @@ export class Session {
       this.settle();
       return null;
     }
-    if (status.mode === "live" || !status.position) this.start = "live";
-    else this.start = status.position;
     const step = Math.min(FIRST_WAIT_MS * 2 ** this.attempts, MAX_WAIT_MS);
     const wait = own && this.refused === 1 ? 0 : step * (0.75 + 0.5 * random);
     this.attempts++;

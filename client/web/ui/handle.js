@@ -75,7 +75,7 @@ export function createHandle(viewer, timeline, latency, destroy) {
   return handle;
 }
 
-/** Obey the embedding page: every call is answered, by a result or an error. @param {ReturnType<typeof createHandle>} handle */
+/** Answer every call of the embedding page, by a result or an error. @param {ReturnType<typeof createHandle>} handle */
 export function listenToParent(handle) {
   if (window.parent === window) return;
   let gone = false;

@@ -6,7 +6,7 @@ import { clock } from "./states.js";
 
 /** @typedef {{ viewer: Viewer, address: () => string | null, token: string | null }} Source - address: of a file with all that can be sought */
 
-const LINGER_MS = 4000; // after the pointer has left: what was loaded is of use if it comes back
+const LINGER_MS = 4000; // after the pointer has left; it may come back
 const THUMB_PX = 16; // of the slider
 
 class Moments {

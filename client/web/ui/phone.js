@@ -38,7 +38,7 @@ export function attachPhone(viewer) {
       lock = null;
     } else if (!asking && (!lock || lock.released) && "wakeLock" in navigator) {
       asking = true;
-      lock = await navigator.wakeLock.request("screen").catch(() => null); // refused where the battery is low, and in some frames
+      lock = await navigator.wakeLock.request("screen").catch(() => null); // may be refused
       asking = false;
     }
   };

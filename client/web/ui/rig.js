@@ -1,4 +1,4 @@
-/** The rig over the picture: its cameras as pyramids, each with its name; a click on a name goes there. And what a camera films. */
+/** The rig over the picture: cameras as pyramids with names to go to, and what each films. */
 
 import { add, fromCamera, row } from "../view/camera.js";
 import { element } from "./page.js";

@@ -10,7 +10,7 @@
  */
 
 const MAX_CHARACTERS = 60; // characters of the server's words in the chip
-const WITHOUT_PICTURE = ["connecting", "reconnecting", "deleted", "failed", "version", "denied", "missing"]; // phases that say why there is none
+const WITHOUT_PICTURE = ["connecting", "reconnecting", "deleted", "failed", "version", "denied", "missing"];
 
 /** @type {(chip: string, tone: Words["tone"], title: string, text: string, more?: object) => Words} */
 const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { title, text, spinner: false, ...more } });

@@ -58,7 +58,7 @@ export class Latency {
   }
 }
 
-/** The picture in words, for those who do not see it. @param {import("../view/viewer.js").Viewer} viewer @param {string} time */
+/** The picture in words. @param {import("../view/viewer.js").Viewer} viewer @param {string} time */
 export function describe({ scene, pose }, time) {
   /** @type {(camera: import("../view/camera.js").RigCamera) => number} */
   const away = (camera) => Math.hypot(...add(fromCamera(camera, 1).position, pose.position, -1));

@@ -18,7 +18,7 @@ async function fetchStreams(options) {
 /** The stream the address names, or the server's only or first one. @param {URLSearchParams} options @returns {Promise<string>} */
 export async function chooseStream(options) {
   const named = options.get("stream"), listed = fetchStreams(options);
-  const chosen = named ?? (await listed)[0]?.id ?? "main"; // one that is named need not wait for the list
+  const chosen = named ?? (await listed)[0]?.id ?? "main"; // a named one need not wait
   listed.then((streams) => {
     const label = button("stream-name");
     label.textContent = streams.find(({ id }) => id === chosen)?.name ?? chosen;
@@ -29,7 +29,7 @@ export async function chooseStream(options) {
 
 const COUNT_MS = 10_000;
 
-/** Ask how many watch a stream, and whose cameras' pictures may be seen, as long as `viewer` watches it. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */
+/** Ask how many watch a stream, and for its cameras' pictures, while `viewer` watches. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */
 export async function countWatchers(options, stream, viewer) {
   for (; viewer.running; await new Promise((resolve) => setTimeout(resolve, COUNT_MS))) {
     if (document.hidden || viewer.status?.phase === "reconnecting") continue;

@@ -1,4 +1,4 @@
-/** From packets and a view to splats in drawing order; everything between socket and screen that needs no browser. */
+/** From packets and a view to splats in drawing order; needs no browser. */
 
 import { SceneDecoder } from "../decode/decoder.js";
 import { Expander, MIN_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";

@@ -1,4 +1,4 @@
-/** Auto, high or low: what is given up while the picture moves so that it follows a drag, and how many levels are asked for. */
+/** Auto, high or low: what is given up while the picture moves, and how many levels are asked for. */
 
 /** @typedef {import("./viewer.js").Viewer} Viewer */
 /** @typedef {"auto" | "high" | "low"} Name */
@@ -10,7 +10,7 @@ export const QUALITIES = [
   { name: "low", label: "Low", note: "saves data" },
 ];
 const SLOW_FPS = 15, FAST_FPS = 30;
-const MAX_FRAME_MS = 70; // so that a drag is answered within 100 ms: the next frame may be 16 ms away
+const MAX_FRAME_MS = 70; // so that a drag is answered within 100 ms
 const PATIENCE = 2, COURAGE = 8; // measurements in a row before a step down or up
 const COOL_DOWN = 40; // heartbeats before a step that proved too slow is tried again
 

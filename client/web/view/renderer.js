@@ -167,7 +167,7 @@ export class Renderer {
     this.uploaded = -1;
   }
 
-  /** Give the graphics card the order, without splats that the vertex shader would drop wherever they lie. @param {number} share */
+  /** Give the graphics card the order, without splats that are never drawn. @param {number} share */
   #upload(share) {
     const { order, gl } = this, limit = MAX_KEEP * share;
     /** @type {Uint32Array} */

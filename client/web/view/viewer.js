@@ -100,7 +100,7 @@ export class Viewer extends EventTarget {
     return new Promise((resolve) => this.answers.set(id, resolve));
   }
 
-  /** The decoder's state, for comparison with other decoders. @returns {Promise<import("./messages.js").Inspection | null>} */
+  /** The decoder's state, to compare. @returns {Promise<import("./messages.js").Inspection | null>} */
   inspect() {
     const id = ++this.asked;
     this.tell({ type: "inspect", id });
@@ -162,7 +162,7 @@ export class Viewer extends EventTarget {
     this.#orbitAround(pose);
   }
 
-  /** Go around what `pose` looks at, once that is known and if nobody has gone elsewhere. @param {Pose} pose @returns {Promise<number>} how far away it lies */
+  /** Go around what `pose` looks at, if nobody has gone elsewhere. @param {Pose} pose @returns {Promise<number>} how far away it lies */
   async #orbitAround(pose) {
     const answer = await this.ask("depth", pose.position, /** @type {Vec3} */ (pose.rotation.slice(6, 9)));
     const distance = answer?.[2] || pose.distance;
@@ -282,7 +282,7 @@ export class Viewer extends EventTarget {
     this.drew = false;
   }
 
-  /** Frames a second that drawing sustained since the last answer; null where too little was drawn to tell. */
+  /** Frames a second that drawing sustained since the last answer; null: too little to tell. */
   pace() {
     const { frames, ms } = this.timed;
     if (frames < 2 || ms < 200) return null;

@@ -9,7 +9,7 @@ import { add, cross, dot, row, unit } from "./camera.js";
 /** @typedef {import("./viewer.js").Viewer} Viewer */
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 
-const REACH = 2; // metres from the head to the centre of the page's orbit when the session begins: this sets the scale
+const REACH = 2; // metres from the head to the centre of the page's orbit at first, which sets the scale
 const PACE = 1.5; // metres a second with the left stick pushed
 const SNAP = Math.PI / 6; // radians of a turn with the right stick
 const DEAD = 0.2, PUSHED = 0.7; // shares of a stick's travel: less is ignored, more is a push

@@ -1,4 +1,4 @@
-/** The worker between socket and splats. Speaks with the page by the messages of protocol types in `messages.js`. */
+/** The worker between socket and splats; `messages.js` says what it hears and tells. */
 
 import { Connection } from "../stream/connection.js";
 import { Engine } from "./engine.js";
@@ -116,7 +116,7 @@ function hold(version) {
 
 const handlers = { packet: decode, hold, status };
 
-/** From now on a file is watched; who watches live does not load what plays files. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
+/** Watch a file; what plays it is loaded now. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
 async function playFile(url, token, loop) {
   source?.close();
   source = file = null;

@@ -237,7 +237,7 @@ test("session: back-off doubles to 15 s, starts anew after a welcome, and return
   session.applied(5, 1, 0);
   session.control(event("position", { mode: "replay", epoch: 1, version: 5 }));
   assert.equal(session.closed(1001, "", 0, 0.5), 500);
-  assert.deepEqual(session.start, { epoch: 1, version: 5 });
+  assert.deepEqual(/** @type {any} */ (session.opened(0)[0]).start, { epoch: 1, version: 5 });
 });
 
 test("session: what was shown can be sought, before the window is told again", () => {

@@ -1,0 +1,68 @@
+"""The page and edges: it watches at the nearest that answers, and goes on at another when its own stops."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from server.pipeline.spec import StreamSpec
+from server.settings import EdgeSettings, Settings
+from tests.client.web.test_browser import shows
+from tests.server.conftest import Clip, Running, make_clip, running
+from tests.server.edge.processes import free_ports, wait
+
+pytestmark = [pytest.mark.browser, pytest.mark.cluster]
+
+# The longest time between two versions [ms], and all phases, from here on.
+WATCH = """() => {
+  let version = 0, at = performance.now();
+  window.gap = 0;
+  setInterval(() => {
+    const state = streamlod.state, now = performance.now();
+    if (state.version !== version) [version, at] = [state.version, now];
+    window.gap = Math.max(window.gap, now - at);
+    (window.phases ??= new Set()).add(state.phase);
+  }, 10);
+}"""
+
+
+@pytest.fixture(scope="module")
+def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    return make_clip(tmp_path_factory.mktemp("clip") / "scene.slod", 1000, key_every=50)
+
+
+def pages_at(server: Running) -> int:
+    return sum(session.client.startswith("streamlod-web") for session in list(server.registry.sessions))
+
+
+def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, long_clip: Clip) -> None:
+    ports = free_ports(3)
+    addresses = [f"http://127.0.0.1:{port}" for port in ports]
+    with ExitStack() as stack:
+        known = Settings(edges=tuple(addresses[1:]))
+        origin = stack.enter_context(running(known, StreamSpec(play=long_clip.path), port=ports[0]))
+        origin.registry.streams["main"].source = "cameras"  # the page goes to edges for what is live
+        of_origin = EdgeSettings(origin=origin.url, poll_seconds=0.1, linger_seconds=0.2)
+        edge = Settings(edge=of_origin, origins=(origin.url,))
+        stops = [stack.enter_context(ExitStack()) for _ in range(2)]
+        edges = [stop.enter_context(running(edge, port=port)) for stop, port in zip(stops, ports[1:], strict=True)]
+        for each in edges:
+            wait(lambda each=each: each.registry.edges and not each.registry.unready)
+        page = stack.enter_context(chromium.new_context()).new_page()
+        page.goto(f"{origin.url}/?stream=main")
+        wait(lambda: sum(map(pages_at, edges)) == 1 and not pages_at(origin), 60)
+        shows(page, "s.version > 0")
+
+        page.evaluate(WATCH)
+        at = 0 if pages_at(edges[0]) else 1
+        stops[at].close()  # as after SIGTERM
+        wait(lambda: pages_at(edges[1 - at]) == 1, 60)
+        page.wait_for_timeout(1000)
+        assert page.evaluate("window.gap") < 4000  # ms; the browser draws on a busy CPU
+        assert page.evaluate("!window.phases.has('reconnecting')")  # it went before it was sent away
+
+        stops[1 - at].close()  # no edge is left: back to where it came from
+        wait(lambda: pages_at(origin) == 1, 60)
+        shows(page, "!['reconnecting', 'connecting'].includes(s.phase)")
