@@ -1,11 +1,12 @@
 """Faults of edges and origin, each several times: how long the picture stands still at a viewer of the Python client.
 
-    streamlod bench failover [--repeats 10 --faults stop,kill,alone,origin --json FILE --short]
+    streamlod bench failover [--repeats 10 --faults none,stop,kill,alone,origin --json FILE --short]
 
-stop: the viewer's edge gets SIGTERM, another one is there. kill: it gets SIGKILL, another one is there. alone: it gets
-SIGKILL and there is no other; it is started again at once, as a service manager does. origin: the origin gets SIGKILL
-and is started again at once, with its state folder. What is told is the longest time from one picture to the next, of
-50 a second, as a list over the repeats; for `alone` and `origin` most of it is the start of a Python process.
+none: nothing happens, for comparison. stop: the viewer's edge gets SIGTERM, another one is there. kill: it gets
+SIGKILL, another one is there. alone: it gets SIGKILL and there is no other; it is started again at once, as a service
+manager does. origin: the origin gets SIGKILL and is started again at once, with its state folder. What is told is the
+longest time from one picture to the next, of 50 a second, as a list over the repeats; for `alone` and `origin` most of
+it is the start of a Python process.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 import json
 import signal
 import tempfile
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -24,7 +26,7 @@ from tests.server.conftest import make_clip
 from tests.server.edge.processes import Node, begin, free_ports, listening, wait
 
 _COUNTS = (100, 400, 1500)  # anchors by level
-_FAULTS = ("stop", "kill", "alone", "origin")
+_FAULTS = ("none", "stop", "kill", "alone", "origin")
 
 
 class Cluster:
@@ -71,6 +73,8 @@ class Cluster:
 def once(cluster: Cluster, fault: str) -> float:
     """Inject a fault, mend it, and tell the longest time without a picture [s]."""
     port = cluster.nodes[1].port
+    if fault == "none":
+        return longest_gap(port, lambda: time.sleep(1))
     if fault == "origin":
         return longest_gap(port, lambda: cluster.kill_and_start(0))
     if fault == "alone":
@@ -94,7 +98,7 @@ def main() -> None:
     found: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as name:
         clip = make_clip(Path(name) / "clip.slod", 1000, _COUNTS, key_every=100).path
-        for edges, group in ((2, {"stop", "kill"}), (1, {"alone", "origin"})):
+        for edges, group in ((2, {"none", "stop", "kill"}), (1, {"alone", "origin"})):
             with ExitStack() as stack:
                 chosen = [fault for fault in faults if fault in group]
                 if not chosen:

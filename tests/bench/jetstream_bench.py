@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -87,18 +88,21 @@ def main() -> None:
         pair = Pair(folder, clip, shared)
         stack.callback(pair.close)
         port = pair.nodes[1].port
+        faults: dict[str, Callable[[], None]] = {
+            "NATS leader": lambda: kill_nats(shared),
+            "serving node": lambda: pair.restart(1),
+            "publishing node": lambda: pair.restart(0),
+        }
         note("delay behind the hop [ms]: p50, p99, packets", hop_delay(pair.nodes, options.seconds)["1 hops"])
-        gaps: dict[str, list[float]] = {"NATS leader": [], "serving node": [], "publishing node": []}
-        for _ in range(options.repeats):
-            gaps["NATS leader"].append(longest_gap(port, lambda: kill_nats(shared)))
-            for server in shared.servers:
-                if server.process is None:
-                    server.start()
-                server.wait()
-            gaps["serving node"].append(longest_gap(port, lambda: pair.restart(1)))
-            gaps["publishing node"].append(longest_gap(port, lambda: pair.restart(0)))
-        for what, seconds in gaps.items():
-            note(f"kill -9 of the {what}: longest time without a picture [s]", [round(each, 2) for each in seconds])
+        for what in ("NATS leader", "serving node", "publishing node"):
+            gaps = []
+            for _ in range(options.repeats):
+                gaps.append(round(longest_gap(port, faults[what]), 2))
+                for server in shared.servers:
+                    if server.process is None:
+                        server.start()
+                    server.wait()
+            note(f"kill -9 of the {what}: longest time without a picture [s]", gaps)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n")
 
