@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import queue
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, contextmanager
@@ -28,6 +30,7 @@ from server.worker.cluster.room import NoRoom
 from server.worker.process import Sender, Tag, receive_resume, send_resume
 
 _LOG = logging.getLogger(__name__)
+_JOIN_SECONDS = 30.0  # after which a cluster that does not answer is given up; Ray itself waits for minutes
 
 
 def run_on_ray(
@@ -52,8 +55,12 @@ def run_on_ray(
     from server.worker.cluster.placing import joined, reserve
 
     sender = Sender(pipe)
+    waiting = threading.Timer(_JOIN_SECONDS, _give_up, (settings, sender))
+    waiting.daemon = True
+    waiting.start()
     try:
         with joined(settings) as host:
+            waiting.cancel()
             try:
                 place = reserve(spec.id, settings)
             except NoRoom:
@@ -81,6 +88,13 @@ def run_on_ray(
     except Exception as error:
         _LOG.exception("stream %s: its actor", spec.id)
         sender.send(Tag.FAILURE, {"text": f"{type(error).__name__}: {error}", "fatal": False})
+
+
+def _give_up(settings: RaySettings, sender: Sender) -> None:
+    """Say that the cluster does not answer, and end the process, which cannot be stopped otherwise."""
+    text = f"the Ray cluster {settings.address!r} does not answer; start it: ray start --head"
+    sender.send(Tag.FAILURE, {"text": text, "fatal": False})
+    os._exit(1)
 
 
 def _pass_all(

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import multiprocessing
 import subprocess
 import sys
+from multiprocessing.connection import Connection
+from pathlib import Path
 
 import pytest
 
 from core.errors import InputError
+from server.pipeline.job import TrainJob
+from server.pipeline.spec import StreamSpec
 from server.settings import RaySettings, Settings
+from server.worker.cluster.driver import run_on_ray
+from server.worker.process import Tag
 
 WITHOUT_RAY = """
 import sys
@@ -43,6 +51,31 @@ def test_it_says_what_to_install_and_without_the_setting_nothing_of_it_is_needed
 def test_a_server_loads_nothing_of_it_itself() -> None:
     pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
     assert output_of(WITH_RAY).split() == []
+
+
+def join_nothing(pipe: Connection) -> None:
+    """The local process of a stream, where nothing listens at the cluster's address."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("server.worker.cluster.driver._JOIN_SECONDS", 2.0)
+        settings, spec = RaySettings(address="127.0.0.2:1"), StreamSpec(job=TrainJob(data=Path("data")))
+        run_on_ray(settings, 1000, spec, pipe)
+
+
+def test_a_cluster_that_does_not_answer_is_given_up() -> None:
+    pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=join_nothing, args=(theirs,), daemon=True)
+    process.start()
+    theirs.close()
+    with ours:
+        assert ours.poll(60)
+        message = ours.recv_bytes()
+    process.join(10)
+    assert (message[0], json.loads(message[1:])["fatal"]) == (Tag.FAILURE, False)
+    assert "'127.0.0.2:1'" in json.loads(message[1:])["text"]
+    assert "ray start --head" in json.loads(message[1:])["text"]
+    assert process.exitcode == 1
 
 
 def test_a_worker_takes_part_of_one_gpu_or_whole_ones() -> None:
