@@ -6,10 +6,12 @@ import itertools
 import json
 import logging
 import re
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from client.evaluation.jobs import Jobs, in_order
 from client.evaluation.measure.footage import Footage, chosen_split, open_footage
 from client.evaluation.measure.machine import machine
 from client.evaluation.measure.scores import Perception, load_perception
@@ -22,6 +24,7 @@ from client.evaluation.rows import Row, study_rows
 from client.evaluation.summary import run_figures, spread
 from client.evaluation.systems import PERCEIVED, FirstFrames, run_system
 from client.recorder import write_png
+from core.arrays import UInt8
 from core.files import write_text
 from core.synthetic import SyntheticSpec, read_spec
 
@@ -44,6 +47,7 @@ class StudyOptions:
         split: a file that names the cameras instead of `views` and `test`.
         preset: what is called ours.
         device: to train on.
+        jobs: where runs are made, see `client.evaluation.jobs`.
     """
 
     views: tuple[int, ...] = (3,)
@@ -55,6 +59,7 @@ class StudyOptions:
     split: Path | None = None
     preset: str = "balanced"
     device: str = "auto"
+    jobs: Jobs = "local"
 
 
 def run_study(data: Path, out: Path, options: StudyOptions, rows: tuple[Row, ...] = ()) -> str:
@@ -89,16 +94,26 @@ def run_study(data: Path, out: Path, options: StudyOptions, rows: tuple[Row, ...
             "plots": [],
         }
         study["splits"].append(entry)
-        runner = _Runner(footage, FirstFrames(options.device), perception, spec, out)
+        runner = _Runner(footage, FirstFrames(options.device), perception, spec)
         known = _known_runs(earlier, entry)
         runs: dict[str, list[dict[str, Any]]] = {row.name: [] for row in systems}
-        for seed, row in itertools.product(range(options.seeds), systems):
-            found = known.get((_identity(_row_entry(row, [], "")), seed))
-            runs[row.name].append(found or runner.run(row, seed))
-            entry["rows"] = [_row_entry(row, runs[row.name], runner.picture(row)) for row in systems if runs[row.name]]
-            _write(out, study)
-        for shown, plot in study_plots(split.name, entry["rows"]).items():
-            entry["plots"].append(f"{len(split.train)}_{shown}.svg")
+        wanted = list(itertools.product(range(options.seeds), systems))
+        found = [known.get((_identity(_row_entry(row, [], "")), seed)) for seed, row in wanted]
+        missing = [run for run, figures in zip(wanted, found, strict=True) if figures is None]
+        with closing(in_order(runner.run, missing, options.jobs, options.device)) as measured:
+            for (seed, row), known_figures in zip(wanted, found, strict=True):
+                figures = known_figures
+                if figures is None:
+                    figures, shown = next(measured)
+                    if seed == 0:
+                        write_png(out / runner.picture(row), shown)
+                    _log.info("%s, %s, seed %d: %.2f dB", split.name, row.name, seed, figures["psnr"])
+                runs[row.name].append(figures)
+                done = [row for row in systems if runs[row.name]]
+                entry["rows"] = [_row_entry(row, runs[row.name], runner.picture(row)) for row in done]
+                _write(out, study)
+        for name, plot in study_plots(split.name, entry["rows"]).items():
+            entry["plots"].append(f"{len(split.train)}_{name}.svg")
             write_text(out / entry["plots"][-1], plot)
         _write(out, study)
     return f"{out / 'study.md'}: {len(systems)} systems, {len(splits)} splits, {options.seeds} seeds"
@@ -108,7 +123,7 @@ def _empty_study(data: Path, options: StudyOptions) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "data": data.resolve().name,
-        "machine": machine(options.device),
+        "machine": machine(options.device) | ({} if options.jobs == "local" else {"jobs": options.jobs}),
         "protocol": {"frames": None, "downscale": options.downscale, "lpips_frames": PERCEIVED},
         "seeds": list(range(options.seeds)),
         "preset": options.preset,
@@ -158,14 +173,13 @@ class _Runner:
     first_frames: FirstFrames
     perception: Perception
     spec: SyntheticSpec | None
-    out: Path
 
     def picture(self, row: Row) -> str:
         """Name of the file of a system's picture."""
         return f"{len(self.footage.split.train)}_{re.sub(r'[^a-z0-9]+', '_', row.name.lower())}.png"
 
-    def run(self, row: Row, seed: int) -> dict[str, Any]:
-        """Figures of one run; the picture of the first seed is written."""
+    def run(self, seed: int, row: Row) -> tuple[dict[str, Any], UInt8]:
+        """Figures of one run, and its picture beside the truth."""
         run = run_system(
             replace(row.config, seed=seed),
             self.footage,
@@ -174,8 +188,4 @@ class _Runner:
             perception=self.perception,
             spec=self.spec,
         )
-        figures = run_figures(run)
-        if seed == 0:
-            write_png(self.out / self.picture(row), side_by_side(run.truth, run.drawn))
-        _log.info("%s, %s, seed %d: %.2f dB", self.footage.split.name, row.name, seed, figures["psnr"])
-        return figures
+        return run_figures(run), side_by_side(run.truth, run.drawn)

@@ -9,7 +9,7 @@ import signal
 import sys
 import traceback
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -269,6 +269,10 @@ def study(
     split: SplitFile = None,
     preset: Preset = DEFAULTS["preset"],
     device: Device = DEFAULTS["device"],
+    jobs: Annotated[
+        Literal["local", "ray"],
+        typer.Option(help="Runs one after another, or side by side on a Ray cluster: times then differ."),
+    ] = "local",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds is not redone.")] = Path(
         "study-output"
     ),
@@ -286,6 +290,7 @@ def study(
         split=split,
         preset=preset,
         device=device,
+        jobs=jobs,
     )
     _call("client.evaluation.study:run_study", data, out, options)
 

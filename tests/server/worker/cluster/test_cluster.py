@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
 
+from client.evaluation.jobs import in_order
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 from server.settings import RaySettings, Settings, WorkerSettings
@@ -65,6 +67,21 @@ def test_a_stream_without_room_is_refused_with_what_would_have_to_stop(
         refused = client.post("/v1/streams", json={"id": "large", "start": True, **source})
         assert (refused.status_code, "no node is that large" in refused.json()["detail"]) == (409, True)
     assert not multiprocessing.active_children()
+
+
+def where(number: int, text: str) -> tuple[int, str, int]:
+    """Stands in for a run of a study."""
+    return number, text, os.getpid()
+
+
+def test_runs_of_a_study_are_made_by_the_cluster_and_come_in_order(
+    nodes: Nodes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", nodes.address)
+    runs = [(number, str(number)) for number in range(5)]
+    found = list(in_order(where, runs, "ray"))
+    assert [each[:2] for each in found] == runs == [each[:2] for each in in_order(where, runs)]
+    assert os.getpid() not in {pid for *_, pid in found}
 
 
 def test_a_stream_goes_on_at_another_node_when_its_own_is_killed(
