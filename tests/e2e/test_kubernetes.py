@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -98,6 +100,20 @@ def test_what_is_mounted_is_there_and_where_the_commands_look() -> None:
         words = " ".join(pod["containers"][0]["args"]).replace("=", " ").split()
         assert len(places) == 1
         assert places < set(words)
+
+
+@pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is missing")
+def test_nginx_takes_the_command_of_the_proxy(tmp_path: Path) -> None:
+    """As its image has it: `pid` is set in nginx.conf, and nothing may be set twice."""
+    (container,) = WORKLOADS["proxy"]["spec"]["template"]["spec"]["containers"]
+    *_, command = shlex.split(container["args"][0])
+    config = tmp_path / "nginx.conf"
+    config.write_text(f"error_log stderr; pid {tmp_path}/nginx.pid; events {{}}")
+    done = subprocess.run(["nginx", "-t", "-c", config, "-g", command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {"/run", "/var/cache/nginx", "/etc/nginx/conf.d"} <= {
+        each["mountPath"] for each in container["volumeMounts"]
+    }
 
 
 def test_services_lead_to_ports_that_are_open() -> None:
