@@ -101,7 +101,10 @@ class Registry:
                 recording.note(definition=self._sealed(spec), running=start)
             except StorageError:
                 del self.streams[spec.id]
-                await recording.erase()
+                if recording.segments:  # of an earlier stream of this id
+                    self.kept[spec.id] = recording
+                else:
+                    await recording.erase()
                 raise
         self.feed.tell("stream.created", spec.id)
         if start:

@@ -26,6 +26,7 @@ from server.protocol.packets import Position
 from server.stream.bus import RetainedGroup
 from server.stream.sealing import masked
 from server.stream.stream import Stream
+from server.stream.worker_stream import WorkerStream
 
 _USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 415, 422, 429)}
 
@@ -71,7 +72,7 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
         raise Problem(409 if body.id in registry.streams else 422, str(error)) from error
     if no_room := await stream.until_placed():
         if not stream.deleted:
-            await registry.delete(stream, erase=True)
+            await _withdraw(registry, stream)
         raise Problem(409, no_room)
     response.headers.update({"Location": f"/v1/streams/{body.id}", **tag_headers(stream)})
     return StreamBody.model_validate(stream.describe())
@@ -148,6 +149,15 @@ async def delete_stream(
     """Stop a stream and close its viewers with 1000. What was recorded stays on the disk unless `erase` is given."""
     try:
         await registry_of(request).delete(stream, erase=erase)
+    except StorageError as error:
+        raise Problem(507, str(error)) from error
+
+
+async def _withdraw(registry: Registry, stream: WorkerStream) -> None:
+    """Remove a stream that never ran; what an earlier one of its id recorded stays."""
+    recording = stream.bus.recording
+    try:
+        await registry.delete(stream, erase=recording is None or not recording.segments)
     except StorageError as error:
         raise Problem(507, str(error)) from error
 

@@ -214,6 +214,7 @@ class WorkerStream(Stream):
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
             self._task = None
+        self._placed.set()  # nobody waits for a worker that will not come
         if self.bus.recording is not None:
             await self.bus.recording.close()
 

@@ -21,6 +21,7 @@ from core.errors import InputError
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from server.stream.worker_stream import WorkerStream
+from server.worker.process import Sender, Tag
 from tests.attack.test_rights import bearer, close_code, write_tokens
 from tests.server.conftest import Clip, Running, make_clip, running, viewing
 
@@ -330,3 +331,30 @@ def test_the_interface_is_shown_without_another_site(client: httpx.Client) -> No
         assert address.startswith("/docs/files/")
         assert client.get(address).status_code == 200
     assert "http" not in page.replace("http-equiv", "")
+
+
+def _no_room(*arguments: Any) -> None:
+    """In place of `server.worker.cluster.driver.run_on_ray`, in a process of its own: a cluster that is full."""
+    pipe = arguments[3]
+    Sender(pipe).send(Tag.FAILURE, {"text": "it needs 1 CPU", "fatal": True, "refused": True})
+
+
+def test_a_stream_that_cannot_be_created_leaves_the_recording_of_an_earlier_one(
+    clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", _no_room)
+    (tmp_path / "data").mkdir()
+    again = {"id": "gone", "data": str(tmp_path / "data"), "start": True}
+    with running(Settings(state=tmp_path, jobs="ray")) as server, server.client(timeout=60) as client:
+        client.post("/v1/streams", json={"id": "gone", "play": str(clip.path), "start": True})
+        server.wait(lambda stream: (stream["version"] or 0) > 3, "gone")
+        client.delete("/v1/streams/gone")
+        before = client.get("/v1/recordings").json()["items"]
+        assert before
+        refused = client.post("/v1/streams", json=again)
+        assert (refused.status_code, "it needs 1 CPU" in refused.text) == (409, True)
+        assert client.get("/v1/recordings").json()["items"] == before
+        (tmp_path / "streams" / "gone" / "stream.new").mkdir()  # so that nothing can be remembered
+        assert client.post("/v1/streams", json=again).status_code == 507
+        assert client.get("/v1/recordings").json()["items"] == before
+        assert client.get("/v1/streams").json()["items"] == []
