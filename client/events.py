@@ -14,7 +14,7 @@ class Welcome:
     """The server accepted us.
 
     `state` as in `Notice`; `levels` and `fps` are None before the first keyframe; `edges` are addresses of servers at
-    which the same stream can be watched.
+    which the same stream can be watched. Under another `incarnation` of it, a position is another picture.
     """
 
     stream: str
@@ -23,6 +23,7 @@ class Welcome:
     levels: int | None
     fps: float | None
     edges: tuple[str, ...] = ()
+    incarnation: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -124,6 +124,7 @@ class Playback:
             levels if isinstance(levels, int) else None,
             float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else None,
             edges_in(message.get("edges")),
+            str(message.get("incarnation", "")),
         )
 
     def _current_levels(self, version: int) -> int:

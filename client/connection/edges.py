@@ -45,7 +45,9 @@ async def nearest(urls: Iterable[str]) -> str | None:
     """Of live websockets at several servers, that of the first server to say that viewers may come; None: none does."""
 
     async def answer(url: str) -> str | None:
-        return None if await _read(client, _beside(url, "/readyz"), {}) is None else url
+        with suppress(ValueError):  # no address, though it looks like one
+            return None if await _read(client, _beside(url, "/readyz"), {}) is None else url
+        return None
 
     places = list(urls)
     if not places:

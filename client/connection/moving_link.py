@@ -24,13 +24,13 @@ class _Joined:
     """A connection that was made beside another one.
 
     Attributes:
+        incarnation: of the stream there. Only under the same one are positions the same.
         events: told so far; of scenes only the newest one.
-        is_level: whether its scene is as new as that of the other was, under the same positions.
     """
 
     link: StreamLink
+    incarnation: str
     events: list[Event]
-    is_level: bool
 
 
 class MovingLink:
@@ -43,6 +43,7 @@ class MovingLink:
 
     def __init__(self, url: str, options: WatchOptions) -> None:
         self._link, self._options = StreamLink(url, options), options
+        self._incarnation = ""
         self._move: asyncio.Task[_Joined | None] | None = None
         self._closing: list[asyncio.Task[None]] = []
 
@@ -69,7 +70,7 @@ class MovingLink:
             joined = await self._joined()
             if joined is None:
                 raise OSError("the server is stopping, and no edge is ready")
-            seen = self.playback.position if joined.is_level else None
+            seen = self.playback.position if joined.incarnation == self._incarnation else None
             left, self._link = self._link, joined.link
             self._closing.append(asyncio.create_task(left.close()))  # which may take half a second
             async for event in self._told(joined.events):
@@ -98,7 +99,7 @@ class MovingLink:
             async for event in _chain(before, self._link.events):
                 yield event
                 if isinstance(event, Welcome):
-                    edges = at_edges(self.url, event.edges)
+                    edges, self._incarnation = at_edges(self.url, event.edges), event.incarnation
                 if isinstance(event, Notice) and event.name == "draining" and self._move is None:
                     self._move = asyncio.create_task(_join(self._link, edges, self._options))
                 if self._move is not None and self._move.done() and self._move.result() is not None:
@@ -121,17 +122,21 @@ async def _join(left: StreamLink, edges: tuple[str, ...], options: WatchOptions)
     if place is None:
         return None
     link, aim = StreamLink(place, options), left.playback.position
-    told: list[Event] = []
-    scenes: list[Event] = []
+    incarnation, told = "", list[Event]()
+    newest: list[Event] = []
     try:
         async with asyncio.timeout(_MOVE_SECONDS):
             await link.open(aim if left.playback.mode == "replay" else None)
             async for event in link.events:
-                (scenes if isinstance(event, NewScene) else told).append(event)
+                if isinstance(event, NewScene):
+                    newest = [event]
+                else:
+                    told.append(event)
+                incarnation = event.incarnation if isinstance(event, Welcome) else incarnation
                 here = link.playback.position
                 is_level = here is not None and aim is not None and here >= aim
                 if is_level or (isinstance(event, Notice) and event.name == "caught_up"):
-                    return _Joined(link, told + scenes[-1:], is_level)
+                    return _Joined(link, incarnation, told + newest)
     except (OSError, WebSocketException, SessionError) as error:
         _log.info("%s cannot be moved to (%s)", place, error or "too slow")
     except asyncio.CancelledError:

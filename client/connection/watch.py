@@ -29,14 +29,14 @@ async def watch(url: str, options: WatchOptions = _LIVE, attempts: int = 8) -> A
     """The events of a stream, with reconnection; ends when the server says that the stream is over.
 
     After a break a live viewer joins at the live edge again; a replay continues where it stopped. Where the server has
-    named edges, it goes on at the nearest of them that answers.
+    named edges, it goes on at the nearest of them that answers, and at the server itself if that one refuses us.
 
     Args:
-        attempts: failures in a row after which to give up. The very first attempt must succeed.
+        attempts: failures in a row after which to give up. The very first attempt at `url` must succeed.
 
     Raises:
         InputError: not a websocket address, or nobody answers there.
-        SessionError: the server refuses us, or breaks the protocol twice in a row.
+        SessionError: the server at `url` refuses us, or breaks the protocol twice in a row.
     """
     if urlsplit(url).scheme not in {"ws", "wss"}:
         raise InputError(url, "is not a websocket address; it looks like ws://HOST:PORT/v1/streams/main/live")
@@ -54,11 +54,16 @@ async def watch(url: str, options: WatchOptions = _LIVE, attempts: int = 8) -> A
         except (OSError, WebSocketException, SessionError) as error:
             if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code == CloseCode.DONE:
                 return
-            reason = _reason(link.url, error, repeated=failures > 0 or not ever)
+            try:
+                reason = _reason(link.url, error, repeated=failures > 0 or not ever)
+            except (InputError, SessionError) as refusal:
+                if link.url == url:
+                    raise
+                reason, edges = str(refusal), ()  # by an edge; the server itself may take us
         finally:
             await link.close()
         failures += 1
-        if not ever or failures > attempts:
+        if (not ever and link.url == url) or failures > attempts:
             raise InputError(url, f"cannot be reached ({reason}); is the server running?")
         if link.playback.mode == "replay" and link.playback.position is not None:
             start = link.playback.position

@@ -6,9 +6,11 @@ import asyncio
 import json
 from collections.abc import Awaitable, Callable
 from contextlib import aclosing
+from http import HTTPStatus
 
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.http11 import Request, Response
 
 import client.connection.watch
 from client.connection.link import SUBPROTOCOL, WatchOptions
@@ -108,6 +110,89 @@ def test_final_refusals_end_it(code: int) -> None:
     with pytest.raises(SessionError, match="no") as caught:
         events_from(refuse)
     assert caught.value.close_code == code
+
+
+@pytest.mark.parametrize("status", [404, 403, 101])
+def test_an_edge_that_refuses_is_left_for_the_server_itself(status: int) -> None:
+    """As one that serves other streams, or knows other tokens, or whose past is shorter; others are no addresses."""
+    data = packets(states(2))
+
+    async def live(socket: ServerConnection) -> None:
+        await welcome(socket)
+        for packet in data:
+            await socket.send(packet)
+        await socket.close(1000)
+
+    async def refuse(socket: ServerConnection) -> None:
+        await socket.close(4404, "no such stream")
+
+    def edge_answer(socket: ServerConnection, request: Request) -> Response | None:
+        if request.path == "/readyz":
+            return socket.respond(HTTPStatus.OK, "ready")
+        return None if status == 101 else socket.respond(HTTPStatus(status), "no")
+
+    async def run() -> list[Event]:
+        options = {"subprotocols": [SUBPROTOCOL], "compression": None}
+        async with serve(refuse, "127.0.0.1", 0, process_request=edge_answer, **options) as edge:  # type: ignore[arg-type]
+            place = f"http://127.0.0.1:{edge.sockets[0].getsockname()[1]}"
+
+            def home_answer(socket: ServerConnection, request: Request) -> Response | None:
+                named = json.dumps({"edges": ["http://[::::", place]})
+                return socket.respond(HTTPStatus.OK, named) if request.path == "/v1/server" else None
+
+            async with serve(live, "127.0.0.1", 0, process_request=home_answer, **options) as home:  # type: ignore[arg-type]
+                url = f"ws://127.0.0.1:{home.sockets[0].getsockname()[1]}/v1/streams/main/live"
+                async with aclosing(watch(url, WatchOptions(nearest=True), attempts=3)) as events:
+                    return [event async for event in events]
+
+    events = asyncio.run(run())
+    assert [type(event) for event in events] == [Disconnected, Welcome, NewScene, NewScene]
+
+
+@pytest.mark.parametrize(("incarnation", "shown"), [("a", [0, 1, 2, 3, 4, 5]), ("b", [0, 1, 2, 3, 1, 2, 3, 4, 5])])
+def test_an_edge_that_is_behind_shows_nothing_again(incarnation: str, shown: list[int]) -> None:
+    """Unless it has another incarnation of the stream, under which a position is another picture."""
+    data, left = packets(states(6)), asyncio.Event()
+
+    async def tell(socket: ServerConnection, **fields: object) -> None:
+        await socket.send(json.dumps(fields))
+
+    async def behind(socket: ServerConnection) -> None:
+        await socket.recv()
+        await tell(socket, **{**WELCOME, "incarnation": incarnation})
+        for packet in data[:2]:
+            await socket.send(packet)
+        await tell(socket, type="event", event="caught_up")
+        left.set()
+        for packet in data[2:]:
+            await socket.send(packet)
+        await socket.close(1000)
+
+    def answer(socket: ServerConnection, request: Request) -> Response | None:
+        return socket.respond(HTTPStatus.OK, "ready") if request.path == "/readyz" else None
+
+    async def run() -> list[Event]:
+        options = {"subprotocols": [SUBPROTOCOL], "compression": None}
+        async with asyncio.timeout(20), serve(behind, "127.0.0.1", 0, process_request=answer, **options) as edge:  # type: ignore[arg-type]
+            place = f"http://127.0.0.1:{edge.sockets[0].getsockname()[1]}"
+
+            async def stop(socket: ServerConnection) -> None:
+                await socket.recv()
+                await tell(socket, **{**WELCOME, "incarnation": "a", "edges": [place]})
+                for packet in data[:4]:
+                    await socket.send(packet)
+                await tell(socket, type="event", event="draining", edges=[place])
+                await left.wait()
+                await socket.close(1001)
+
+            async with serve(stop, "127.0.0.1", 0, **options) as home:  # type: ignore[arg-type]
+                url = f"ws://127.0.0.1:{home.sockets[0].getsockname()[1]}/v1/streams/main/live"
+                async with aclosing(watch(url)) as events:
+                    return [event async for event in events]
+
+    events = asyncio.run(run())
+    assert not any(isinstance(event, Disconnected) for event in events)
+    assert [event.scene.version for event in events if isinstance(event, NewScene)] == shown
 
 
 def test_a_server_that_breaks_the_protocol_gets_one_more_chance() -> None:
