@@ -93,8 +93,10 @@ def run_on_ray(
 def _give_up(settings: RaySettings, sender: Sender) -> None:
     """Say that the cluster does not answer, and end the process, which cannot be stopped otherwise."""
     text = f"the Ray cluster {settings.address!r} does not answer; start it: ray start --head"
-    sender.send(Tag.FAILURE, {"text": text, "fatal": False})
-    os._exit(1)
+    try:
+        sender.send(Tag.FAILURE, {"text": text, "fatal": False})
+    finally:
+        os._exit(1)
 
 
 def _pass_all(
@@ -104,19 +106,19 @@ def _pass_all(
     with _linked(start, host) as link:
         if link is None:
             return False
-        pictures = json.loads(link.recv_bytes(limit))["pictures"]
-        with passing_pictures(push_socket, pictures):
-            if pipe not in wait([pipe, link]):
-                return False
-            send_resume(receive_resume(pipe), link)
-            tag = None
-            while True:
-                try:
+        tag = None
+        try:
+            pictures = json.loads(link.recv_bytes(limit))["pictures"]
+            with passing_pictures(push_socket, pictures):
+                if pipe not in wait([pipe, link]):
+                    return False
+                send_resume(receive_resume(pipe), link)
+                while True:
                     message = link.recv_bytes(limit)
-                except (EOFError, OSError):
-                    return tag in {Tag.END, Tag.FAILURE}
-                tag = message[0]
-                pipe.send_bytes(message)
+                    tag = message[0]
+                    pipe.send_bytes(message)
+        except (EOFError, OSError):  # the actor has gone; if it is the supervisor, nobody hears the answer
+            return tag in {Tag.END, Tag.FAILURE}
 
 
 def _log_fault(stream: str, ended: Future[Any]) -> None:

@@ -7,9 +7,10 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from multiprocessing.connection import Client, Connection
+from multiprocessing.connection import Client, Connection, Pipe
 from pathlib import Path
 from typing import cast
 
@@ -19,8 +20,9 @@ from core.errors import InputError, SessionError
 from server.ingest.push.intake import Intake
 from server.ingest.push.message import Codec, PushMessage
 from server.ingest.push.relay import RelayedIntake, listening, pass_on
-from server.worker.cluster.driver import passing_pictures
-from server.worker.cluster.link import MAX_UNPROVEN, cut, dial, listening_at
+from server.worker.cluster.driver import _pass_all, passing_pictures
+from server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
+from server.worker.process import Resume, send_resume
 
 HOST = "127.0.0.1"
 
@@ -58,7 +60,6 @@ def test_so_many_may_be_silent_and_no_more() -> None:
     with listening_at(HOST, lambda link: link.close()) as address, ExitStack() as stack:
         for _ in range(MAX_UNPROVEN):
             stack.enter_context(socket.create_connection((address.host, address.port)))
-        time.sleep(0.2)
         with socket.create_connection((address.host, address.port), timeout=2) as further:
             assert further.recv(1) == b""
 
@@ -84,6 +85,21 @@ def test_a_connection_is_cut_under_who_waits_on_it() -> None:
         threading.Timer(0.2, cut, (one,)).start()
         with pytest.raises((EOFError, OSError)):
             one.recv_bytes()
+
+
+@pytest.mark.parametrize("told", [[], [b'{"pictures": null}']])
+def test_an_actor_that_is_lost_before_it_has_begun_is_told_of(told: list[bytes]) -> None:
+    ours, theirs = Pipe()
+    send_resume(Resume(), ours)
+
+    def start(back: LinkAddress) -> Future[None]:
+        with dial(back) as link:
+            for message in told:
+                link.send_bytes(message)
+        return Future()
+
+    with ours, theirs:
+        assert not _pass_all(start, HOST, theirs, None, 1 << 20)
 
 
 class Intakes:
@@ -132,7 +148,11 @@ def test_a_picture_waits_until_the_one_before_is_answered(far: tuple[Path, Intak
     intake = RelayedIntake(here)
     sending = threading.Thread(target=lambda: [intake.accept(picture(number)) for number in range(3)], daemon=True)
     sending.start()
-    time.sleep(0.5)
+    limit = time.monotonic() + 10
+    while not intakes.got:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    time.sleep(0.3)
     assert intakes.got == [0]  # so the capture node drops and counts those that it may not send
     intakes.may_go_on.set()
     sending.join(5)
