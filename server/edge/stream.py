@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from core.errors import BitstreamError
+from server.edge.ending import end
 from server.edge.origin import OriginStream, is_incarnation
 from server.edge.supply import Supply
 from server.protocol.messages import event
@@ -115,8 +116,7 @@ class EdgeStream(Stream):
         if self._parting is not None:
             self._parting.cancel()
         if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+            await end(self._task)
 
     def on_welcome(self, message: dict[str, Any], sent_ns: int) -> None:
         """See `supply.PacketTaker`."""

@@ -13,6 +13,7 @@ from nats.aio.msg import Msg
 from nats.errors import Error
 
 from core.errors import InputError
+from server.edge.ending import end
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import Assembler, MessageId, Names, parse_id
 from server.edge.jetstream.reading import Selection, follow, read
@@ -100,8 +101,7 @@ class Archive:
         try:
             await self._trim()
         finally:
-            following.cancel()
-            await asyncio.gather(following, return_exceptions=True)
+            await end(following)
 
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:
         """Packets of positions `first` to `last`, in order.

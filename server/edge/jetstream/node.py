@@ -7,6 +7,7 @@ import logging
 from types import TracebackType
 from typing import Self
 
+from server.edge.ending import end
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import Directory
 from server.edge.jetstream.messages import Names
@@ -54,9 +55,7 @@ class JetStream:
             _LOG.warning("not everything was published: %s", fault or "NATS does not answer")
         tasks = [task for _, task in self._publishing.values()]
         tasks += [] if self._task is None else [self._task]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await end(*tasks)
         await self._connection.close()
 
     def outbox(self, stream: Stream) -> Outbox:

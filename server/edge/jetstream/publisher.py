@@ -13,6 +13,7 @@ from nats.errors import Error
 from nats.js.api import DiscardPolicy, RetentionPolicy, StorageType, StreamConfig
 from nats.js.errors import BadRequestError, NotFoundError
 
+from server.edge.ending import end
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, create_stream, directory_config
 from server.edge.jetstream.messages import HEADER_BYTES, MAX_PIECE_BYTES, MessageId, Names, pieces_of
@@ -97,8 +98,7 @@ class Publisher:
                     await asyncio.sleep(_LOOK_SECONDS)
             await self._remove()
         finally:
-            sending.cancel()
-            await asyncio.gather(sending, return_exceptions=True)
+            await end(sending)
 
     async def finish(self) -> None:
         """Wait for what is queued; then say that this server publishes the stream no more."""

@@ -16,6 +16,7 @@ from nats.aio.msg import Msg
 from nats.errors import Error
 from nats.js.api import AckPolicy, ConsumerConfig, DeliverPolicy
 
+from server.edge.ending import stop_if_cancelled
 from server.edge.jetstream.connection import NatsConnection
 
 _BATCH = 512  # messages asked for at once
@@ -52,6 +53,7 @@ async def follow(
     Calls `on_state` with what is wrong when they have to wait, and with nothing each time that it can read.
     """
     while True:
+        stop_if_cancelled()
         try:
             async with aclosing(_consume(connection, selection, first, on_state)) as messages:
                 async for message in messages:
@@ -123,6 +125,7 @@ async def _consume(
                 left = batch
                 await client.publish(request, json.dumps(_REQUEST | {"batch": batch}).encode(), inbox)
             message = await answers.next_msg(_SILENT_SECONDS)
+            stop_if_cancelled()
             headers = message.headers or {}
             status = headers.get("Status")
             if status is None:
@@ -135,7 +138,7 @@ async def _consume(
             elif status != "100":
                 raise Error(f"the reader ended with status {status} {headers.get('Description', '')}")
     finally:
-        with suppress(Error, OSError, asyncio.CancelledError):
+        with suppress(Error, OSError):
             await answers.unsubscribe()
             if consumer:
                 await client.publish(f"$JS.API.CONSUMER.DELETE.{selection.stream}.{consumer}")

@@ -6,6 +6,7 @@ import asyncio
 import time
 from contextlib import aclosing
 
+from server.edge.ending import end
 from server.edge.jetstream.archive import Archive, ArchiveBus, id_of
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import Directory
@@ -62,9 +63,7 @@ class ArchivedStream:
                 if task.done():
                     task.result()
         finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            await end(*tasks)
 
     def _greet(self, taker: PacketTaker) -> None:
         told, now_ns = self._directory.find(self._stream.id), time.time_ns()
