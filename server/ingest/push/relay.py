@@ -25,6 +25,7 @@ _LOG = logging.getLogger(__name__)
 _MAX_ANSWER_BYTES = 4096
 _MAX_PUSH_BYTES = MAX_MESSAGE_BYTES + 1024
 _BACKLOG = 64
+_AGAIN_SECONDS = 1.0  # after which connections are taken again, when one could not be
 
 
 class RelayedIntake:
@@ -115,8 +116,10 @@ def serving_socket(path: Path, serve: Callable[[Connection], None]) -> Iterator[
         while not stopping.is_set():
             try:
                 pipe = listener.accept()
-            except OSError:
-                return
+            except OSError as error:
+                if not stopping.wait(_AGAIN_SECONDS):  # such as too many open files; later ones are taken again
+                    _LOG.warning("a connection for pushed pictures cannot be taken (%s)", error)
+                continue
             threading.Thread(target=serve, args=(pipe,), daemon=True, name="pushed").start()
 
     thread = threading.Thread(target=accept, daemon=True, name="push socket")

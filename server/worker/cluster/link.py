@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hmac
+import logging
 import os
 import secrets
 import socket
@@ -14,10 +15,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
+_LOG = logging.getLogger(__name__)
 SECRET_BYTES = 32
 MAX_UNPROVEN = 32  # connections at a time that have not shown the secret yet; further ones are closed
 _PROOF_SECONDS = 5.0
 _DIAL_SECONDS = 5.0
+_AGAIN_SECONDS = 1.0  # after which connections are taken again, when one could not be
 _KEEPALIVE_PROBES = 3  # of one second each; whoever waits for a machine that answers none has lost the connection
 
 
@@ -42,6 +45,7 @@ def listening_at(host: str, serve: Callable[[Connection], None]) -> Iterator[Lin
     """
     secret = secrets.token_bytes(SECRET_BYTES)
     places = threading.BoundedSemaphore(MAX_UNPROVEN)
+    stopping = threading.Event()
 
     def prove(found: socket.socket) -> None:
         try:
@@ -57,8 +61,11 @@ def listening_at(host: str, serve: Callable[[Connection], None]) -> Iterator[Lin
         while True:
             try:
                 found, _ = listener.accept()
-            except OSError:
-                return
+            except OSError as error:
+                if stopping.wait(_AGAIN_SECONDS):
+                    return
+                _LOG.warning("a connection cannot be taken (%s)", error)  # such as too many open files
+                continue
             if places.acquire(blocking=False):
                 threading.Thread(target=prove, args=(found,), daemon=True, name="link").start()
             else:
@@ -69,6 +76,7 @@ def listening_at(host: str, serve: Callable[[Connection], None]) -> Iterator[Lin
         try:
             yield LinkAddress(host, listener.getsockname()[1], secret)
         finally:
+            stopping.set()
             with contextlib.suppress(OSError):
                 listener.shutdown(socket.SHUT_RDWR)  # wakes accept
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import queue
+import resource
 import socket
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import Client, Connection, Pipe
 from pathlib import Path
@@ -19,7 +21,7 @@ import pytest
 from core.errors import InputError, SessionError
 from server.ingest.push.intake import Intake
 from server.ingest.push.message import Codec, PushMessage
-from server.ingest.push.relay import RelayedIntake, listening, pass_on
+from server.ingest.push.relay import RelayedIntake, listening, pass_on, serving_socket
 from server.worker.cluster.driver import _pass_all, passing_pictures
 from server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
 from server.worker.process import Resume, send_resume
@@ -54,6 +56,41 @@ def test_who_does_not_know_the_secret_is_not_listened_to() -> None:
             stack.enter_context(socket.create_connection((address.host, address.port)))
         with dial(address), found.get(timeout=2):
             assert found.empty()
+
+
+@contextmanager
+def no_more_files() -> Iterator[None]:
+    """This process can open no further file."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    highest = max(int(entry.name) for entry in Path("/proc/self/fd").iterdir())
+    resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 1, hard))
+    filling = []
+    try:
+        with suppress(OSError):
+            while True:
+                filling.append(os.dup(0))
+        yield
+    finally:
+        for each in filling:
+            os.close(each)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_connections_are_taken_again_when_one_could_not_be(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    found: queue.SimpleQueue[Connection] = queue.SimpleQueue()
+    with listening_at(HOST, found.put) as address, serving_socket(tmp_path / "pushed", found.put), ExitStack() as stack:
+        one = stack.enter_context(socket.socket())
+        other = stack.enter_context(socket.socket(socket.AF_UNIX))
+        with no_more_files():
+            one.connect((address.host, address.port))
+            other.connect(str(tmp_path / "pushed"))
+            limit = time.monotonic() + 10
+            while len({record.name for record in caplog.records}) < 2:
+                assert time.monotonic() < limit
+                time.sleep(0.01)
+        one.sendall(address.secret)
+        for _ in range(2):
+            found.get(timeout=10).close()
 
 
 def test_so_many_may_be_silent_and_no_more() -> None:
