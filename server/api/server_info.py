@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from fastapi import APIRouter, Request
 
+from core.version import streamlod_version
 from server.api.access import need, registry_of
 from server.api.schemas import Capabilities, ServerBody
 from server.auth.gate import Right
@@ -24,7 +24,7 @@ async def get_server(request: Request) -> ServerBody:
     registry = registry_of(request)
     settings = registry.settings
     return ServerBody(
-        version=_version(),
+        version=streamlod_version(),
         protocol_versions=[PROTOCOL_VERSION],
         started_at=registry.started_at,
         server_time_ns=time.time_ns(),
@@ -39,10 +39,3 @@ async def get_server(request: Request) -> ServerBody:
         ),
         edges=list(registry.edges),
     )
-
-
-def _version() -> str:
-    try:
-        return version("streamlod")
-    except PackageNotFoundError:  # from a source folder that was not installed
-        return "unknown"

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import quote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -32,13 +32,20 @@ def is_incarnation(text: str) -> bool:
     return re.fullmatch(_INCARNATION, text) is not None
 
 
-class OriginStream(BaseModel):
-    """What an edge takes over from STREAM of docs/protocol.md, checked."""
+class UnknownStream(BaseModel):
+    """What is certain of a STREAM whose source or state only later versions know."""
 
     model_config = ConfigDict(frozen=True)
 
     id: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
     incarnation: str = Field(pattern=f"^{_INCARNATION}$")
+    source: str = Field(max_length=64)
+    state: str = Field(max_length=64)
+
+
+class OriginStream(UnknownStream):
+    """What an edge takes over from STREAM of docs/protocol.md, checked."""
+
     source: Literal["cameras", "data", "recording"]
     loop: bool = False
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
@@ -50,7 +57,7 @@ class OriginStream(BaseModel):
 
 
 class _Page(BaseModel):
-    items: list[OriginStream] = Field(max_length=1000)
+    items: list[Annotated[OriginStream | UnknownStream, Field(union_mode="left_to_right")]] = Field(max_length=1000)
     next_cursor: str | None = Field(default=None, max_length=64)
 
 
@@ -90,13 +97,13 @@ class Origin:
         parts = urlsplit(self.url)
         return f"{'wss' if parts.scheme == 'https' else 'ws'}://{parts.netloc}/v1/streams/{stream}/live"
 
-    async def streams(self) -> list[OriginStream]:
+    async def streams(self) -> list[OriginStream | UnknownStream]:
         """All its streams that the token may read.
 
         Raises:
             OSError: it does not answer, refuses, or answers with something else.
         """
-        found: list[OriginStream] = []
+        found: list[OriginStream | UnknownStream] = []
         cursor = ""
         for _ in range(_MAX_PAGES):
             body = await self._read(f"/v1/streams?limit=200{cursor}")

@@ -7,7 +7,7 @@ import json
 import logging
 import random
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -46,6 +46,7 @@ class OriginSource:
     origin: Origin
     chosen: tuple[str, ...]
     settings: Settings
+    _unknown: set[str] = field(default_factory=set, init=False)  # ids of streams that were left out last
 
     @property
     def name(self) -> str:
@@ -54,7 +55,15 @@ class OriginSource:
 
     async def streams(self) -> list[OriginStream]:
         """See `supply.StreamSource`."""
-        return [each for each in await self.origin.streams() if not self.chosen or each.id in self.chosen]
+        found = [each for each in await self.origin.streams() if not self.chosen or each.id in self.chosen]
+        unknown = {each.id for each in found if not isinstance(each, OriginStream)}
+        if new := unknown - self._unknown:
+            _LOG.warning(
+                "%s has streams of a kind that this version does not know: %s", self.name, ", ".join(sorted(new))
+            )
+        self._unknown.clear()
+        self._unknown.update(unknown)
+        return [each for each in found if isinstance(each, OriginStream)]
 
     async def edges(self) -> tuple[str, ...]:
         """See `supply.StreamSource`."""
@@ -101,7 +110,9 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTake
             if code == CloseCode.DONE:
                 return
             refused, reason = code in REFUSALS, reason or "the connection broke"
-        except (OSError, WebSocketException, SessionError) as error:
+        except SessionError as error:
+            refused, reason = error.close_code == CloseCode.BAD_VERSION, error.detail
+        except (OSError, WebSocketException) as error:
             reason = str(error) or "no answer"
         taker.on_break(reason)
         failures = 0 if time.monotonic() - begun > _STEADY_SECONDS else failures + 1
@@ -142,6 +153,9 @@ async def _welcome(socket: ClientConnection) -> dict[str, Any]:
     message = read_object(text) if isinstance(text, str) else {}
     if message.get("type") != "welcome":
         raise SessionError(CloseCode.BAD_MESSAGE, "the origin's first message is no welcome")
+    if (version := message.get("version")) != PROTOCOL_VERSION:
+        fault = f"the origin speaks version {version!r:.20} of the protocol, not {PROTOCOL_VERSION}"
+        raise SessionError(CloseCode.BAD_VERSION, fault)
     return message
 
 

@@ -86,7 +86,8 @@ def parse_hello(text: str) -> Hello:
     if not isinstance(versions, list) or len(versions) > 64:
         raise SessionError(CloseCode.BAD_MESSAGE, "hello needs a list of versions")
     if PROTOCOL_VERSION not in [v for v in versions if type(v) is int]:
-        raise SessionError(CloseCode.BAD_VERSION, f"this server speaks version {PROTOCOL_VERSION}")
+        fault = f"this server speaks version {PROTOCOL_VERSION} of the protocol, and hello names others"
+        raise SessionError(CloseCode.BAD_VERSION, fault)
     client = message.get("client", "")
     if not isinstance(client, str) or len(client) > 200 or not client.isprintable():  # because it is logged
         raise SessionError(CloseCode.BAD_MESSAGE, "client must be a string of at most 200 printable characters")

@@ -34,6 +34,13 @@ def welcomed(**changes: Any) -> Playback:
     return playback
 
 
+@pytest.mark.parametrize("version", [2, None, "1"])
+def test_a_server_of_another_version_is_refused_with_what_it_speaks(version: Any) -> None:
+    with pytest.raises(SessionError, match=f"the server speaks protocol version {version!r}, not 1") as refused:
+        welcomed(version=version)
+    assert refused.value.close_code == 4415
+
+
 def test_hello_says_where_to_start() -> None:
     live = json.loads(Playback().hello())
     assert (live["type"], live["versions"], live["start"]) == ("hello", [1], "live")

@@ -17,12 +17,12 @@ from typing import Any
 from nats.errors import Error
 from nats.js.api import DiscardPolicy, RawStreamMsg, StorageType, StreamConfig
 from nats.js.errors import APIError, BadRequestError, NotFoundError
-from pydantic import ValidationError
 
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import Names
 from server.edge.jetstream.reading import Selection, follow
 from server.edge.origin import OriginStream
+from server.protocol.messages import PROTOCOL_VERSION
 from server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
@@ -93,6 +93,7 @@ class Directory:
     def __init__(self, connection: NatsConnection, names: Names, settings: Settings) -> None:
         self._connection, self._names, self._settings = connection, names, settings
         self._told: dict[str, Told] = {}
+        self._refused: dict[str, str] = {}  # why a stream's description cannot be used, as the log has it
         self._begun_ns = time.time_ns()
         self.fault = "no answer yet"
 
@@ -139,10 +140,13 @@ class Directory:
             return
         try:
             values = json.loads(body)
-            description = OriginStream.model_validate(values)
-        except (ValueError, RecursionError, ValidationError) as error:
-            _LOG.warning("stream %.80s: its description in JetStream cannot be used (%.200s)", stream, error)
+            description = _checked(values)
+        except (ValueError, RecursionError) as error:
+            if self._refused.get(stream) != str(error):
+                self._refused[stream] = str(error)
+                _LOG.warning("stream %.80s: its description in JetStream cannot be used (%.200s)", stream, error)
             return
+        self._refused.pop(stream, None)
         if description.id != stream:
             return
         sent_ns, earlier = values.get("server_time_ns"), self._told.get(stream)
@@ -177,7 +181,8 @@ class Claim:
         Raises:
             OSError, nats.errors.Error: JetStream does not answer.
         """
-        told = description | {"server_time_ns": time.time_ns(), "holder": _NOBODY if leaving else self.holder}
+        about = {"protocol": PROTOCOL_VERSION, "server_time_ns": time.time_ns()}
+        told = description | about | {"holder": _NOBODY if leaving else self.holder}
         for _ in range(2):
             try:
                 await self._put(json.dumps(told).encode())
@@ -223,6 +228,18 @@ class Claim:
             return await self.connection.jetstream.get_last_msg(self.names.directory, subject)
         except NotFoundError:
             return None
+
+
+def _checked(values: Any) -> OriginStream:
+    """A description.
+
+    Raises:
+        ValueError: it is none that this version can use.
+    """
+    version = values.get("protocol", PROTOCOL_VERSION) if isinstance(values, dict) else None
+    if version != PROTOCOL_VERSION:
+        raise ValueError(f"version {version!r:.20} of the protocol, not {PROTOCOL_VERSION}")
+    return OriginStream.model_validate(values)
 
 
 def _holder_of(found: RawStreamMsg | None) -> tuple[object, object]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import ray
 
 from core.background_log import log_in_background
+from core.version import streamlod_version
 from server.ingest.push.relay import pass_on
 from server.ingest.push.socket_folder import SocketFolder
 from server.pipeline.spec import StreamSpec
@@ -37,7 +38,7 @@ class WorkerActor:
         log_in_background()
         with _taking_pictures(spec) as (socket, address), closing(dial(back)) as link:
             told = None if address is None else [address.host, address.port, address.secret.hex()]
-            link.send_bytes(json.dumps({"pictures": told}).encode())
+            link.send_bytes(json.dumps({"version": streamlod_version(), "pictures": told}).encode())
             run_worker(spec, link, socket, spare, camera_pictures)
 
 

@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from core.background_log import log_in_background
-from core.errors import StreamlodError
+from core.errors import BackendUnavailable, StreamlodError
+from core.version import streamlod_version
 from server.ingest.push.relay import pass_on, serving_socket
 from server.pipeline.spec import StreamSpec
 from server.settings import RaySettings
@@ -102,14 +103,19 @@ def _give_up(settings: RaySettings, sender: Sender) -> None:
 def _pass_all(
     start: Callable[[LinkAddress], Future[Any]], host: str, pipe: Connection, push_socket: Path | None, limit: int
 ) -> bool:
-    """Pass on what the supervisor tells the actor, then all that this sends; whether it has said how it ended."""
+    """Pass on what the supervisor tells the actor, then all that this sends; whether it has said how it ended.
+
+    Raises:
+        BackendUnavailable: its node has another version of streamlod.
+    """
     with _linked(start, host) as link:
         if link is None:
             return False
         tag = None
         try:
-            pictures = json.loads(link.recv_bytes(limit))["pictures"]
-            with passing_pictures(push_socket, pictures):
+            told = json.loads(link.recv_bytes(limit))
+            _check_version(told.get("version"))
+            with passing_pictures(push_socket, told["pictures"]):
                 if pipe not in wait([pipe, link]):
                     return False
                 send_resume(receive_resume(pipe), link)
@@ -119,6 +125,12 @@ def _pass_all(
                     pipe.send_bytes(message)
         except (EOFError, OSError):  # the actor has gone; if it is the supervisor, nobody hears the answer
             return tag in {Tag.END, Tag.FAILURE}
+
+
+def _check_version(found: object) -> None:
+    """What a worker is told and tells is the same in one version only."""
+    if found != (own := streamlod_version()):
+        raise BackendUnavailable("a node of the cluster", f"it has streamlod {found}; install {own}, as the server has")
 
 
 def _log_fault(stream: str, ended: Future[Any]) -> None:

@@ -57,9 +57,11 @@ class Node:
 
 
 @contextmanager
-def node(folder: Path, *arguments: object, port: int = 0, **environment: str) -> Iterator[Node]:
-    """`streamlod ARGUMENTS` on `port`, a free one by default."""
-    begun = begin(folder, *arguments, port=port, **environment)
+def node(
+    folder: Path, *arguments: object, port: int = 0, source: Path | None = None, **environment: str
+) -> Iterator[Node]:
+    """`streamlod ARGUMENTS` on `port`, a free one by default; `source` as of `begin`."""
+    begun = begin(folder, *arguments, port=port, source=source, **environment)
     try:
         yield listening(begun)
     finally:
@@ -67,12 +69,16 @@ def node(folder: Path, *arguments: object, port: int = 0, **environment: str) ->
         begun[0].wait()
 
 
-def begin(folder: Path, *arguments: object, port: int = 0, **environment: str) -> tuple[subprocess.Popen[bytes], Path]:
-    """Start a process; it and its log. For `listening`."""
+def begin(
+    folder: Path, *arguments: object, port: int = 0, source: Path | None = None, **environment: str
+) -> tuple[subprocess.Popen[bytes], Path]:
+    """Start a process; it and its log. For `listening`. `source`: run the code of that folder instead of this one."""
+    if source is not None:
+        environment["PYTHONPATH"] = str(source)
     log = folder / f"{time.monotonic_ns()}.log"
     command = [sys.executable, "-m", "server.cli", *map(str, arguments), "--port", str(port)]
     with log.open("wb") as file:
-        process = subprocess.Popen(command, stderr=file, stdout=file, env=os.environ | environment)
+        process = subprocess.Popen(command, stderr=file, stdout=file, cwd=source, env=os.environ | environment)
     return process, log
 
 

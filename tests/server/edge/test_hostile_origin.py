@@ -88,7 +88,7 @@ SPEECHES: dict[str, list[str | bytes]] = {
     "a damaged packet": [json.dumps(WELCOME), "damaged"],
     "a packet that is too large": [json.dumps(WELCOME), bytes(70_000)],
     "another stream": [json.dumps(WELCOME | {"incarnation": "f" * 16})],
-    "a welcome without an incarnation": ['{"type":"welcome"}'],
+    "a welcome without an incarnation": ['{"type":"welcome","version":1}'],
     "no welcome": ["[]"],
     "no JSON": ["{"],
     "a binary welcome": [bytes(10)],
@@ -160,6 +160,36 @@ def test_a_list_of_streams_that_cannot_be_used_is_refused(
             assert edge.registry.streams == {}
             with edge.client() as client:
                 assert client.get("/readyz").status_code == 503
+
+
+def test_an_origin_of_another_version_of_the_protocol_is_named_as_the_reason(clip: Clip) -> None:
+    def speak(connection: ServerConnection) -> None:
+        connection.send(json.dumps(WELCOME | {"version": 2, "packets": "of another kind"}))
+        connection.send(clip.packets[0])
+
+    with origin_that(speak) as origin, running(settings(origin)) as edge:
+        wait(lambda: "main" in edge.registry.streams)
+        with viewing(edge) as viewer:
+            assert viewer.hello().welcome["version"] == 1
+            told = viewer.until("state")
+            assert told["state"] == "degraded"
+            assert "the origin speaks version 2 of the protocol, not 1" in told["detail"]
+            assert not viewer.packets
+
+
+def test_streams_of_a_kind_that_only_later_versions_know_are_left_out_alone(
+    clip: Clip, caplog: pytest.LogCaptureFixture
+) -> None:
+    with origin_that(behaves(clip)) as origin:
+        later = [STREAM | {"id": "later", "state": "rehearsing"}, STREAM | {"id": "latest", "source": "hologram"}]
+        origin.listing = json.dumps({"items": [*later, STREAM | {"news": [1]}], "next_cursor": None, "total": 3})
+        with running(settings(origin)) as edge:
+            wait(lambda: "main" in edge.registry.streams)
+            with viewing(edge) as viewer:
+                viewer.hello().until_version(9)
+            time.sleep(0.2)  # it is asked again meanwhile
+            assert set(edge.registry.streams) == {"main"}
+    assert len([line for line in caplog.messages if "does not know: later, latest" in line]) == 1
 
 
 def test_only_so_many_streams_as_the_limits_allow(clip: Clip) -> None:

@@ -18,8 +18,9 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 from websockets.exceptions import ConnectionClosed
 
 from codec.container import SlodReader
-from server.edge.jetstream import publisher
+from server.edge.jetstream import directory, publisher
 from server.edge.jetstream.connection import NatsConnection
+from server.edge.jetstream.directory import Claim
 from server.edge.jetstream.messages import Names
 from server.pipeline.spec import StreamSpec
 from server.settings import MEGABYTE, Retention
@@ -146,6 +147,31 @@ def test_large_keyframes_travel_in_pieces(tmp_path: Path) -> None:
             assert max(pieces) < SMALL_PAYLOAD < sum(pieces) == sum(map(len, clip.packets))
         with SlodReader(tmp_path / "group.slod") as reader:
             assert [reader.read(number) for number in range(2)] == clip.packets[:2]
+
+
+def test_a_stream_that_is_published_by_another_version_of_the_protocol_is_left_out(
+    one: Nats, publishing: Running, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = one.settings()
+
+    async def tell(description: dict[str, Any]) -> None:
+        connection = NatsConnection(settings.jetstream)
+        await connection.open()
+        try:
+            assert await Claim(connection, Names(settings.jetstream.prefix), description["id"]).tell(description)
+        finally:
+            await connection.close()
+
+    described = publishing.stream("played")
+    asyncio.run(asyncio.wait_for(tell(described | {"id": "plain", "news": "which nobody knows"}), 20))
+    monkeypatch.setattr(directory, "PROTOCOL_VERSION", 2)
+    asyncio.run(asyncio.wait_for(tell(described | {"id": "later"}), 20))
+    monkeypatch.undo()
+    with running(settings) as server:
+        serves(server, "plain")
+        wait(lambda: "stream later: its description in JetStream cannot be used" in caplog.text)
+        assert "(version 2 of the protocol, not 1)" in caplog.text
+        assert "later" not in server.registry.streams
 
 
 def test_of_two_nodes_with_one_stream_one_publishes(

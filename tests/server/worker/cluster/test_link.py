@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import resource
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -18,7 +19,8 @@ from typing import cast
 
 import pytest
 
-from core.errors import InputError, SessionError
+from core.errors import BackendUnavailable, InputError, SessionError
+from core.version import streamlod_version
 from server.ingest.push.intake import Intake
 from server.ingest.push.message import Codec, PushMessage
 from server.ingest.push.relay import RelayedIntake, listening, pass_on, serving_socket
@@ -27,6 +29,7 @@ from server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, lis
 from server.worker.process import Resume, send_resume
 
 HOST = "127.0.0.1"
+STARTED = json.dumps({"version": streamlod_version(), "pictures": None}).encode()
 
 
 @contextmanager
@@ -124,19 +127,31 @@ def test_a_connection_is_cut_under_who_waits_on_it() -> None:
             one.recv_bytes()
 
 
-@pytest.mark.parametrize("told", [[], [b'{"pictures": null}']])
-def test_an_actor_that_is_lost_before_it_has_begun_is_told_of(told: list[bytes]) -> None:
-    ours, theirs = Pipe()
-    send_resume(Resume(), ours)
+def actor_that_sends(*messages: bytes) -> Callable[[LinkAddress], Future[None]]:
+    """Starts something that connects, says that much and is gone."""
 
     def start(back: LinkAddress) -> Future[None]:
         with dial(back) as link:
-            for message in told:
+            for message in messages:
                 link.send_bytes(message)
         return Future()
 
+    return start
+
+
+@pytest.mark.parametrize("told", [[], [STARTED]])
+def test_an_actor_that_is_lost_before_it_has_begun_is_told_of(told: list[bytes]) -> None:
+    ours, theirs = Pipe()
+    send_resume(Resume(), ours)
     with ours, theirs:
-        assert not _pass_all(start, HOST, theirs, None, 1 << 20)
+        assert not _pass_all(actor_that_sends(*told), HOST, theirs, None, 1 << 20)
+
+
+@pytest.mark.parametrize("told", [b'{"pictures": null}', b'{"version": "7.0", "pictures": null}'])
+def test_a_node_with_another_version_is_refused_with_what_to_install(told: bytes) -> None:
+    ours, theirs = Pipe()
+    with ours, theirs, pytest.raises(BackendUnavailable, match=f"; install {streamlod_version()}"):
+        _pass_all(actor_that_sends(told), HOST, theirs, None, 1 << 20)
 
 
 class Intakes:
