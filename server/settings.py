@@ -161,6 +161,11 @@ class Settings(BaseModel):
     port: int = Field(default=8000, ge=0, le=65535, description="port of REST, websocket and page; 0 picks a free one")
     metrics_host: str = Field(default="127.0.0.1", description="address of the Prometheus metrics")
     metrics_port: int | None = Field(default=None, ge=0, le=65535, description="port of the metrics; none by default")
+    trace_endpoint: str | None = Field(
+        default=None,
+        pattern=r"^https?://[^/@\s]+(/\S*)?$",
+        description="OpenTelemetry collector (OTLP over HTTP) that is told of each frame's way; none by default",
+    )
     state: Path | None = Field(
         default=None, description="folder of recordings and catalogue; nothing is recorded without"
     )

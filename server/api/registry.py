@@ -20,6 +20,7 @@ from server.stream.bus import Outbox
 from server.stream.feed import Feed
 from server.stream.store import Recording, Store
 from server.stream.stream import Stream
+from server.stream.traces import Traces
 from server.stream.worker_stream import WorkerStream
 from server.viewer.renderer import PictureRenderer
 from server.viewer.session import ViewerSession
@@ -51,6 +52,7 @@ class Registry:
         self.started_at = datetime.now(UTC)
         self.gate = Gate(settings)
         self.feed = Feed()
+        self.traces = Traces()
         self.configured = frozenset(spec.id for spec in specs)  # which only the settings can change
         self.store = Store(settings.state, settings.retention) if settings.state else None
         self.streams: dict[str, Stream] = {}
@@ -181,7 +183,7 @@ class Registry:
         if recording is None and self.store is not None:
             recording = self.store.recording(spec.id)
         socket = self._push_socket() if spec.is_live else None
-        stream = self.streams[spec.id] = WorkerStream(spec, self.settings, recording, socket, self.feed)
+        stream = self.streams[spec.id] = WorkerStream(spec, self.settings, recording, socket, self.feed, self.traces)
         stream.bus.outbox = None if self._outbox is None else self._outbox(stream)
         return stream
 

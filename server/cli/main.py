@@ -37,6 +37,7 @@ from server.cli.options import (
     SplitFile,
     Test,
     Tokens,
+    TraceEndpoint,
     fields_in,
     names_in,
     numbers_in,
@@ -116,13 +117,14 @@ def serve(
     config: Config = None,
     tokens: Tokens = None,
     metrics_port: MetricsPort = None,
+    trace_endpoint: TraceEndpoint = None,
     insecure: Insecure = False,
     **options: Any,
 ) -> None:
     """Run the service: REST, live websocket and the viewer page. Without a source, streams come by REST."""
     settings = _settings(
         config, host=host, port=port, state=state_dir, tokens=tokens, metrics_port=metrics_port,
-        insecure=insecure or None,
+        trace_endpoint=trace_endpoint, insecure=insecure or None,
     )  # fmt: skip
     streams = tuple(stream.spec for stream in settings.streams)
     if any(options[name] is not None for name in (*SOURCES, "play")):
@@ -145,11 +147,13 @@ def edge(
     config: Config = None,
     tokens: Tokens = None,
     metrics_port: MetricsPort = None,
+    trace_endpoint: TraceEndpoint = None,
     insecure: Insecure = False,
 ) -> None:
     """Serve another server's streams to many viewers; each is pulled once. A token comes from STREAMLOD_TOKEN."""
     settings = _settings(
-        config, host=host, port=port, tokens=tokens, metrics_port=metrics_port, insecure=insecure or None,
+        config, host=host, port=port, tokens=tokens, metrics_port=metrics_port, trace_endpoint=trace_endpoint,
+        insecure=insecure or None,
         edge={"origin": origin, "streams": names_in(streams)},
     )  # fmt: skip
     _call("server.cli.commands:serve", settings, ())

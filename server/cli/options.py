@@ -153,4 +153,8 @@ Port = Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free
 Config = Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")]
 Tokens = Annotated[Path | None, typer.Option(metavar="FILE", help="Token file: who may do what.")]
 MetricsPort = Annotated[int | None, typer.Option(min=0, max=65535, help="Port of Prometheus metrics.")]
+TraceEndpoint = Annotated[
+    str | None,
+    typer.Option(metavar="http://HOST:PORT", help="OpenTelemetry collector that is told of each frame's way."),
+]
 Insecure = Annotated[bool, typer.Option("--insecure", help="Allow a public address without tokens.")]

@@ -77,6 +77,7 @@ class Edge:
             self._source.supply(self._described[name]),
             self._registry.settings,
             self._registry.feed,
+            self._registry.traces,
             self._linger_seconds,
             self._replace,
             self._remove,

@@ -18,6 +18,7 @@ from server.protocol.packets import Position, stream_packet
 from server.settings import Settings
 from server.stream.feed import Feed
 from server.stream.stream import Stream
+from server.stream.traces import FrameStages, Stopwatch, Traces
 
 _LOG = logging.getLogger(__name__)
 _STATES = {"idle", "starting", "live", "degraded", "ended", "failed"}
@@ -36,7 +37,7 @@ class EdgeStream(Stream):
         described: what the origin says about it.
         supply: its packets.
         settings: of the server.
-        feed: where its states are told.
+        feed, traces: where its states and the stages of its frames are told.
         linger_seconds: for which it is pulled after its last viewer has gone.
         replace: called when this object is of no use any more.
         remove: called when the origin has deleted the stream.
@@ -53,11 +54,12 @@ class EdgeStream(Stream):
         supply: Supply,
         settings: Settings,
         feed: Feed,
+        traces: Traces,
         linger_seconds: float,
         replace: Callable[[EdgeStream], None],
         remove: Callable[[EdgeStream], None],
     ) -> None:
-        super().__init__(described.id, described.incarnation, settings, supply.bus, feed)
+        super().__init__(described.id, described.incarnation, settings, supply.bus, feed, traces)
         self._supply, self._linger_seconds = supply, linger_seconds
         self._replace, self._remove = replace, remove
         self._task: asyncio.Task[None] | None = None
@@ -150,13 +152,18 @@ class EdgeStream(Stream):
             return
         if joining and self.newest is not None:  # packets are missing in between; a keyframe begins anew
             self.bus.window.drop_newest_group()
-        before = self.newest
+        before, watch = self.newest, Stopwatch()
 
         def announce() -> None:
+            watch.end("decode")
             if before is None or packet.position.epoch != before.epoch:
                 self._tell(event("epoch", epoch=packet.position.epoch))
 
         await self.hub.accept(packet, self._window_message(), announce)
+        watch.end("send")
+        if self.traces.listeners:
+            position = packet.position
+            self.traces.tell(FrameStages(self.id, self.incarnation, position, (), watch.stages, is_origin=False))
         retained = self.bus.window.newest  # behind the hub's where a group of pictures was dropped
         self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
 

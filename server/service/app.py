@@ -6,7 +6,7 @@ import importlib.util
 import os
 import re
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, nullcontext
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +36,7 @@ from server.service.metrics import collector_registry
 from server.service.openapi import describe, operation_id
 from server.service.webhooks import webhooks
 from server.settings import Settings
+from server.stream.traces import Traces
 
 if TYPE_CHECKING:
     from server.edge.jetstream.node import JetStream
@@ -73,11 +74,12 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
         raise BackendUnavailable("jobs ray", "install it: pip install 'streamlod[ray]'")
     shared = _shared(settings)
     registry = Registry(settings, specs, None if shared is None else shared.outbox)
+    traced = _traced(settings, registry.traces)
     origin = None if settings.edge is None else Origin(settings.edge.origin, os.environ.get("STREAMLOD_TOKEN"))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with webhooks(settings, registry.feed), shared or nullcontext():
+        async with webhooks(settings, registry.feed), traced, shared or nullcontext():
             registry.start()
             if origin is not None and settings.edge is not None:
                 edge = settings.edge
@@ -126,6 +128,21 @@ def _shared(settings: Settings) -> JetStream | None:
     except ImportError as error:
         raise BackendUnavailable("bus jetstream", "install it: pip install 'streamlod[jetstream]'") from error
     return JetStream(settings)
+
+
+def _traced(settings: Settings, traces: Traces) -> AbstractAsyncContextManager[None]:
+    """Sends traces while it lasts, if they are wanted.
+
+    Raises:
+        BackendUnavailable: OpenTelemetry is missing.
+    """
+    if settings.trace_endpoint is None:
+        return nullcontext()
+    try:
+        from server.service.tracing import tracing
+    except ImportError as error:
+        raise BackendUnavailable("trace_endpoint", "install it: pip install 'streamlod[trace]'") from error
+    return tracing(settings.trace_endpoint, "edge" if settings.edge else "server", traces)
 
 
 def _add_errors(app: FastAPI) -> None:

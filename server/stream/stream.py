@@ -20,6 +20,7 @@ from server.stream.counters import Counters
 from server.stream.feed import Feed
 from server.stream.hub import Hub
 from server.stream.sealing import masked
+from server.stream.traces import Traces
 
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
 _WINDOW_SECONDS = 1.0  # from one window event to the next
@@ -35,6 +36,7 @@ class Stream:
         settings: of the server.
         bus: its retained packets; those in memory alone by default.
         feed: where its states are told.
+        traces: where the stages of its frames are told.
 
     Attributes:
         source, loop, created_at: as in STREAM of docs/protocol.md.
@@ -58,9 +60,11 @@ class Stream:
         settings: Settings,
         bus: Bus | None = None,
         feed: Feed | None = None,
+        traces: Traces | None = None,
     ) -> None:
         self.id, self.incarnation = name, incarnation
         self.feed = feed or Feed()
+        self.traces = traces or Traces()
         self.bus = bus or Bus(settings.retention.memory_bytes)
         self.counters = Counters()
         self.hub = Hub(_HUB_BYTES, self.counters, settings.limits.decoder)

@@ -18,12 +18,13 @@ from typing import Any
 from core.errors import StorageError, StreamlodError
 from server.pipeline.spec import StreamSpec
 from server.protocol.messages import event
-from server.protocol.packets import StreamPacket, stream_packet
+from server.protocol.packets import Position, StreamPacket, stream_packet
 from server.settings import Settings
 from server.stream.bus import Bus
 from server.stream.feed import Feed
 from server.stream.store import Recording
 from server.stream.stream import Stream
+from server.stream.traces import FrameStages, Stage, Stopwatch, Traces
 from server.worker.camera_pictures import unpack_pictures
 from server.worker.cluster.driver import run_on_ray
 from server.worker.ingest_report import complaint
@@ -44,7 +45,7 @@ class WorkerStream(Stream):
         settings: of the server.
         recording: its place on disk, or None.
         push_socket: where its worker takes pictures that capture nodes push, or None.
-        feed: where its states are told.
+        feed, traces: where its states and the stages of its frames are told.
     """
 
     def __init__(
@@ -54,11 +55,13 @@ class WorkerStream(Stream):
         recording: Recording | None = None,
         push_socket: Path | None = None,
         feed: Feed | None = None,
+        traces: Traces | None = None,
     ) -> None:
         incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
-        super().__init__(spec.id, incarnation, settings, Bus(settings.retention.memory_bytes, recording), feed)
+        super().__init__(spec.id, incarnation, settings, Bus(settings.retention.memory_bytes, recording), feed, traces)
         self._settings = settings
         self._frames_done = 0
+        self._untold: dict[Position, list[Stage]] = {}  # of packets, until the worker tells its own stages
         self.define(spec, push_socket)
         created_ns = recording.stored.created_ns if recording else time.time_ns()
         self.created_at = datetime.fromtimestamp(created_ns / 1e9, UTC)
@@ -236,6 +239,7 @@ class WorkerStream(Stream):
             await self._on_packet(body, record=tag is Tag.PACKET)
         elif tag is Tag.REPORT:
             self.report = json.loads(body)
+            self._tell_stages(self.report.pop("stages", []) if self.report else [])
             self._frames_done = self.report.get("done", self._frames_done + 1) if self.report else 0
             if self.report:
                 self._note(**self._training(self.report["version"]))
@@ -278,11 +282,30 @@ class WorkerStream(Stream):
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
         packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
-        recording = partial(self.bus.record, packet) if record else None
-        await self.hub.accept(packet, self._window_message(), partial(self._begin_epoch, packet), recording)
+        watch = Stopwatch()
+
+        async def retain() -> None:
+            watch.end("decode")
+            await self.bus.record(packet)
+
+        def begin() -> None:
+            watch.end("retain" if record else "decode")
+            self._begin_epoch(packet)
+
+        await self.hub.accept(packet, self._window_message(), begin, retain if record else None)
+        watch.end("send")
         self._publish(packet, record=False)
+        if self.traces.listeners:
+            self._untold.setdefault(packet.position, []).extend(watch.stages)
         if record:
             self._enter_live()
+
+    def _tell_stages(self, told: list[tuple[str, int, int]]) -> None:
+        """Of the packets that have come since the last report; `told` are the worker's for the newest of them."""
+        untold, self._untold = self._untold, {}
+        for position, stages in untold.items():
+            worker = [Stage(*each) for each in told] if position == self.newest else []
+            self.traces.tell(FrameStages(self.id, self.incarnation, position, worker, stages, is_origin=True))
 
     def _begin_epoch(self, first: StreamPacket) -> None:
         """Announce a new epoch at the moment its first packet becomes the newest.

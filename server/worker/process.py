@@ -31,7 +31,7 @@ from server.worker.camera_pictures import CameraPictures
 
 if TYPE_CHECKING:
     from core.scene.anchors import Scene
-    from server.pipeline.stages import OpenJob
+    from server.pipeline.stages import EncodedFrame, OpenJob
 
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
@@ -202,7 +202,19 @@ def train(
             for packet in encoded.packets:
                 sender.send(Tag.PREVIEW if encoded.preview else Tag.PACKET, packet)
             if not encoded.preview:
-                sender.send(Tag.REPORT, encoded.report)
+                sender.send(Tag.REPORT, encoded.report | {"stages": _stages(encoded)})
+
+
+def _stages(encoded: EncodedFrame) -> list[tuple[str, int, int]]:
+    """When the stages of a frame ran: name, begin and end in Unix ns.
+
+    Reading live cameras is mostly waiting for the next instant; in its place stands the time since it was filmed.
+    """
+    behind_ns = time.time_ns() - time.perf_counter_ns()
+    spans = [(span.name, span.begin, span.end) for span in encoded.spans]
+    if (latency := encoded.report.get("latency_seconds")) is not None:
+        spans[0] = "ingest", spans[-1][2] - latency, spans[0][2]
+    return [(name, int(begin * 1e9) + behind_ns, int(end * 1e9) + behind_ns) for name, begin, end in spans]
 
 
 @contextmanager

@@ -134,6 +134,10 @@ def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: 
     assert {camera["clock_source"] for camera in last["cameras"].values()} == {"stated"}
     for report, (packet, at) in zip(reports, packets, strict=True):
         assert report["latency_seconds"] * 1e9 <= at - packet.time_ns
+        names, begins, ends = zip(*report["stages"], strict=True)
+        assert (names[0], names[-1], "read" in names) == ("ingest", "encode", False)
+        assert abs(begins[0] - packet.time_ns) < 1e8  # it was filmed then
+        assert begins[0] <= min(begins[1:]) <= max(ends) == ends[-1] <= at
     waited = reports[-1]["latency_seconds"] - reports[-1]["total_seconds"]  # before training
     assert waited < reports[0]["total_seconds"] / 2  # a queue would hold what came while the first frame trained
 

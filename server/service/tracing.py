@@ -1,0 +1,97 @@
+"""Frames' ways as OpenTelemetry traces, sent to a collector by OTLP over HTTP. Needs the extra `trace`.
+
+Every server derives a frame's trace id from the stream's incarnation and the frame's position, which all servers know.
+So the parts of a frame's way that different processes tell belong to one trace, and nothing has to be sent along.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import os
+import socket
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Literal
+
+from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
+from opentelemetry.sdk.resources import Resource
+from opentelemetry.sdk.trace import ReadableSpan
+from opentelemetry.sdk.trace.export import BatchSpanProcessor
+from opentelemetry.sdk.trace.id_generator import RandomIdGenerator
+from opentelemetry.sdk.util.instrumentation import InstrumentationScope
+from opentelemetry.trace import SpanContext, TraceFlags
+from opentelemetry.util.types import AttributeValue
+
+from core.version import streamlod_version
+from server.stream.traces import FrameStages, Stage, Traces
+
+_LOG = logging.getLogger(__name__)
+_EXPORT_SECONDS = 2.0  # after which a collector that does not answer is given up; the end of the server waits for it
+_SAMPLED = TraceFlags(TraceFlags.SAMPLED)
+_IDS = RandomIdGenerator()
+
+
+@asynccontextmanager
+async def tracing(endpoint: str, role: Literal["server", "edge"], traces: Traces) -> AsyncIterator[None]:
+    """Send what `traces` tells to the collector at `endpoint` while the context lasts; `role` names this server."""
+    address = endpoint.rstrip("/") + "/v1/traces"
+    processor, resources = BatchSpanProcessor(OTLPSpanExporter(address, timeout=_EXPORT_SECONDS)), _Resources.of(role)
+
+    def tell(frame: FrameStages) -> None:
+        for span in _spans(frame, resources):
+            processor.on_end(span)
+
+    traces.listeners.add(tell)
+    _LOG.info("traces are sent to %s", address)
+    try:
+        yield
+    finally:
+        traces.listeners.discard(tell)
+        await asyncio.to_thread(processor.shutdown)
+
+
+@dataclass(frozen=True, slots=True)
+class _Resources:
+    """What does the work: this process, and the worker that makes its frames."""
+
+    here: Resource
+    worker: Resource
+
+    @classmethod
+    def of(cls, role: str) -> _Resources:
+        about: dict[str, AttributeValue] = {"service.version": streamlod_version()}
+        host: dict[str, AttributeValue] = {"host.name": socket.gethostname(), "process.pid": os.getpid()}
+        here = Resource({"service.name": f"streamlod-{role}"} | about | host)
+        return cls(here, Resource({"service.name": "streamlod-worker"} | about))
+
+
+def _spans(frame: FrameStages, resources: _Resources) -> Iterator[ReadableSpan]:
+    """The span of the whole way, where the frame was made here, and those of its stages."""
+    place = frame.position
+    digest = hashlib.sha256(f"{frame.incarnation}/{place.epoch}/{place.version}".encode()).digest()
+    trace_id, root_id = int.from_bytes(digest[:16]), int.from_bytes(digest[16:24])
+    root = SpanContext(trace_id, root_id, is_remote=not frame.is_origin, trace_flags=_SAMPLED)
+    attributes: dict[str, AttributeValue] = {
+        "streamlod.stream": frame.stream,
+        "streamlod.incarnation": frame.incarnation,
+        "streamlod.epoch": place.epoch,
+        "streamlod.version": place.version,
+    }
+    scope = InstrumentationScope("streamlod", streamlod_version())
+
+    def span(stage: Stage, context: SpanContext, parent: SpanContext | None, resource: Resource) -> ReadableSpan:
+        return ReadableSpan(
+            stage.name, context, parent, resource, attributes,
+            start_time=stage.begin_ns, end_time=stage.end_ns, instrumentation_scope=scope,
+        )  # fmt: skip
+
+    stages = [(each, resources.worker) for each in frame.worker] + [(each, resources.here) for each in frame.server]
+    if frame.is_origin:
+        begin_ns, end_ns = min(each.begin_ns for each, _ in stages), max(each.end_ns for each, _ in stages)
+        yield span(Stage("frame", begin_ns, end_ns), root, None, resources.here)
+    for stage, resource in stages:
+        context = SpanContext(trace_id, _IDS.generate_span_id(), is_remote=False, trace_flags=_SAMPLED)
+        yield span(stage, context, root, resource)

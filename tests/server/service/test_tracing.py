@@ -1,0 +1,183 @@
+"""The way of a frame, told by the processes that it passes to one collector."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("opentelemetry.sdk", reason="OpenTelemetry is missing: pip install 'streamlod[trace]'")
+
+from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
+
+from codec.container import SlodReader
+from server.pipeline.spec import StreamSpec
+from server.service.app import create_app
+from server.settings import Settings
+from server.worker.process import Sender, Tag, receive_resume
+from tests.server.conftest import Clip, running, viewing
+from tests.server.edge.processes import node, wait
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A span, as it came; ids are in hexadecimal."""
+
+    service: str
+    pid: int | None
+    trace: str
+    id: str
+    parent: str
+    name: str
+    version: int
+    begin_ns: int
+    end_ns: int
+
+
+@contextmanager
+def collector() -> Iterator[tuple[str, list[Told]]]:
+    """An OTLP/HTTP receiver on loopback: its address, and the spans that have come."""
+    told: list[Told] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            assert self.path == "/v1/traces"
+            told.extend(spans_in(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}", told
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def spans_in(body: bytes) -> Iterator[Told]:
+    for group in ExportTraceServiceRequest.FromString(body).resource_spans:
+        about = {each.key: each.value for each in group.resource.attributes}
+        pid = about["process.pid"].int_value if "process.pid" in about else None
+        for span in (span for scope in group.scope_spans for span in scope.spans):
+            version = next(each.value.int_value for each in span.attributes if each.key == "streamlod.version")
+            yield Told(
+                about["service.name"].string_value, pid, span.trace_id.hex(), span.span_id.hex(),
+                span.parent_span_id.hex(), span.name, version, span.start_time_unix_nano, span.end_time_unix_nano,
+            )  # fmt: skip
+
+
+def of_one_frame(told: list[Told], *names: tuple[str, str]) -> list[Told]:
+    """The spans of a trace that has all these (service and name); none while there is no such trace."""
+    traces: dict[str, list[Told]] = {}
+    for span in list(told):
+        traces.setdefault(span.trace, []).append(span)
+    wanted = set(names)
+    return next((found for found in traces.values() if wanted <= {(each.service, each.name) for each in found}), [])
+
+
+@pytest.mark.cluster
+def test_two_servers_tell_the_way_of_a_frame_as_one_trace(clip: Clip, tmp_path: Path) -> None:
+    soon = {"OTEL_BSP_SCHEDULE_DELAY": "200"}  # milliseconds
+    with ExitStack() as stack:
+        address, told = stack.enter_context(collector())
+        to = ("--trace-endpoint", address)
+        origin = stack.enter_context(node(tmp_path, "serve", "--play", clip.path, *to, **soon))
+        edge = stack.enter_context(node(tmp_path, "edge", "--origin", origin.url, *to, **soon))
+        wait(lambda: edge.get("/v1/streams/main").status_code == 200)
+        with edge.viewing() as viewer:
+            viewer.hello().until("caught_up")
+            for _ in range(20):
+                viewer.next_packet()
+            names = ("streamlod-server", "frame"), ("streamlod-server", "send"), ("streamlod-edge", "send")
+            found = wait(lambda: viewer.step() and of_one_frame(told, *names))
+    assert {span.pid for span in found} == {origin.process.pid, edge.process.pid}
+    assert len({span.version for span in found}) == 1
+    (root,) = [span for span in found if span.name == "frame"]
+    assert root.parent == ""
+    assert {span.parent for span in found if span is not root} == {root.id}
+    sent = [next(span for span in found if (span.service, span.name) == name) for name in names[1:]]
+    assert root.begin_ns <= sent[0].begin_ns <= sent[0].end_ns == root.end_ns
+    assert sent[0].begin_ns < sent[1].end_ns  # by one clock here
+    assert len({span.id for span in told}) == len(told)
+
+
+def work(spec: StreamSpec, pipe: Connection, *_: object) -> None:
+    """A worker that plays its file and tells that each frame was filmed, trained and encoded in the 30 ms before."""
+    sender = Sender(pipe)
+    receive_resume(pipe)
+    assert spec.play is not None
+    with SlodReader(spec.play) as reader:
+        for number in range(len(reader.entries)):
+            now_ns = time.time_ns()
+            sender.send(Tag.PACKET, reader.read(number))
+            begins = [("ingest", now_ns - 30_000_000), ("train", now_ns - 20_000_000), ("encode", now_ns - 10_000_000)]
+            stages = [(name, begin_ns, begin_ns + 10_000_000) for name, begin_ns in begins]
+            sender.send(Tag.REPORT, {"version": number, "stages": stages})
+    sender.send(Tag.END)
+
+
+def test_what_a_worker_did_to_a_frame_is_in_the_frames_trace(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.worker.supervisor.run_worker", work)
+    with (
+        collector() as (address, told),
+        running(Settings(trace_endpoint=address), StreamSpec(play=clip.path)) as server,
+    ):
+        assert server.wait(lambda stream: stream["state"] == "ended")["report"] == {"version": 99}
+    frames = {span.version: span for span in told if span.name == "frame"}
+    assert frames.keys() == set(range(100))
+    for version, frame in frames.items():
+        stages = sorted((span for span in told if span.parent == frame.id), key=lambda span: span.begin_ns)
+        assert [span.name for span in stages] == ["ingest", "train", "encode", "decode", "retain", "send"]
+        assert [span.service for span in stages] == ["streamlod-worker"] * 3 + ["streamlod-server"] * 3
+        assert {(span.trace, span.version) for span in stages} == {(frame.trace, version)}
+        assert (frame.begin_ns, frame.end_ns) == (stages[0].begin_ns, stages[-1].end_ns)
+
+
+def test_a_collector_that_does_not_answer_holds_nothing_up(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OTEL_BSP_SCHEDULE_DELAY", "50")
+    spec = StreamSpec(play=clip.path)
+    with (
+        running(Settings(trace_endpoint="http://127.0.0.1:9"), spec) as server,
+        viewing(server, max_queue=None) as viewer,
+    ):
+        viewer.hello().until("caught_up")
+        for _ in range(30):
+            viewer.next_packet()
+
+
+WITHOUT = """
+import sys
+for package in ("sdk", "exporter"):  # FastAPI may need the rest
+    sys.modules[f"opentelemetry.{package}"] = None
+from core.errors import BackendUnavailable
+from server.service.app import create_app
+from server.settings import Settings
+create_app(Settings())
+try:
+    create_app(Settings(trace_endpoint="http://127.0.0.1:4318"))
+except BackendUnavailable as error:
+    print(error)
+"""
+
+
+def test_it_says_what_to_install_and_is_not_needed_otherwise() -> None:
+    result = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=True)
+    assert "streamlod[trace]" in result.stdout
+
+
+def test_without_a_collector_nobody_listens() -> None:
+    assert not create_app(Settings()).state.registry.traces.listeners
