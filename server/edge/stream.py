@@ -18,7 +18,7 @@ from server.protocol.packets import Position, stream_packet
 from server.settings import Settings
 from server.stream.feed import Feed
 from server.stream.stream import Stream
-from server.stream.traces import FrameStages, Stopwatch, Traces
+from server.stream.traces import FrameStages, StageTimer, Traces
 
 _LOG = logging.getLogger(__name__)
 _STATES = {"idle", "starting", "live", "degraded", "ended", "failed"}
@@ -152,18 +152,18 @@ class EdgeStream(Stream):
             return
         if joining and self.newest is not None:  # packets are missing in between; a keyframe begins anew
             self.bus.window.drop_newest_group()
-        before, watch = self.newest, Stopwatch()
+        before, timer = self.newest, StageTimer()
 
         def announce() -> None:
-            watch.end("decode")
+            timer.end("decode")
             if before is None or packet.position.epoch != before.epoch:
                 self._tell(event("epoch", epoch=packet.position.epoch))
 
         await self.hub.accept(packet, self._window_message(), announce)
-        watch.end("send")
+        timer.end("send")
         if self.traces.listeners:
             position = packet.position
-            self.traces.tell(FrameStages(self.id, self.incarnation, position, (), watch.stages, is_origin=False))
+            self.traces.tell(FrameStages(self.id, self.incarnation, position, (), timer.stages, is_origin=False))
         retained = self.bus.window.newest  # behind the hub's where a group of pictures was dropped
         self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
 

@@ -54,7 +54,7 @@ class Traces:
             listener(frame)
 
 
-class Stopwatch:
+class StageTimer:
     """Times stages that follow each other, from now on.
 
     Attributes:

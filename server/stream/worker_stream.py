@@ -24,7 +24,7 @@ from server.stream.bus import Bus
 from server.stream.feed import Feed
 from server.stream.store import Recording
 from server.stream.stream import Stream
-from server.stream.traces import FrameStages, Stage, Stopwatch, Traces
+from server.stream.traces import FrameStages, Stage, StageTimer, Traces
 from server.worker.camera_pictures import unpack_pictures
 from server.worker.cluster.driver import run_on_ray
 from server.worker.ingest_report import complaint
@@ -282,21 +282,21 @@ class WorkerStream(Stream):
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
         packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
-        watch = Stopwatch()
+        timer = StageTimer()
 
         async def retain() -> None:
-            watch.end("decode")
+            timer.end("decode")
             await self.bus.record(packet)
 
         def begin() -> None:
-            watch.end("retain" if record else "decode")
+            timer.end("retain" if record else "decode")
             self._begin_epoch(packet)
 
         await self.hub.accept(packet, self._window_message(), begin, retain if record else None)
-        watch.end("send")
+        timer.end("send")
         self._publish(packet, record=False)
         if self.traces.listeners:
-            self._untold.setdefault(packet.position, []).extend(watch.stages)
+            self._untold.setdefault(packet.position, []).extend(timer.stages)
         if record:
             self._enter_live()
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -19,13 +17,12 @@ pytest.importorskip("opentelemetry.sdk", reason="OpenTelemetry is missing: pip i
 
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 
-from codec.container import SlodReader
 from server.pipeline.spec import StreamSpec
 from server.service.app import create_app
 from server.settings import Settings
-from server.worker.process import Sender, Tag, receive_resume
 from tests.server.conftest import Clip, running, viewing
 from tests.server.edge.processes import node, wait
+from tests.server.service.telling_worker import work
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,28 +112,13 @@ def test_two_servers_tell_the_way_of_a_frame_as_one_trace(clip: Clip, tmp_path: 
     assert len({span.id for span in told}) == len(told)
 
 
-def work(spec: StreamSpec, pipe: Connection, *_: object) -> None:
-    """A worker that plays its file and tells that each frame was filmed, trained and encoded in the 30 ms before."""
-    sender = Sender(pipe)
-    receive_resume(pipe)
-    assert spec.play is not None
-    with SlodReader(spec.play) as reader:
-        for number in range(len(reader.entries)):
-            now_ns = time.time_ns()
-            sender.send(Tag.PACKET, reader.read(number))
-            begins = [("ingest", now_ns - 30_000_000), ("train", now_ns - 20_000_000), ("encode", now_ns - 10_000_000)]
-            stages = [(name, begin_ns, begin_ns + 10_000_000) for name, begin_ns in begins]
-            sender.send(Tag.REPORT, {"version": number, "stages": stages})
-    sender.send(Tag.END)
-
-
 def test_what_a_worker_did_to_a_frame_is_in_the_frames_trace(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.worker.supervisor.run_worker", work)
     with (
         collector() as (address, told),
         running(Settings(trace_endpoint=address), StreamSpec(play=clip.path)) as server,
     ):
-        assert server.wait(lambda stream: stream["state"] == "ended")["report"] == {"version": 99}
+        assert server.wait(lambda stream: stream["state"] == "ended", seconds=60)["report"] == {"version": 99}
     frames = {span.version: span for span in told if span.name == "frame"}
     assert frames.keys() == set(range(100))
     for version, frame in frames.items():
