@@ -5,6 +5,8 @@ STAMP := $(VENV)/.installed
 
 # Waiting threads must sleep: spinning ones cost a factor of three on shared cores (core/runtime.py)
 export OMP_WAIT_POLICY = PASSIVE
+# Tests start some hundred Python processes; without its cache each would compile the project's modules again
+export PYTHONDONTWRITEBYTECODE =
 
 .DEFAULT_GOAL := help
 .PHONY: help install demo test test-cluster lint bench bench-web clean

@@ -16,6 +16,11 @@ __all__ = ["gpu"]
 pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Processes for ``-n auto``: one more than there are cores, since tests of servers and of the page often wait."""
+    return len(os.sched_getaffinity(0)) + 1
+
+
 def data_folder() -> Path | None:
     """The folder of real pictures and video, if this machine has it."""
     for candidate in (os.environ.get("STREAMLOD_DATA"), Path(__file__).parents[2] / "shared" / "data"):

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
-from torch._inductor import metrics
 
 from core.render.compiling import Compiled
 from tests.device.pretend import DeviceTensor, compiled
@@ -20,6 +19,8 @@ def kernels(function: Any, arguments: tuple[Any, ...]) -> int:
 
     It generates them for the CPU, since for a GPU it needs one; it decides there as for a GPU which passes go together.
     """
+    from torch._inductor import metrics  # which takes two seconds to load
+
     given = [value.held.clone() if isinstance(value, DeviceTensor) else value for value in arguments]
     key = (function, *(value is None for value in given))
     if key not in _KERNELS:

@@ -14,15 +14,15 @@ from __future__ import annotations
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils import backend_registration
-from torch.utils._pytree import tree_leaves, tree_map
 
 NAME = "pretend"
 _ATEN = torch.ops.aten
@@ -148,7 +148,7 @@ class DeviceTensor(Tensor):
 def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     """`func` on what the tensors hold; its results are on the device unless it copies to the host."""
     # as on CUDA, indices may lie on the host: they are copied, which counts as a wait
-    checked = [args[0], *args[2:]] if func in _INDEXING else tree_leaves((args, kwargs))
+    checked = [args[0], *args[2:]] if func in _INDEXING else _leaves((args, kwargs))
     strangers = [value for value in checked if isinstance(value, Tensor) and not isinstance(value, DeviceTensor)]
     if func not in _COPIES and any(tensor.dim() > 0 for tensor in strangers):
         raise MixedDevicesError(f"{func} mixes {NAME} and cpu tensors")
@@ -156,16 +156,34 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     if "device" in kwargs:
         kwargs["device"] = torch.device("cpu")
     kwargs.pop("pin_memory", None)
-    results = func(*tree_map(_held, args), **tree_map(_held, kwargs))
+    results = func(*_mapped(_held, args), **_mapped(_held, kwargs))
     to_host = target is not None and target.type == "cpu"
-    _count(func, args, kwargs, tree_leaves((args, kwargs, results)), to_host)
+    _count(func, args, kwargs, list(_leaves((args, kwargs, results))), to_host)
     if to_host:
         return _on_its_way(results) if kwargs.get("non_blocking") else results
     if func is _ATEN.copy_.default and not isinstance(args[0], DeviceTensor):
         return args[0]  # a copy from the device into a tensor of the host
     if func._schema.is_mutable and isinstance(args[0], DeviceTensor) and results is args[0].held:
         return args[0]
-    return tree_map(lambda value: DeviceTensor(value) if isinstance(value, Tensor) else value, results)
+    return _mapped(lambda value: DeviceTensor(value) if isinstance(value, Tensor) else value, results)
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    """What lists, tuples and dictionaries hold; torch's own functions for this take most of a test's time."""
+    if isinstance(value, list | tuple | dict):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _leaves(item)
+    else:
+        yield value
+
+
+def _mapped(change: Callable[[Any], Any], value: Any) -> Any:
+    """`value` with `change` made to what its lists, tuples and dictionaries hold."""
+    if isinstance(value, dict):
+        return {key: _mapped(change, item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return (list if isinstance(value, list) else tuple)([_mapped(change, item) for item in value])
+    return change(value)
 
 
 def _on_its_way(numbers: Tensor) -> Tensor:
@@ -187,7 +205,7 @@ def _count(func: Any, args: Any, kwargs: dict[str, Any], values: list[Any], to_h
     """Add one operation, with the tensors among `values`, to whoever counts."""
     waits = func in _WAITS or (to_host and not kwargs.get("non_blocking")) or _waits_to_copy(func, args, kwargs)
     if func in _INDEXING:  # booleans are counted first, and indices of the host copied
-        indices = [index for index in tree_leaves(args[1]) if isinstance(index, Tensor)]
+        indices = [index for index in _leaves(args[1]) if isinstance(index, Tensor)]
         waits = any(index.dtype is torch.bool or not isinstance(index, DeviceTensor) for index in indices)
     moved = sum(value.nbytes for value in values if isinstance(value, Tensor))
     launches = 0 if func in _FREE or _is_view(func) else 2 if func in _TWICE else 1
@@ -234,7 +252,9 @@ def _place() -> str:
     return sources[-1] if sources else "gradients"
 
 
+@cache
 def _source(path: str) -> str | None:
+    """The name of a source file of `core`; None for any other file."""
     parts = Path(path).parts
     return "/".join(parts[parts.index("core") :]) if "core" in parts and "tests" not in parts else None
 

@@ -15,9 +15,10 @@ from tests.device.fixture import on_gpu
 
 
 def run_worker(spec: StreamSpec, pipe: Connection, *arguments: Any) -> None:
-    """`server.worker.process.run_worker` on a GPU, with a first frame of a few steps; in a process of its own."""
+    """`server.worker.process.run_worker` on a GPU, with frames of a few steps; in a process of its own."""
     brief = preset("live")
-    brief = replace(brief, keyframe=replace(brief.keyframe, steps=12))
+    keyframe = replace(brief.keyframe, steps=12)
+    brief = replace(brief, keyframe=keyframe, predict=replace(brief.predict, epochs=1, minimum_steps=4))
     with pytest.MonkeyPatch.context() as patch, on_gpu(patch):
         patch.setitem(PRESETS, "live", brief)
         process.run_worker(spec, pipe, *arguments)

@@ -11,7 +11,7 @@ from codec.container import SlodWriter
 from core.render.splatter import Splatter
 from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Settings
-from tests.client.web.conftest import CHROMIUM_FLAGS, Console, chromium_path
+from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
 from tests.client.web.miniserver import Clip, make_clip
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import WAIT, picture, psnr, shows
@@ -43,7 +43,7 @@ def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run
 @pytest.fixture(scope="module")
 def blind(chromium: Any) -> Iterator[Any]:
     """A Chromium without any 3D."""
-    flags = [flag for flag in CHROMIUM_FLAGS if "swiftshader" not in flag]
+    flags = [flag for flag in TEST_FLAGS if "swiftshader" not in flag]
     browser = chromium.browser_type.launch(executable_path=chromium_path(), args=[*flags, "--disable-3d-apis"])
     yield browser
     browser.close()

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 import server.worker.supervisor
+from core.synthetic import SyntheticSpec
 from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
+from tests.core.true_points import true_points
 from tests.device import worker
 from tests.server.conftest import running
 
-CLIP: dict[str, int | float | str | bool] = {"cameras": 3, "frames": 3, "width": 64, "height": 36}
+SPEC = SyntheticSpec(cameras=3, frames=3, width=64, height=36)
 
 
 @pytest.mark.cuda
-def test_a_worker_trains_on_the_device_that_was_asked_for(gpu: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_trains_on_the_device_that_was_asked_for(
+    gpu: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(server.worker.supervisor, "run_worker", worker.run_worker)
-    job = TrainJob(synthetic=CLIP, preset="live", points="random", device="cuda")
+    points = true_points(SPEC)
+    np.savez(tmp_path / "points.npz", positions=points.positions[::4], colours=points.colours[::4])
+    job = TrainJob(synthetic=asdict(SPEC), preset="live", points=str(tmp_path / "points.npz"), device="cuda")
     with running(Settings(), StreamSpec(job=job)) as service:
         found = service.wait(lambda stream: stream["state"] in ("ended", "failed"), seconds=120)
         assert found["state"] == "ended", found["detail"]
