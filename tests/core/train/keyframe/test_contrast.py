@@ -14,7 +14,7 @@ from core.train.pictures.views import Views
 from tests.core.train.keyframe.test_first_frame import ring, short
 from tests.core.true_points import true_points
 
-SPEC = SyntheticSpec(cameras=4, frames=1, width=96, height=54)
+SPEC = SyntheticSpec(cameras=4, frames=1, width=48, height=27)
 
 
 def test_contrast_is_the_mean_deviation_of_usable_pictures_within_a_channel() -> None:
@@ -30,7 +30,7 @@ def test_a_dark_scene_keeps_its_detail() -> None:
     clip = open_synthetic(SPEC)
     frame, points = next(iter(clip.frames())), true_points(SPEC)
     dark = np.round(0.25 * frame.images).astype(np.uint8), replace(points, colours=0.25 * points.colours)
-    config = short(preset("live"), 200, max_anchors=20_000)
+    config = short(preset("live"), 120, max_anchors=20_000)
     ignoring = replace(config, keyframe=replace(config.keyframe, usual_contrast=0.0))
     counts = {}
     for name, chosen, images, start in (
