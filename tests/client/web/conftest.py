@@ -54,11 +54,11 @@ def node(kernel: bytes) -> str:
     return found
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def chromium(kernel: bytes) -> Iterator[Any]:
     """A headless Chromium through Playwright, or a skip.
 
-    For one module only: while it is open, Playwright keeps an event loop running, under which asyncio.run refuses.
+    For this folder only: while it is open, Playwright keeps an event loop running, under which asyncio.run refuses.
     """
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
     path = chromium_path()

@@ -35,6 +35,7 @@ def paused_at(page: Any, version: int) -> None:
 def test_the_pointer_shows_the_moment_and_marks_lead_back(page: Any, url: str) -> None:
     """Over the timeline there is a picture of the moment under the pointer, the same that is seen after a click."""
     page.set_viewport_size({"width": 900, "height": 506})
+    page.clock.install()
     page.goto(f"{url}/?src=files/clip.slod&quality=high&marks=4,rubbish,900")
     shows(page, f"s.version === {FRAMES - 1} && s.phase === 'ended'")
     paused_at(page, 0)
@@ -64,6 +65,7 @@ def test_the_pointer_shows_the_moment_and_marks_lead_back(page: Any, url: str) -
         assert time.monotonic() < limit
     page.mouse.move(x, y - 200)
     assert page.locator("#t-peek").is_hidden()
+    page.clock.fast_forward(4000)
     page.locator("#t-peek canvas").wait_for(state="detached", **WAIT)  # and frees what it took
 
     marks = page.locator("#t-marks button")

@@ -39,7 +39,11 @@ def test_tools_hint_help_and_wake_lock(page: Any, clip: Clip) -> None:
     """All that a desktop offers is within a thumb's reach, and nothing speaks of keys."""
     page.add_init_script(WATCH_LOCK)
     with serving(create_app(clip, Behaviour(fps=2))) as url:
+        page.clock.install()
         page.goto(f"{url}/?quality=high")
+        page.locator("#toast", has_text="software").wait_for(**WAIT)
+        shows(page, "s.version >= 1")
+        page.clock.fast_forward(6000)
         page.locator("#toast", has_text="pinch to come closer").wait_for(**WAIT)
         shows(page, "s.phase === 'live'")
         page.wait_for_function("locks.length === 1 && !locks[0].released && locks[0].kind === 'screen'", **WAIT)

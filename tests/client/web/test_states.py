@@ -152,10 +152,12 @@ def test_a_stream_that_is_made_again_is_shown_again(page: Any, clip: Clip, tmp_p
         writer.append(clip.key())
     settings, played = Settings(roots=(tmp_path,)), tmp_path / "clip.slod"
     with running(settings, StreamSpec(play=played, loop=False)) as server, server.client() as client:
+        page.clock.install()
         page.goto(f"{server.url}/?quality=high&together=1&stream=main")
         shows(page, "s.version === 0")
         client.delete("/v1/streams/main")
         chip(page, "Deleted, this is its last picture")
         client.post("/v1/streams", json={"id": "main", "play": str(played), "start": True})
+        page.clock.fast_forward(10_000)  # after which it asks for the streams again
         chip(page, "Replay")
         shows(page, "s.version === 0")

@@ -123,12 +123,18 @@ def test_swings_slowly_when_nobody_touches_it(chromium: Any, clip: Clip) -> None
     """After a while without a hand the view begins to move by itself, and stops for one."""
     context = chromium.new_context(viewport={"width": 320, "height": 240}, reduced_motion="no-preference")
     page = context.new_page()
+    page.clock.install()
     with serving(create_app(clip, Behaviour(fps=2))) as url:
         page.goto(f"{url}/?quality=high")
         shows(page, "s.version >= 1")
         page.evaluate(INSPECT)
         before = page.evaluate("streamlod.state.camera")
-        page.wait_for_function("(before) => streamlod.state.camera !== before", arg=before, timeout=60_000)
+        page.clock.fast_forward(4000)
+        page.wait_for_function("document.body.classList.contains('idle')", **WAIT)
+        page.wait_for_timeout(300)
+        assert page.evaluate("streamlod.state.camera") == before, "it does not begin as soon as the controls hide"
+        page.clock.fast_forward(8000)
+        page.wait_for_function("(before) => streamlod.state.camera !== before", arg=before, **WAIT)
         page.mouse.move(100, 100)
         page.mouse.move(110, 100)
         page.wait_for_timeout(300)
