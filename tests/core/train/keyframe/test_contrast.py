@@ -14,7 +14,7 @@ from core.train.pictures.views import Views
 from tests.core.train.keyframe.test_first_frame import ring, short
 from tests.core.true_points import true_points
 
-SPEC = SyntheticSpec(cameras=4, frames=1, width=48, height=27)
+SPEC = SyntheticSpec(cameras=4, frames=1, width=64, height=36)
 
 
 def test_contrast_is_the_mean_deviation_of_usable_pictures_within_a_channel() -> None:
