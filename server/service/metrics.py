@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
@@ -11,6 +11,7 @@ from prometheus_client.registry import Collector
 from server.api.registry import Registry
 from server.auth.gate import EVERYTHING, Grant, Right
 from server.service.ingest_metrics import ingest_families
+from server.stream.stream import Stream
 
 _GAUGES = {
     "viewers": "viewers connected",
@@ -95,6 +96,7 @@ class StreamCollector(Collector):
                 counters[name].add_metric([label], value)
         yield from gauges.values()
         yield from counters.values()
+        yield _workers(streams)
         yield from ingest_families({name: stream.ingest for name, stream in streams.items()})
         if self._grant.covers_all:
             yield from self._server_families()
@@ -107,6 +109,17 @@ class StreamCollector(Collector):
         for reason, count in list(self._registry.turned_away.items()):
             away.add_metric([reason], count)
         yield away
+
+
+def _workers(streams: Mapping[str, Stream]) -> Metric:
+    """Which node of a cluster each worker runs on."""
+    family = GaugeMetricFamily(
+        "streamlod_worker_info", "1, where a worker runs on a cluster", labels=["stream", "worker_node"]
+    )
+    for name, stream in streams.items():
+        if stream.worker_node:
+            family.add_metric([name, stream.worker_node], 1)
+    return family
 
 
 def collector_registry(registry: Registry, grant: Grant = EVERYTHING) -> CollectorRegistry:

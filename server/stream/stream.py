@@ -44,6 +44,7 @@ class Stream:
         replaced: its viewers are told to connect again.
         push_socket: where its worker takes pictures that capture nodes push, or None.
         played_file: the recording that it plays, or None.
+        worker_node: address of the cluster's node that its worker runs on; empty where it runs on this machine, or not.
         camera_pictures: a small JPEG file of what each camera saw last, where the server shows that.
     """
 
@@ -52,6 +53,7 @@ class Stream:
     created_at = datetime.fromtimestamp(0, UTC)
     push_socket: Path | None = None
     played_file: Path | None = None
+    worker_node = ""
 
     def __init__(
         self,

@@ -218,6 +218,7 @@ class WorkerStream(Stream):
             await asyncio.gather(self._task, return_exceptions=True)
             self._task = None
         self._placed.set()  # nobody waits for a worker that will not come
+        self.worker_node = ""
         if self.bus.recording is not None:
             await self.bus.recording.close()
 
@@ -252,7 +253,8 @@ class WorkerStream(Stream):
             self.camera_pictures = self.camera_pictures | unpack_pictures(body)
         elif tag is Tag.PLACED:
             self._placed.set()
-            _LOG.info("stream %s: its worker runs on node %s", self.id, json.loads(body)["node"])
+            self.worker_node = json.loads(body)["node"]
+            _LOG.info("stream %s: its worker runs on node %s", self.id, self.worker_node)
         elif tag is Tag.EPOCH:
             self._new_epoch, self._frames_done = True, 0
 
@@ -268,6 +270,7 @@ class WorkerStream(Stream):
         _LOG.warning("stream %s: %s; restart in %g s", self.id, ending.text, delay_seconds)
         state = "degraded" if self.newest else "starting"
         self._placed.set()
+        self.worker_node = ""
         self._enter(state, f"{ending.text}; it is being restarted")
 
     def on_finish(self, ending: Ending) -> None:
@@ -278,6 +281,7 @@ class WorkerStream(Stream):
         self._note(trained_from="", **({"running": False} if ending.done else {}))
         self._refused = ending.refused
         self._placed.set()
+        self.worker_node = ""
         self._enter("ended" if ending.done else "failed", ending.text)
 
     async def _on_packet(self, data: bytes, *, record: bool) -> None:

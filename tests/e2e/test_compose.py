@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -28,7 +29,7 @@ def settings_of(name: str) -> Settings:
 
 
 def test_the_cluster_is_complete() -> None:
-    assert set(CLUSTER) == {*NODES, "nats1", "nats2", "nats3", "proxy", "watch"}
+    assert set(CLUSTER) == {*NODES, "ray", "nats1", "nats2", "nats3", "proxy", "watch", "grafana"}
     for service in CLUSTER.values():
         assert set(service.get("depends_on", [])) <= set(CLUSTER)
         for source in (each.split(":")[0] for each in service["volumes"]):
@@ -50,8 +51,63 @@ def test_its_nodes_name_services_that_exist() -> None:
         assert host is not None
         assert host[1] in CLUSTER
         assert host[1] in settings_of(host[1]).hosts  # or the origin would not answer to this name
-    scraped = re.findall(r"(\w+):(\d+)\"", (FOLDER / "cluster" / "prometheus.yml").read_text())
-    assert scraped == [(name, str(settings_of(name).metrics_port)) for name in NODES]
+    scraped = scrapes("cluster")["static_configs"][0]["targets"]
+    assert scraped == [f"{name}:{settings_of(name).metrics_port}" for name in NODES]
+
+
+def scrapes(folder: str) -> dict[str, Any]:
+    """What Prometheus reads."""
+    (found,) = yaml.safe_load((FOLDER / folder / "prometheus.yml").read_text())["scrape_configs"]
+    return dict(found)
+
+
+@pytest.mark.parametrize("folder", ["cluster", "observe"])
+def test_metrics_carry_the_name_of_their_node(folder: str) -> None:
+    """As Prometheus makes it: the part of the address that the whole expression matches."""
+    found = scrapes(folder)
+    (rule,) = found["relabel_configs"]
+    assert (rule["source_labels"], rule["target_label"]) == (["__address__"], "node")
+    targets = found["static_configs"][0]["targets"]
+    nodes = [re.fullmatch(rule["regex"], target) for target in targets]
+    assert [node and node[1] for node in nodes] == [target.split(":")[0] for target in targets]
+    assert {target.split(":")[0] for target in targets} <= set(SERVICES)
+
+
+def test_the_dashboard_finds_its_prometheus_in_either_profile() -> None:
+    (source,) = yaml.safe_load((FOLDER / "observe" / "datasource.yaml").read_text())["datasources"]
+    host = urlsplit(source["url"]).hostname
+    assert host in SERVICES
+    assert CLUSTER["watch"]["networks"]["default"]["aliases"] == [host]
+    assert CLUSTER["grafana"] is SERVICES["grafana"]
+    assert "observe" in SERVICES["grafana"]["profiles"]
+
+
+def ray_options(command: str) -> dict[str, Any]:
+    """What `ray start` in a command is told, as its own parser understands it."""
+    scripts = pytest.importorskip("ray.scripts.scripts", reason="ray is missing: pip install 'streamlod[ray]'")
+    (line,) = re.findall(r"^ *(?:exec )?ray start (.*?)(?: \|\| exit 1)?$", command, re.MULTILINE)
+    return dict(scripts.start.make_context("start", line.split()).params)
+
+
+def test_ray_nodes_join_the_head_beside_the_server_and_have_room_for_a_worker() -> None:
+    head, worker = (ray_options(CLUSTER[name]["command"][0]) for name in ("origin", "ray"))
+    assert head["head"]
+    assert head["num_cpus"] == 0  # the server's own node trains nothing
+    assert worker["address"] == f"origin:{head['port']}"
+    assert worker["block"]
+    settings = settings_of("origin")
+    assert settings.jobs == "ray"
+    assert settings.ray.address == "auto"  # that of its own container
+    assert settings.ray.cpus <= worker["num_cpus"]
+    assert CLUSTER["ray"]["deploy"]["replicas"] >= 1 + settings.worker.spare
+    assert CLUSTER["ray"]["image"] == CLUSTER["origin"]["image"]  # and so the same version of everything
+    assert "ray" in CLUSTER["origin"]["build"]["args"]["EXTRAS"].split(",")
+
+
+def test_what_the_origin_trains_needs_no_file_that_ray_nodes_would_lack() -> None:
+    (command,) = re.findall(r"exec streamlod serve (.*)$", CLUSTER["origin"]["command"][0], re.MULTILINE)
+    assert "--synthetic" in command.split()
+    assert not {"--data", "--live"} & set(command.split())
 
 
 def test_nginx_gets_every_address_replaced() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from server.service.app import create_app
 from server.settings import Settings
-from tests.e2e.test_compose import CLUSTER, FOLDER
+from tests.e2e.test_compose import CLUSTER, FOLDER, ray_options, settings_of
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is missing: pip install pyyaml")
 
@@ -26,7 +26,15 @@ MANIFESTS: list[dict[str, Any]] = [
 WORKLOADS = {each["metadata"]["name"]: each for each in MANIFESTS if each["kind"] in {"Deployment", "StatefulSet"}}
 SERVICES = {each["metadata"]["name"]: each["spec"] for each in MANIFESTS if each["kind"] == "Service"}
 CONFIGS = {each["name"]: each["files"] for each in CUSTOM["configMapGenerator"]}
-OTHERS = {"nats": {"/healthz"}, "proxy": {"/readyz"}, "watch": {"/-/ready", "/-/healthy"}}  # probes of other programs
+# Probes of other programs.
+OTHERS = {"nats": {"/healthz"}, "proxy": {"/readyz"}, "watch": {"/-/ready", "/-/healthy"}, "grafana": {"/api/health"}}
+OTHERS["ray"] = set()
+    "nats": {"/healthz"},
+    "proxy": {"/readyz"},
+    "watch": {"/-/ready", "/-/healthy"},
+    "grafana": {"/api/health"},
+    "ray": set(),
+}  # probes of other programs
 PROBES = ("startupProbe", "readinessProbe", "livenessProbe")
 
 
@@ -74,12 +82,13 @@ def test_they_are_the_servers_of_the_compose_profile() -> None:
         if name in {"second", "edge1", "edge2"}:
             assert container["args"][:-1] == service["command"][:-1]
         if name == "origin":
-            begun = "exec streamlod " + " ".join(container["args"][:-1])
-            assert begun in service["command"][0]
-            assert (
-                pod["initContainers"][0]["args"][0].split("streamlod synth")[1].split()[1:]
-                == (service["command"][0].split("streamlod synth")[1].split("exec")[0].split()[1:])
-            )
+            assert container["args"][0].split()[:-1] == service["command"][0].split()[:-1]
+            assert container["args"][0].split()[-1] == "/etc/streamlod/streamlod.toml"
+        if name == "ray":
+            assert container["args"] == service["command"]
+            assert WORKLOADS[name]["spec"]["replicas"] == service["deploy"]["replicas"]
+        if name in {"origin", "ray"}:
+            assert {each["name"]: each["value"] for each in container["env"]} == service["environment"]
         if name == "proxy":
             assert container["args"][0].split("mkdir")[0] == service["command"][0].split("mkdir")[0]
 
@@ -97,9 +106,13 @@ def test_what_is_mounted_is_there_and_where_the_commands_look() -> None:
                 config = volumes.get(mount["name"], {}).get("configMap")
                 files = [] if config is None else CONFIGS[config["name"]]
                 places |= {f"{mount['mountPath']}/{file.partition('=')[0].rpartition('/')[2]}" for file in files}
-        words = " ".join(pod["containers"][0]["args"]).replace("=", " ").split()
-        assert len(places) == 1
-        assert places < set(words)
+        words = " ".join(pod["containers"][0].get("args", [])).replace("=", " ").split()
+        if name == "grafana":  # it looks into folders
+            targets = {each.split(":")[1].rpartition("/")[0] for each in CLUSTER[name]["volumes"]}
+            assert {place.rpartition("/")[0] for place in places} == targets
+        else:
+            assert len(places) == (name != "ray")
+            assert places <= set(words)
 
 
 @pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is missing")
@@ -137,6 +150,7 @@ def test_names_in_the_configuration_are_services() -> None:
     wanted += targets["static_configs"][0]["targets"]
     wanted += [f"{name}:6222" for name in ("nats1", "nats2", "nats3")]
     assert all(name in (FOLDER / "cluster" / "nats.conf").read_text() for name in wanted[-3:])
+    wanted += [f"origin:{ray_options(CLUSTER['origin']['command'][0])['port']}", "prometheus:9090"]
     wanted += ["origin:8000", "second:8000", "edge1:8000", "edge2:8000"]
     for name, _, port in (each.partition(":") for each in wanted):
         assert int(port) in {each["port"] for each in SERVICES[name]["ports"]}
@@ -187,3 +201,16 @@ def test_edges_ask_their_origin_by_a_name_that_it_answers_to() -> None:
         host = args[args.index("--origin") + 1].removeprefix("http://").partition(":")[0]
         assert host in SERVICES
         assert host in shared.hosts
+
+
+def test_a_ray_node_has_the_cores_that_it_offers_and_listens_where_it_is_probed() -> None:
+    (container,) = WORKLOADS["ray"]["spec"]["template"]["spec"]["containers"]
+    options = ray_options(container["args"][0])
+    assert float(container["resources"]["requests"]["cpu"]) >= options["num_cpus"] >= settings_of("origin").ray.cpus
+    assert [each["containerPort"] for each in container["ports"]] == [options["node_manager_port"]]
+    for name in ("origin", "ray"):  # Ray's shared memory, which is 64 MiB otherwise
+        pod = WORKLOADS[name]["spec"]["template"]["spec"]
+        (place,) = [each["name"] for each in pod["containers"][0]["volumeMounts"] if each["mountPath"] == "/dev/shm"]
+        (volume,) = [each["emptyDir"] for each in pod["volumes"] if each["name"] == place]
+        assert volume["medium"] == "Memory"
+        assert int(volume["sizeLimit"].removesuffix("Mi")) << 20 > options["object_store_memory"]

@@ -70,10 +70,15 @@ def test_the_dashboard_and_its_containers_ask_for_what_exists(clip: Clip) -> Non
     with running(Settings(), StreamSpec(play=clip.path)) as server:
         text = generate_latest(collector_registry(server.registry)).decode()
     names = {line.split()[2] for line in text.splitlines() if line.startswith("# TYPE")}
-    panels = json.loads((folder / "dashboard.json").read_text())["panels"]
+    board = json.loads((folder / "dashboard.json").read_text())
+    panels = board["panels"]
     asked = {name for p in panels for t in p["targets"] for name in re.findall(r"streamlod_\w+", t["expr"])}
     assert len(asked) >= 12
     assert asked <= names
+    for target in (target for panel in panels for target in panel["targets"]):
+        assert len(re.findall(r"streamlod_\w+", target["expr"])) == target["expr"].count('{node=~"$node"')
+        assert "{{node}}" in target["legendFormat"] or "{{worker_node}}" in target["legendFormat"]
+    assert [each["name"] for each in board["templating"]["list"]] == ["node", "stream"]
     settings = load_settings(folder / "server.toml")
     assert f'"server:{settings.metrics_port}"' in (folder / "prometheus.yml").read_text()
     sources = (folder / "datasource.yaml").read_text()
