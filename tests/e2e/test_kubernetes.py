@@ -26,9 +26,7 @@ MANIFESTS: list[dict[str, Any]] = [
 WORKLOADS = {each["metadata"]["name"]: each for each in MANIFESTS if each["kind"] in {"Deployment", "StatefulSet"}}
 SERVICES = {each["metadata"]["name"]: each["spec"] for each in MANIFESTS if each["kind"] == "Service"}
 CONFIGS = {each["name"]: each["files"] for each in CUSTOM["configMapGenerator"]}
-# Probes of other programs.
-OTHERS = {"nats": {"/healthz"}, "proxy": {"/readyz"}, "watch": {"/-/ready", "/-/healthy"}, "grafana": {"/api/health"}}
-OTHERS["ray"] = set()
+OTHERS = {
     "nats": {"/healthz"},
     "proxy": {"/readyz"},
     "watch": {"/-/ready", "/-/healthy"},
