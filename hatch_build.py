@@ -55,6 +55,8 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
         if path.suffix == ".js":
             script = rjsmin.jsmin(SHADER.sub(_without_comments, content.decode())).replace("}\n", "}")
             script = re.sub(r"\bconst\b", "let", script)  # shorter; our shaders have no const
+            script = re.sub(r"(?<=[=,(*+<>?:&|-])0(?=\.\d)|,(?=\})", "", script)  # 0.5 is .5; last commas
+            script = re.sub(r"=\(([\w.#]+)\)(?=[,;])", r"=\1", script)  # what a type was said of
             # semicolons before braces can be left out, except in shaders
             content = re.sub(rf"({SHADER.pattern})|;(?=\}})", r"\1", script, flags=re.DOTALL).encode()
         elif path.suffix == ".css":

@@ -22,6 +22,7 @@ from core.camera import Camera
 from core.frames import FrameSet, PointCloud
 from core.render.differentiable import rasterise
 from core.render.raster import Raster
+from core.scene.expand import near_radius
 from core.train.field.exposure import neutral
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.losses import photometric_loss
@@ -156,8 +157,11 @@ class PlainGaussians:
 
     @torch.no_grad()
     def picture(self, camera: Camera) -> UInt8:
-        """[H,W,3] what `camera` sees of the result."""
-        image = self._render(self._mean or self._optimiser.parameters, camera, torch.zeros(3)).image
+        """[H,W,3] what `camera` sees of the result, by the rule of `core.scene.expand.without_near`."""
+        parameters = self._mean or self._optimiser.parameters
+        away = parameters["means"] - torch.from_numpy(camera.centre).float()
+        kept = away.norm(dim=1) >= near_radius(self._whole.cameras, camera.centre)
+        image = self._render({name: parameters[name][kept] for name in self._rows}, camera, torch.zeros(3)).image
         return np.asarray((image.numpy() * 255).round().clip(0, 255), np.uint8)
 
     def _step(self, progress: float) -> None:

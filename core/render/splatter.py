@@ -10,7 +10,7 @@ from core.arrays import Int64, UInt8
 from core.camera import Camera
 from core.render.cpu import render
 from core.scene.anchors import AnchorLevel, Scene
-from core.scene.expand import expand, expand_slots, visible
+from core.scene.expand import expand, expand_slots, visible, without_near
 from core.scene.gaussians import GaussianCloud, concatenate
 
 
@@ -52,7 +52,8 @@ class Splatter:
         self._keyframe = scene
         for number in range(count):
             self._levels[number] = _update(scene, number, self._levels.get(number))
-        return concatenate([self._levels[number].shown for number in range(count)])
+        cloud = concatenate([self._levels[number].shown for number in range(count)])
+        return without_near(cloud, scene.header.cameras, camera.centre)
 
 
 def _update(scene: Scene, number: int, before: _Expanded | None) -> _Expanded:

@@ -10,19 +10,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Float32, Float64, Int64
+from core.arrays import Bool, Float32, Float64, Int64
+from core.camera import Camera
 from core.scene.anchors import FEATURE_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
 from core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud, concatenate
 from core.scene.octree import level_for_distance
 
 EXTRA_LEVEL_UNIT = 1 / 64
+NEAR_SHARE = 0.15  # of the distance to the nearest camera: what is nearer to a viewer than this is not drawn
 _MIN_LENGTH, _MAX_LENGTH = 1e-12, 1e12  # lengths of quaternions that say a rotation
 
 
 def expand(
     scene: Scene, viewpoint: Float64, highest_level: int | None = None, by_distance: bool = False
 ) -> GaussianCloud:
-    """The Gaussians seen from `viewpoint`.
+    """The Gaussians seen from `viewpoint`, those that `without_near` leaves.
 
     Args:
         viewpoint: [3] camera centre in world units.
@@ -40,7 +42,24 @@ def expand(
             wanted = level_for_distance(distance, scene.header.reference_distance, extra, top)
             rows = rows[wanted >= number]
         clouds.append(expand_rows(scene.header, scene.weights, number, level, rows, viewpoint))
-    return concatenate(clouds)
+    return without_near(concatenate(clouds), scene.header.cameras, viewpoint)
+
+
+def without_near(cloud: GaussianCloud, cameras: tuple[Camera, ...], viewpoint: Float64) -> GaussianCloud:
+    """`cloud` without what is nearer to `viewpoint` [3] than 0.15 of the way from there to the nearest of `cameras`.
+
+    No camera has seen that from so near: for all of them it was small and far away, and may be wrong by more than it
+    is wide; for this viewer it would hide the scene. From where a camera stands, nothing is left out.
+    """
+    radius = near_radius(cameras, viewpoint)
+    if radius == 0:
+        return cloud
+    return _rows_of(cloud, ((cloud.means - viewpoint) ** 2).sum(axis=1) >= radius**2)
+
+
+def near_radius(cameras: tuple[Camera, ...], viewpoint: Float64) -> float:
+    """The distance from `viewpoint` [3] within which nothing is drawn, in world units; 0 without cameras."""
+    return NEAR_SHARE * min((float(np.linalg.norm(camera.centre - viewpoint)) for camera in cameras), default=0.0)
 
 
 def anchor_positions(header: SceneHeader, number: int, level: AnchorLevel) -> Float32:
@@ -69,9 +88,12 @@ def expand_rows(
 
 def visible(cloud: GaussianCloud) -> GaussianCloud:
     """The Gaussians of positive opacity."""
-    shown = np.flatnonzero(cloud.opacities > 0)
-    parts = (cloud.means, cloud.quaternions, cloud.scales, cloud.opacities, cloud.colours)
-    return GaussianCloud(*(part[shown] for part in parts))
+    return _rows_of(cloud, cloud.opacities > 0)
+
+
+def _rows_of(cloud: GaussianCloud, kept: Bool) -> GaussianCloud:
+    rows = np.flatnonzero(kept)
+    return GaussianCloud(*(getattr(cloud, name)[rows] for name in GaussianCloud.__slots__))
 
 
 def expand_slots(

@@ -8,7 +8,6 @@
 
 import { FEATURE_LATENTS, HIDDEN, LATENTS } from "./scene.js";
 
-/** @typedef {import("./scene.js").Scene} Scene */
 /** @typedef {import("./scene.js").Level} Level */
 
 export const RECORD = 12;
@@ -88,7 +87,7 @@ class LevelFloats {
 /** The splats of one scene under one keyframe. */
 export class Expander {
   /**
-   * @param {Scene} scene - read, never changed
+   * @param {import("./scene.js").Scene} scene - read, never changed
    * @param {Kernel} kernel
    */
   constructor(scene, kernel) {

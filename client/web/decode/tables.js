@@ -1,4 +1,4 @@
-/** Constants of the entropy code, codec/FORMAT.md sections 6.2 and 12; no power of two comes near to a half, so rounding is exact. */
+/** Constants of the entropy code, codec/FORMAT.md sections 6.2 and 12. */
 
 const MAGNITUDES = 790;
 

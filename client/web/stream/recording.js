@@ -5,23 +5,20 @@ import { KEY, LIMITS, must } from "../decode/packet.js";
 import { FileReader } from "./file.js";
 import { Session } from "./session.js";
 
-/** @typedef {import("./connection.js").Handlers} Handlers */
-/** @typedef {import("../decode/container.js").Entry} Entry */
-
 const MAX_AHEAD = 1 << 19, CACHE_BYTES = 96 << 20, TICK_MS = 8;
 const AHEAD_MS = 500; // how long a request may take
 const LATE_MS = 300; // a keyframe that takes longer is shown level by level
 const STALL_MS = 1000; // that a frame is waited for
 
 export class Recording {
-  /** @param {string} url @param {string | null} token @param {Handlers} handlers @param {boolean} loop - begin again at the end */
+  /** @param {string} url @param {string | null} token @param {import("./connection.js").Handlers} handlers @param {boolean} loop - begin again at the end */
   constructor(url, token, handlers, loop) {
     this.handlers = handlers;
     this.token = token;
     this.session = new Session(performance.now());
     Object.assign(this.session.status, { source: "recording", mode: "replay", loops: loop });
     this.reader = new FileReader(url, token);
-    /** @type {Entry[]} */
+    /** @type {import("../decode/container.js").Entry[]} */
     this.entries = [];
     /** @type {{ version: number, timeMs: number }[]} */
     this.moments = [];

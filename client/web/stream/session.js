@@ -15,12 +15,11 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
 /** @typedef {{ epoch: number, version: number }} Position */
 
 /** @typedef {import("./phase.js").Phase} Phase */
-/** @typedef {import("./phase.js").Source} Source */
 
 /**
  * @typedef {object} Status
  * @property {Phase} phase
- * @property {Source} source
+ * @property {import("./phase.js").Source} source
  * @property {boolean} loops - a recording that the server begins again at its end
  * @property {number | null} lagSeconds - from the newest frame applied to the newest there is; null where that cannot be told
  * @property {number | null} clockMs - what to add to this side's Unix time to have the server's

@@ -2,9 +2,6 @@
 
 import { fromText, toText } from "../view/camera.js";
 
-/** @typedef {import("../view/viewer.js").Viewer} Viewer */
-/** @typedef {import("./timeline.js").Timeline} Timeline */
-
 const VERSION = 1; // of the messages
 const EVENTS = ["status", "scene", "picture", "refused"];
 const METHODS = ["state", "seek", "play", "pause", "step", "loop", "setCamera", "captureFrame", "inspect", "destroy"];
@@ -15,8 +12,8 @@ function need(condition, text) {
 }
 
 /**
- * @param {Viewer} viewer
- * @param {Timeline} timeline
+ * @param {import("../view/viewer.js").Viewer} viewer
+ * @param {import("./timeline.js").Timeline} timeline
  * @param {import("./status.js").Latency} latency
  * @param {() => void} destroy
  */

@@ -2,13 +2,11 @@
 
 import { button, toast } from "./page.js";
 
-/** @typedef {import("../view/viewer.js").Viewer} Viewer */
-
 const HINT = "Drag to look around, pinch to come closer, two fingers to move", HINT_MS = 5000;
 const AFTER_WARNING_MS = 6000; // the page says first that it draws in software
 const PLAYING = ["live", "behind", "replay", "preview"];
 
-/** @param {Viewer} viewer */
+/** @param {import("../view/viewer.js").Viewer} viewer */
 export function attachPhone(viewer) {
   const { classList } = document.body, more = button("b-more");
   /** @param {boolean} open */

@@ -3,7 +3,6 @@
 import { add, fromCamera, row } from "../view/camera.js";
 import { element } from "./page.js";
 
-/** @typedef {import("../view/viewer.js").Viewer} Viewer */
 /** @typedef {import("../view/camera.js").Vec3} Vec3 */
 
 const DEPTH = 0.12; // of the distance to the target, how far the drawn pyramids reach
@@ -19,7 +18,7 @@ function pyramid(camera, depth) {
 }
 
 export class Rig {
-  /** @param {Viewer} viewer @param {(index: number) => void} goTo */
+  /** @param {import("../view/viewer.js").Viewer} viewer @param {(index: number) => void} goTo */
   constructor(viewer, goTo) {
     this.viewer = viewer;
     this.goTo = goTo;

@@ -1,7 +1,5 @@
 /** What is going on, in words: the chip at the top and the card in the middle. No page needed. */
 
-/** @typedef {import("../stream/session.js").Status} Status */
-
 /**
  * @typedef {object} Words
  * @property {string} chip - a word or two
@@ -23,7 +21,7 @@ function behind(seconds) {
 }
 
 /**
- * @param {Status} status
+ * @param {import("../stream/session.js").Status} status
  * @param {boolean} picture - whether a scene is on the screen already
  * @param {number} waitMs - until the next attempt, while reconnecting
  * @returns {Words}

@@ -1,7 +1,5 @@
 /** Numbers for those who want them. */
 
-/** @typedef {import("../view/viewer.js").Viewer} Viewer */
-
 const SPAN_MS = 3000;
 
 /** Frames of the stream and their times. */
@@ -29,7 +27,7 @@ export class Rates {
   }
 }
 
-/** @param {HTMLElement} list @param {Viewer} viewer @param {Rates} rates @param {number | null} latencyMs - from camera to screen */
+/** @param {HTMLElement} list @param {import("../view/viewer.js").Viewer} viewer @param {Rates} rates @param {number | null} latencyMs - from camera to screen */
 export function fillStatistics(list, viewer, rates, latencyMs) {
   const { picture, status, canvas } = viewer;
   const { fps, kilobits } = rates.now();

@@ -3,12 +3,10 @@
 import { add, fromCamera } from "../view/camera.js";
 import { button, element } from "./page.js";
 
-/** @typedef {import("./states.js").Words} Words */
-
 const IDLE_MS = 4000;
 const MAX_LATENCY_MS = 600_000; // more is no delay but a clock that is wrong
 
-/** @param {Words} said */
+/** @param {import("./states.js").Words} said */
 export function show(said) {
   const stage = element("stage");
   stage.dataset.tone = said.tone;

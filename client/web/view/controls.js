@@ -2,7 +2,6 @@
 
 import { add, fly, focusOn, look, orbit, pan, unit, zoom } from "./camera.js";
 
-/** @typedef {import("./viewer.js").Viewer} Viewer */
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 
 const TURN = 3.2; // radians for a drag across the picture's height
@@ -17,7 +16,7 @@ const FLY = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 export class Controls {
-  /** @param {Viewer} viewer */
+  /** @param {import("./viewer.js").Viewer} viewer */
   constructor(viewer) {
     this.viewer = viewer;
     /** @type {Map<number, { x: number, y: number }>} fingers and buttons down */

@@ -2,6 +2,7 @@
 
 import { SceneDecoder } from "../decode/decoder.js";
 import { Expander, MIN_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";
+import { add, fromCamera } from "./camera.js";
 import { DepthSort, fillQuads } from "./sort.js";
 import { anchorCount, versionOf } from "../decode/scene.js";
 
@@ -30,6 +31,7 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  */
 
 const TURN = 0.02; // view-dependent anchors are expanded again after moves beyond this fraction of the distance to them
+const NEAR_SHARE = 0.15; // of the distance to the nearest camera
 const ROW_NUMBERS = ROW_SPLATS * RECORD;
 const JOIN = 2; // texture rows between two spans that are sent along rather than sent apart
 
@@ -195,12 +197,16 @@ export class Engine {
     this.capacity = 0;
   }
 
+  /** Nothing is drawn within this distance of there (`near_radius` in core/scene/expand.py). @param {Vec3} position */
+  #near(position) {
+    const away = this.scene?.header.cameras.map((camera) => Math.hypot(...add(fromCamera(camera, 1).position, position, -1)));
+    return away?.length ? NEAR_SHARE * Math.min(...away) : 0;
+  }
+
   /** @param {EngineView} view */
   #order({ rotation, position }) {
-    const axis = [rotation[6], rotation[7], rotation[8], 0];
-    axis[3] = -(axis[0] * position[0] + axis[1] * position[1] + axis[2] * position[2]);
     const numbers = /** @type {Expander} */ (this.expander).numbers;
-    const order = this.sorter.order(numbers, RECORD, this.active, this.activeCount, axis);
+    const order = this.sorter.order(numbers, RECORD, this.active, this.activeCount, rotation.slice(6), position, this.#near(position));
     const quads = new Uint32Array(6 * order.length);
     fillQuads(order, quads);
     return quads;
@@ -215,16 +221,17 @@ export class Engine {
   pick(origin, direction) {
     if (!this.expander) return null;
     const { numbers } = this.expander;
+    const near = this.#near(origin);
     let best = Infinity;
     for (let i = 0; i < this.activeCount; i++) {
       const o = this.active[i] * RECORD;
       if (numbers[o + 3] < 0.2) continue;
       const x = numbers[o] - origin[0], y = numbers[o + 1] - origin[1], z = numbers[o + 2] - origin[2];
       const depth = x * direction[0] + y * direction[1] + z * direction[2];
-      if (depth <= 0.02 || depth >= best) continue;
-      const apart = x * x + y * y + z * z - depth * depth;
+      const away = x * x + y * y + z * z;
+      if (depth <= 0.02 || depth >= best || away < near * near) continue;
       const variance = Math.max(numbers[o + 4], numbers[o + 7], numbers[o + 9]);
-      if (apart < Math.max(2 * variance, (0.004 * depth) ** 2)) best = depth;
+      if (away - depth * depth < Math.max(2 * variance, (0.004 * depth) ** 2)) best = depth;
     }
     if (best === Infinity) return null;
     return [origin[0] + best * direction[0], origin[1] + best * direction[1], origin[2] + best * direction[2]];

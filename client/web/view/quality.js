@@ -1,6 +1,5 @@
 /** Auto, high or low: what is given up while the picture moves, and how many levels are asked for. */
 
-/** @typedef {import("./viewer.js").Viewer} Viewer */
 /** @typedef {"auto" | "high" | "low"} Name */
 
 /** @type {{ name: Name, label: string, note: string }[]} */
@@ -26,7 +25,7 @@ const STEPS = [
 const CHOICES = { auto: STEPS, high: STEPS.slice(0, 1), low: STEPS.slice(1, 2) };
 
 export class Quality {
-  /** @param {Viewer} viewer @param {string | null} wanted */
+  /** @param {import("./viewer.js").Viewer} viewer @param {string | null} wanted */
   constructor(viewer, wanted) {
     this.viewer = viewer;
     this.total = 0; // levels of the stream

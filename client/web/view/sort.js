@@ -20,10 +20,12 @@ export class DepthSort {
    * @param {number} stride
    * @param {Uint32Array} active - splat numbers to draw
    * @param {number} count - how many of `active` count
-   * @param {ArrayLike<number>} axis - world to depth: depth = axis[0..2] . mean + axis[3]
+   * @param {ArrayLike<number>} forward - 3 numbers, the direction of depth, unit length
+   * @param {ArrayLike<number>} eye - 3 numbers, where depth begins
+   * @param {number} near - distance from there within which nothing is drawn
    * @returns {Uint32Array} splat numbers, far ones first; valid until the next call
    */
-  order(splats, stride, active, count, axis) {
+  order(splats, stride, active, count, forward, eye, near) {
     if (this.key.length < count) {
       const room = Math.ceil(count * 1.25);
       this.depth = new Float32Array(room);
@@ -33,12 +35,12 @@ export class DepthSort {
       this.out = new Uint32Array(room);
     }
     const { depth, key, first, kept, out, low, high } = this;
-    const [a, b, c, d] = [axis[0], axis[1], axis[2], axis[3]];
+    const { 0: a, 1: b, 2: c } = forward, { 0: u, 1: v, 2: w } = eye;
     let shown = 0;
     for (let i = 0; i < count; i++) {
       const o = active[i] * stride;
-      const z = a * splats[o] + b * splats[o + 1] + c * splats[o + 2] + d;
-      if (z >= NEAR) {
+      const x = splats[o] - u, y = splats[o + 1] - v, t = splats[o + 2] - w, z = a * x + b * y + c * t;
+      if (z >= NEAR && x * x + y * y + t * t >= near * near) {
         depth[shown] = z; // bits of positive floats are ordered like the floats
         kept[shown++] = active[i];
       }

@@ -8,7 +8,6 @@ import { heard, nameOf } from "../stream/heard.js";
 import { Link } from "../stream/link.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
-/** @typedef {import("./messages.js").ToWorker} ToWorker */
 /** @typedef {import("./renderer.js").View} View */
 
 const HEADER_BYTES = 24;
@@ -83,7 +82,7 @@ export class ThinLink extends Link {
     this.#tell({ type: "status", status: { ...this.session.status }, refusals: 0, now: performance.now() });
   }
 
-  /** @param {ToWorker} message */
+  /** @param {import("./messages.js").ToWorker} message */
   postMessage(message) {
     switch (message.type) {
       case "connect":

@@ -10,8 +10,6 @@ import { Renderer } from "./renderer.js";
 /** @typedef {import("./camera.js").Pose} Pose */
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
-/** @typedef {import("./messages.js").ToWorker} ToWorker */
-/** @typedef {import("./messages.js").Status} Status */
 
 const GLIDE_MS = 450;
 const REST_MS = 400, HELD_MS = 1000; // a picture that has not changed for so long is drawn in full; while a finger or button is down
@@ -44,7 +42,7 @@ export class Viewer extends EventTarget {
     this.space = null;
     /** @type {import("./messages.js").SceneFacts | null} */
     this.scene = null;
-    /** @type {Status | null} */
+    /** @type {import("./messages.js").Status | null} */
     this.status = null;
     /** @type {import("./messages.js").PictureMessage | null} */
     this.picture = null;
@@ -88,7 +86,7 @@ export class Viewer extends EventTarget {
     requestAnimationFrame(loop);
   }
 
-  /** @param {ToWorker} message */
+  /** @param {import("./messages.js").ToWorker} message */
   tell(message) {
     this.worker.postMessage(message);
   }
@@ -299,7 +297,7 @@ export class Viewer extends EventTarget {
     this.tell({ type: "texture" });
   }
 
-  /** What is seen now, as an image. @returns {Promise<Blob>} */
+  /** What is seen, as an image. @returns {Promise<Blob>} */
   capture() {
     this.resting = true; // at full resolution, until the next frame
     this.resize();
@@ -310,7 +308,7 @@ export class Viewer extends EventTarget {
     });
   }
 
-  /** Stop everything and free the graphics card. */
+  /** Stop everything. */
   destroy() {
     this.running = false;
     this.resizer.disconnect();

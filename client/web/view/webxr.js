@@ -1,5 +1,5 @@
 /**
- * The scene around you, or standing in your room: an immersive WebXR session. Both eyes draw one order of splats, sorted for the middle of the head.
+ * An immersive WebXR session. Both eyes draw one order of splats, sorted for the middle of the head.
  *
  * XR space has x right, y up, z backward; here as everywhere x right, y down, z forward, so y and z change sign.
  */

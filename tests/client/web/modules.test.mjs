@@ -63,7 +63,7 @@ test("sorted far to near, nothing behind the camera", () => {
   const count = 5000, splats = new Float32Array(count * 4);
   for (let i = 0; i < count; i++) splats[4 * i + 2] = ((i * 7919) % count) * (i % 3 ? 0.01 : 30) - 1;
   const active = Uint32Array.from({ length: count }, (_, i) => i);
-  const order = [...new DepthSort().order(splats, 4, active, count, [0, 0, 1, 0])];
+  const order = [...new DepthSort().order(splats, 4, active, count, [0, 0, 1], [0, 0, 0], 0)];
   const wanted = [...active].filter((i) => splats[4 * i + 2] >= 0.01);
   assert.equal(order.length, wanted.length);
   assert.deepEqual([...order].sort((a, b) => a - b), wanted);

@@ -1,4 +1,4 @@
-// What the page finds along rays: `node picks.mjs FILE RAYS OUT`; RAYS holds [[origin, direction], ...] as JSON.
+// What the page draws from the origins of rays, and finds along them: `node picks.mjs FILE RAYS OUT`; RAYS holds [[origin, direction], ...] as JSON.
 import { readFileSync, writeFileSync } from "node:fs";
 import { walkRecords } from "../../../client/web/decode/container.js";
 import { loadKernel } from "../../../client/web/decode/expand.js";
@@ -10,7 +10,7 @@ const kernel = await loadKernel(readFileSync(new URL("../../../client/web/decode
 const found = JSON.parse(readFileSync(rays, "utf8")).map(([origin, direction]) => {
   const engine = new Engine(kernel);
   for (const { offset, size } of walkRecords(bytes)) engine.push(bytes.slice(offset, offset + size));
-  engine.picture({ position: origin, rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: 99, reach: Infinity });
-  return [engine.pick(origin, direction), engine.depthAlong(origin, direction)];
+  const { splats } = engine.picture({ position: origin, rotation: [1, 0, 0, 0, 1, 0, 0, 0, 1], levels: 99, reach: Infinity });
+  return [engine.pick(origin, direction), engine.depthAlong(origin, direction), splats];
 });
 writeFileSync(out, JSON.stringify(found));

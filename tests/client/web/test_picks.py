@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,20 +27,28 @@ def test_the_page_picks_by_the_reference_rule(node: str, kernel: bytes, tmp_path
     generator = np.random.default_rng(3)
     targets = np.concatenate([generator.uniform(-1.5, 1.5, (30, 3)), np.full((2, 3), 50.0)])
     rays = []
-    for target in targets:
+    for number, target in enumerate(targets):
         origin = np.array([0.3, -0.2, -2.5]) + generator.normal(0, 0.1, 3)
+        if number % 3 == 0:
+            origin = generator.normal(0, 0.5, 3)  # amid the scene, far from the cameras
         rays.append((origin, (target - origin) / np.linalg.norm(target - origin)))
     (tmp_path / "rays.json").write_text(json.dumps([[origin.tolist(), ray.tolist()] for origin, ray in rays]))
     command = [node, "picks.mjs", str(tmp_path / "a.slod"), str(tmp_path / "rays.json"), str(tmp_path / "out.json")]
     done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     anchors = np.concatenate([anchor_positions(scene.header, n, level) for n, level in enumerate(scene.levels)])
-    hits = 0
-    for (origin, ray), (point, depth) in zip(rays, json.loads((tmp_path / "out.json").read_text()), strict=True):
-        mine = pick(expand(scene, origin), origin, ray)
+    hits, hidden = 0, 0
+    answers = json.loads((tmp_path / "out.json").read_text())
+    for (origin, ray), (point, depth, splats) in zip(rays, answers, strict=True):
+        cloud = expand(scene, origin)
+        assert splats == ((cloud.opacities >= 1 / 255) & (cloud.means[:, 2] - origin[2] >= 0.01)).sum()
+        everything = expand(replace(scene, header=replace(scene.header, cameras=())), origin)
+        hidden += len(everything) - len(cloud)
+        mine = pick(cloud, origin, ray)
         assert (mine is None) == (point is None)
         if mine is not None:
             hits += 1
             np.testing.assert_allclose(point, mine, atol=1e-3)
         assert depth == pytest.approx(depth_along(anchors, origin, ray), abs=1e-4)
     assert 3 < hits < len(rays)
+    assert hidden > 100

@@ -44,6 +44,18 @@ def test_view_dependent_scenes_follow_the_camera() -> None:
         assert_same_cloud(splatter.cloud(scene, camera), expand(scene, camera.centre))
 
 
+@pytest.mark.parametrize("view_dependent", [True, False])
+def test_what_is_near_is_left_out_from_elsewhere(view_dependent: bool) -> None:
+    scene = make_scene((20, 60)) if view_dependent else plain_scene(seed=5)
+    eye = expand(scene, np.zeros(3)).means[0].astype(np.float64)
+    pose = np.eye(4)
+    pose[:3, 3] = -eye
+    camera = replace(scene.header.cameras[0], world_to_camera=pose)
+    expected = expand(scene, camera.centre)
+    assert len(expected) < len(expand(replace(scene, header=replace(scene.header, cameras=())), camera.centre))
+    assert_same_cloud(Splatter().cloud(scene, camera), expected)
+
+
 def test_only_changed_rows_are_expanded_again(monkeypatch: pytest.MonkeyPatch) -> None:
     import core.render.splatter
 

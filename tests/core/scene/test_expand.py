@@ -12,6 +12,7 @@ import pytest
 from core.arrays import Float64
 from core.scene.anchors import Scene
 from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, expand, expand_slots
+from core.scene.gaussians import GaussianCloud
 from core.scene.octree import Octree
 from tests.codec.scenes import make_scene, move
 
@@ -160,3 +161,20 @@ def test_the_largest_numbers_of_a_header_stay_finite() -> None:
 
 _NUMBERS = ("voxel", "position", "feature", "offset", "scaling", "latent")
 _FACTORS = ("hidden_weight", "hidden_bias", "output_weight", "output_bias", "feature_decoder", "offset_decoder")
+
+
+def test_nothing_is_drawn_that_is_far_nearer_than_any_camera() -> None:
+    """Within 0.15 of the distance to the nearest camera; from where a camera stands, and without any, all is drawn."""
+    alone = replace(SCENE, header=replace(SCENE.header, cameras=()))
+    for camera in SCENE.header.cameras:
+        np.testing.assert_array_equal(expand(SCENE, camera.centre).means, expand(alone, camera.centre).means)
+    hidden = 0
+    for middle in expand(alone, EYE).means[::7].astype(np.float64):
+        eye = middle + 0.05
+        radius = 0.15 * min(np.linalg.norm(camera.centre - eye) for camera in SCENE.header.cameras)
+        cloud = expand(alone, eye)
+        far = np.linalg.norm(cloud.means - eye, axis=1) >= radius
+        hidden += (~far).sum()
+        for name in GaussianCloud.__slots__:
+            np.testing.assert_array_equal(getattr(expand(SCENE, eye), name), getattr(cloud, name)[far])
+    assert hidden > 0
