@@ -1,8 +1,7 @@
 /**
  * Sorted splats on a canvas with WebGL2: one drawElements of quads, vertex number = 4 x splat + corner.
  *
- * The rules are those of the other renderers: perspective linearised at the mean with the same clamp, 0.3 px^2 low-pass,
- * contributions below 1/255 cut, opacity capped at 0.999.
+ * The rules are those of the other renderers (codec/FORMAT.md section 14).
  */
 
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
@@ -14,7 +13,7 @@ const WIDTH = ROW_SPLATS * TEXELS;
 const SPREAD = 2; // area that coarser splats cover for each level that is missing
 
 const VERTEX = `#version 300 es
-precision highp float; precision highp int; precision highp usampler2D;
+precision highp usampler2D;
 uniform usampler2D splats;
 uniform mat3 rotation;      // world to camera
 uniform vec3 translation;
@@ -38,10 +37,10 @@ void main() {
   vec2 lower = uintBitsToFloat(last.xy);
   vec3 c = rotation * mean.xyz + translation;
   if (c.z < .01 || mean.w < 1. / 255.) return;
-  vec2 aside = (focal * c.xy / c.z + principal) / viewport - .5;
+  vec2 aside = abs((focal * c.xy / c.z + principal) / viewport - .5);
   float weight = clamp(1.4 - 2. * length(aside), .25, 1.) * clamp(range / c.z, .25, 1.);
   float keep = share < 1. ? clamp(${MAX_KEEP} * share * weight, ${MIN_KEEP}, 1.) : 1.;
-  if (rank > keep) return;
+  if (rank > keep || max(aside.x, aside.y) > 1.) return;
   mat3 world = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
   mat3 camera = rotation * world * transpose(rotation);
   vec2 slack = .15 * viewport / focal;

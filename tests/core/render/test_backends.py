@@ -63,7 +63,8 @@ def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) 
     pose, intrinsics, centre = (
         torch.tensor(array, dtype=torch.float32) for array in (CAMERA.world_to_camera, CAMERA.intrinsics, CAMERA.centre)
     )
-    found = sound(leaves, pose, intrinsics, centre)
+    half = torch.tensor([CAMERA.width, CAMERA.height]) / 2
+    found = sound(leaves, pose, intrinsics, centre, half)
     kept = slice(ODD.stop, None)
     weak = name == "opacities" and math.isfinite(value)  # gsplat itself leaves those out
     for old, new in zip(leaves, found, strict=True):
@@ -81,7 +82,7 @@ def test_strong_opacities_are_held_and_keep_their_gradient() -> None:
     opacities = torch.tensor([0.5, 2.0, 50.0], requires_grad=True)
     others = torch.ones(3, 3)
     parts = [others, torch.ones(3, 4), others, opacities, others]
-    held = sound(parts, torch.eye(4), torch.eye(3), torch.zeros(3))[3]
+    held = sound(parts, torch.eye(4), torch.eye(3), torch.zeros(3), torch.ones(2))[3]
     assert held.tolist() == [0.5, 2.0, 2.0]
     held.sum().backward()
     assert opacities.grad is not None

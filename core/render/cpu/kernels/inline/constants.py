@@ -15,6 +15,7 @@ OPACITY_MAX = np.float32(2)  # dropout may scale opacities up to this; stronger 
 TRANSMITTANCE_MIN = np.float32(1e-4)  # a pixel is finished before it would fall to this
 NEAR = np.float32(0.01)  # world units
 FAR = np.float32(1e10)
+MAX_ASIDE = np.float32(1)  # picture sizes from its middle to a Gaussian's centre: needles far beyond cover all of it
 LOW_PASS = np.float32(0.3)  # pixels^2 added to both variances
 FIELD_MARGIN = np.float32(0.3)  # Jacobian clamped beyond 1.3 times the half field of view
 COLOUR_MAX = np.float32(1e15)  # larger sums of colours would overflow in gradients
