@@ -24,6 +24,7 @@ from core.render.differentiable import rasterise
 from core.render.raster import Raster
 from core.scene.expand import near_radius
 from core.train.field.exposure import neutral
+from core.train.keyframe.random_background import over_colour
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.losses import photometric_loss
 from core.train.optimise.schedule import ViewOrder
@@ -47,7 +48,7 @@ class PlainConfig:
         densify_interval: in steps; densify_until: no more after it.
         prune: opacity below which a Gaussian goes.
         opacity_weight: weight in the loss of the mean opacity.
-        random_background: draw every step over another colour; without sky it helps (docs/zoo.md).
+        random_background: draw every step over another colour where pictures are not black, as ours does.
         half_size_until: pictures of half the width and height up to here.
         average_from: the result is the mean over the steps from here on.
         exposure_rate: of a gain and an offset a channel for each training camera; 0 fits none.
@@ -166,9 +167,13 @@ class PlainGaussians:
 
     def _step(self, progress: float) -> None:
         config, number, parameters = self._config, self._order.next(), self._optimiser.parameters
-        background = torch.rand(3, generator=self._generator) if config.random_background else torch.zeros(3)
-        raster = self._render(parameters, self._views.cameras[number], background)
-        image = self._exposure.apply(raster.image, number) if config.exposure_rate else raster.image
+        raster = self._render(parameters, self._views.cameras[number], torch.zeros(3))
+        image = raster.image
+        if config.random_background:
+            colour = torch.rand(3, generator=self._generator)
+            image = over_colour(image, raster.transmittance, self._views.targets[number], colour)
+        if config.exposure_rate:
+            image = self._exposure.apply(image, number)
         loss = photometric_loss(image, self._views.targets[number])
         if config.opacity_weight:
             loss = loss + config.opacity_weight * parameters["opacities"].sigmoid().mean()

@@ -221,4 +221,4 @@ def _rows(scene: Scene) -> int:
 
 def _trainer(footage: Footage, config: TrainConfig, device: str) -> Trainer:
     training = footage.training
-    return Trainer(training.cameras, config, training.fps, device, footage.rig)
+    return Trainer(training.cameras, config, training.fps, device)

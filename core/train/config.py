@@ -107,8 +107,7 @@ class KeyframeConfig:
     random_background: bool = setting(
         True,
         "whether every step draws over another colour where pictures are not black, so that no surface stays half"
-        " transparent because what is behind it happens to fit; only where first anchors lie in a quarter of every"
-        " picture; what is sent has a black background",
+        " transparent because what is behind it happens to fit; what is sent has a black background",
         reading(False, "not mentioned: one background"),
     )
     usual_contrast: float = setting(

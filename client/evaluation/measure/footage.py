@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from core.camera import Camera
 from core.data import Dataset, Split, linspace_split, open_dataset, prefetch, read_split
 from core.errors import InputError
 from core.frames import FrameSet, PointCloud
@@ -20,7 +19,6 @@ class Footage:
     Attributes:
         split: names of the cameras.
         training, testing: the same frames of the training and of the held-out cameras.
-        rig: all cameras, at the size of the training pictures.
         frames: how many to use.
         points: first points, the same for all systems.
     """
@@ -28,7 +26,6 @@ class Footage:
     split: Split
     training: Dataset
     testing: Dataset
-    rig: tuple[Camera, ...]
     frames: int
     points: PointCloud
 
@@ -89,4 +86,4 @@ def footage_of(whole: Dataset, split: Split, *, frames: int | None, testing: Dat
     points = first_points(
         first, training.cameras, depth_bounds=training.depth_bounds, dataset_points=training.points(), seed=0
     )
-    return Footage(split, training, testing, whole.cameras, count, points)
+    return Footage(split, training, testing, count, points)

@@ -1,44 +1,19 @@
 """Pictures of a first frame over a random colour, so that surfaces must become opaque to hide it.
 
 Over black alone, a surface may stay half transparent wherever black makes its colour; to other views it shows what is
-behind it. Where a picture is black itself, nothing at all may be there, as around a lit stage. And where first anchors
-lie before hardly anything that a camera sees, nobody knows where what hides the colour should be: it comes to stand
-anywhere, and hides the scene from other views.
+behind it. Where a picture is black itself, nothing at all may be there, as around a lit stage.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from core.arrays import Float64
-from core.camera import Camera
-from core.initialise.views import inside, project
 from core.render.compiling import Compiled
-from core.train.pictures.views import Views
 
 _BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
-_NEAR = 5  # pixels: width of the square round an anchor's projection in which its surface is
-_KNOWN = 0.25  # share of a picture in which surfaces must be known
-
-
-def surfaces_are_known(positions: Tensor, views: Views) -> bool:
-    """Whether anchors at `positions` [N,3] are seen in enough of every usable picture to say where its surfaces are."""
-    points = positions.detach().double().cpu().numpy()
-    return all(_coverage(points, views.cameras[number]) >= _KNOWN for number in views.usable)
-
-
-def _coverage(points: Float64, camera: Camera) -> float:
-    """The share of the picture of `camera` that lies near one of `points` [N,3]."""
-    pixels, depth = project(camera, points)
-    columns, rows = torch.from_numpy(pixels[inside(camera, pixels, depth)].astype(np.int64)).T
-    seen = torch.zeros(1, camera.height, camera.width)
-    seen[0, rows, columns] = 1
-    return float(functional.max_pool2d(seen, _NEAR, 1, _NEAR // 2).mean())
 
 
 def over_colour(image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:

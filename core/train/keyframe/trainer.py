@@ -23,7 +23,6 @@ from core.train.growth.rules import growth_rule
 from core.train.keyframe.drawing import ViewLoss
 from core.train.keyframe.levels import CoarseRows, needed_levels
 from core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
-from core.train.keyframe.random_background import surfaces_are_known
 from core.train.optimise.convergence import PlateauProgress, RunProgress
 from core.train.optimise.optimisers import optimiser
 from core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
@@ -68,7 +67,6 @@ class KeyframeTrainer:
         self._whole = views
         first = views.halved() if self._config.half_size_until > 0 else views
         self._view_loss = ViewLoss(first, self._exposure, self._config, backend)
-        self._random_background = self._config.random_background and surfaces_are_known(field.position, views)
         self._learned = LearnedField(
             field,
             self._exposure if config.model.exposure else None,
@@ -140,7 +138,7 @@ class KeyframeTrainer:
         level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
         opacities = splats.opacities * dropout_keep(level, field.octree.levels, config, progress, self._generator)
         raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
-        if self._random_background:
+        if config.random_background:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
             raster = self._view_loss.over(raster, number, colour)
         loss = self._view_loss.loss(raster, number) + self._view_loss.penalty(splats)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from core.camera import Camera
+from core.camera import Camera, pinhole
 from core.render import cpu
 from core.scene.anchors import Scene
 from core.scene.expand import expand
@@ -53,9 +53,17 @@ def picture(page: Any) -> np.ndarray:
 
 
 def reference(scene: Scene, camera: Camera) -> np.ndarray:
-    """The CPU rasteriser's picture of the same instant and view."""
+    """The CPU rasteriser's picture of the same instant and view, by the rules of all viewers."""
     rendered = cpu.render(expand(scene, camera.centre), camera, scene.header.background)
     return np.asarray(rendered.image, np.float64)
+
+
+def amid_the_scene(page: Any) -> Camera:
+    """A view that no camera of the rig comes near, as large as the page's canvas."""
+    height, width, _ = picture(page).shape
+    pose = np.eye(4)
+    pose[:3, 3] = (-0.1, 0.3, 0.4)
+    return pinhole("amid", (1.25 * height, 1.25 * height), (width / 2, height / 2), (width, height), pose)
 
 
 def psnr(a: np.ndarray, b: np.ndarray) -> float:
@@ -74,6 +82,12 @@ def test_same_picture_splats_and_state_as_python(page: Any, clip: Clip) -> None:
             page.evaluate(f"streamlod.setCamera({number})")
             page.wait_for_timeout(400)
             assert psnr(picture(page), reference(scene, camera)) >= 35
+        # Amid the scene much lies far beside the picture, or nearer than any camera has seen it.
+        page.evaluate("streamlod.setCamera('0.1,-0.3,-0.4, 0,0,1, 0,1,0, 1, 1.25, 0,0, 1')")
+        page.wait_for_timeout(400)
+        assert psnr(picture(page), reference(scene, amid_the_scene(page))) >= 35
+        page.evaluate("streamlod.setCamera(4)")
+        page.wait_for_timeout(400)
         state = page.evaluate(INSPECT)
     assert state["digests"] == [level.digest() for level in scene.levels]
     splats = np.array(state["splats"], np.uint32).view(np.float32).reshape(-1, 12)

@@ -78,6 +78,21 @@ def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) 
         assert weak or not leaf.grad[ODD].any()
 
 
+def test_what_lies_far_beside_the_picture_is_moved_out_of_sight() -> None:
+    intrinsics, half = torch.tensor([[10.0, 0, 8], [0, 10, 6], [0, 0, 1]]), torch.tensor([8.0, 6.0])
+    aside = torch.tensor([0.99, 1.01])  # picture sizes from the middle
+    means = torch.cat(
+        [
+            torch.stack([aside * 1.6, 0 * aside, 1 + 0 * aside], 1),
+            torch.stack([0 * aside, -aside * 1.2, 1 + 0 * aside], 1),
+        ]
+    )
+    parts = [means, torch.ones(4, 4), torch.ones(4, 3), torch.ones(4), torch.ones(4, 3)]
+    found = sound(parts, torch.eye(4), intrinsics, torch.tensor([7.0, 7.0, 7.0]), half)
+    assert (found[0] == 7).all(dim=1).tolist() == [False, True, False, True]
+    assert found[3].tolist() == [1, 0, 1, 0]
+
+
 def test_strong_opacities_are_held_and_keep_their_gradient() -> None:
     opacities = torch.tensor([0.5, 2.0, 50.0], requires_grad=True)
     others = torch.ones(3, 3)

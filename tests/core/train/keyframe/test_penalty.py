@@ -17,7 +17,6 @@ from core.train.config import KeyframeConfig
 from core.train.field.decode import Splats
 from core.train.field.exposure import neutral
 from core.train.keyframe.drawing import ViewLoss
-from core.train.keyframe.random_background import surfaces_are_known
 from core.train.pictures.views import Views
 from tests.core.train.keyframe.test_first_frame import frames, ring, short, wall
 
@@ -76,16 +75,3 @@ def test_a_dim_surface_is_opaque_and_black_may_be_nothing() -> None:
     assert dim[False] > 0.2
     assert dim[True] < 0.05
     assert black[True] > 0.2
-
-
-def test_a_random_background_needs_surfaces_in_every_picture() -> None:
-    cameras, points = ring(4), torch.from_numpy(wall(600).positions)
-    views = Views(cameras, torch.zeros(4, 32, 48, 3), [0, 1, 2, 3])
-    assert surfaces_are_known(points, views)
-    few = points[points[:, 0] < points[:, 0].quantile(0.1)]  # a strip at the edge
-    assert not surfaces_are_known(few, views)
-    turned = np.diag([-1.0, 1, -1, 1]) @ cameras[3].world_to_camera  # it looks away from the wall
-    behind = replace(cameras[3], world_to_camera=turned)
-    one_blind = replace(views, cameras=(*cameras[:3], behind))
-    assert not surfaces_are_known(points, one_blind)
-    assert surfaces_are_known(points, replace(one_blind, usable=[0, 1, 2]))
