@@ -143,20 +143,13 @@ def test_a_killed_server_keeps_what_it_recorded(clip: Clip, tmp_path: Path) -> N
         time.sleep(0.1)
 
 
-def test_bad_starts_are_one_sentence_and_exit_code_two(clip: Clip, tmp_path: Path) -> None:
+def test_a_bad_start_is_one_sentence_and_exit_code_two() -> None:
+    """As tests/server/cli/test_cli.py has of all commands, here in a process of its own."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen(1)
-        port = str(taken.getsockname()[1])
-        cases = {
-            "--port": ["--port", port],
-            "insecure": ["--host", "0.0.0.0", "--port", "0"],
-            "torn.slod": ["--play", str(tmp_path / "torn.slod"), "--port", port],
-        }
-        for word, arguments in cases.items():
-            result = subprocess.run(
-                [*PROGRAM, "serve", *arguments], capture_output=True, text=True, timeout=30, check=False
-            )
-            assert result.returncode == 2, result.stderr
-            assert word in result.stderr
-            assert "Traceback" not in result.stderr
+        command = [*PROGRAM, "serve", "--port", str(taken.getsockname()[1])]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert result.returncode == 2, result.stderr
+    assert "--port" in result.stderr
+    assert len(result.stderr.splitlines()) == 1

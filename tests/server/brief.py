@@ -12,14 +12,14 @@ from core.train import TrainConfig, preset
 
 
 @contextmanager
-def brief_training() -> Iterator[None]:
-    """A first frame of 60 steps, later ones of 8 or a few more."""
+def brief_training(steps: int = 30) -> Iterator[None]:
+    """A first frame of so many steps, later ones of 8 or a few more."""
 
     def brief(name: str) -> TrainConfig:
         config = preset(name)
         return replace(
             config,
-            keyframe=replace(config.keyframe, steps=60, growth_interval=20, refresh_steps=20),
+            keyframe=replace(config.keyframe, steps=steps, growth_interval=steps // 3, refresh_steps=10),
             predict=replace(config.predict, epochs=2, minimum_steps=8),
         )
 

@@ -103,7 +103,7 @@ def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> None:
-    names = {"balanced", "paper", "downscale 2"}
+    names = {"balanced", "downscale 2"}
     points = [replace(point, config=shortened(point.config)) for point in one_at_a_time() if point.name in names]
     options = TradeoffOptions(frames=2, views=2, device="cpu", seeds=2)
     run_tradeoff(clip, tmp_path, replace(options, seeds=1), points)

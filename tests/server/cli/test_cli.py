@@ -133,6 +133,7 @@ def test_missing_inputs_are_named(run: Run, tmp_path: Path, scene: Path) -> None
     assert_refused(run("evaluate", scene, nowhere, "--test", "cam00"), nowhere)
     assert_refused(run("info", nowhere), nowhere)
     assert_refused(run("serve", "--play", nowhere), nowhere, "does not exist")
+    assert_refused(run("serve", "--host", "0.0.0.0", "--port", 0), "insecure")
     assert_refused(run("export", scene, "--frame", 9), scene, "frames 0 to 3")
     assert_refused(run("synth", empty, "--size", "12"), "WIDTHxHEIGHT")
     assert not (tmp_path / "o.slod").exists()
@@ -190,9 +191,12 @@ def test_a_cut_file_is_refused_by_every_command(run: Run, tmp_path: Path, scene:
     assert not (tmp_path / "r.json").exists()
 
 
-def test_debug_shows_the_traceback_wherever_it_stands(tmp_path: Path) -> None:
-    for arguments in (("--debug", "info", tmp_path / "x"), ("info", tmp_path / "x", "--debug")):
-        done = streamlod(*arguments)
+def test_debug_shows_the_traceback_wherever_it_stands(run: Run, tmp_path: Path) -> None:
+    for call, arguments in (
+        (run, ("--debug", "info", tmp_path / "x")),
+        (streamlod, ("info", tmp_path / "x", "--debug")),
+    ):
+        done = call(*arguments)
         assert done.returncode == 2
         assert "Traceback" in done.stderr
         assert "InputError" in done.stderr

@@ -30,7 +30,7 @@ from server.worker.process import Resume, Sender, Tag, show_again, train
 from tests.core.true_points import true_points
 from tests.server.brief import brief_training
 
-SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=2)
+SPEC = SyntheticSpec(cameras=5, frames=4, width=64, height=36, seed=2)
 JOB = TrainJob(synthetic=asdict(SPEC), test=("cam00",), preset="live")  # with points by a sweep, which takes seconds
 
 
@@ -165,7 +165,8 @@ def test_a_failing_trainer_ends_the_stream_after_what_it_made(job: TrainJob, mon
 
 
 def test_previews_come_first_and_the_chain_holds(job: TrainJob) -> None:
-    frames = list(train_stream(open_job(job), previews=True))
+    with brief_training(steps=60):
+        frames = list(train_stream(open_job(job), previews=True))
     previews = [frame for frame in frames if frame.preview]
     assert len(previews) == 2  # one for each progress report of so short a run
     assert frames[: len(previews)] == previews

@@ -54,7 +54,7 @@ def clip() -> Dataset:
 def pictures(clip: Dataset) -> list[UInt8]:
     """Still, a burst of motion, and still again."""
     images = [frame.images for frame in clip.frames()]
-    return [images[0], images[0], *images[1:], *[images[-1]] * 10]
+    return [images[0], images[0], *images[1:], *[images[-1]] * 6]
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def bound(config: TrainConfig, clip: Dataset, pictures: list[UInt8], first: Scen
     trainer = Trainer(clip.cameras, config, FPS, "cpu", target_kbps=kbps)
     trainer.resume(first)
     held, sizes = 0.3 * capacity, list[int]()
-    for index, images in enumerate([*pictures, *[pictures[-1]] * 20], start=1):
+    for index, images in enumerate([*pictures, *[pictures[-1]] * 12], start=1):
         before, result = trainer.scene, trainer.predict(FrameSet(index, index, images, PRESENT))
         assert result.residual is not None
         size = len(encode_residual(before, result.residual, time_ns=0))
