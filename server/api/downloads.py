@@ -19,15 +19,15 @@ from server.stream.store import Segment
 from server.stream.stream import Stream
 
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
-_BOUND = 2**32 - 1
+_MAX_NUMBER = 2**32 - 1
 ANSWERS: dict[int | str, dict[str, Any]] = {
     206: {"description": "the range asked for"},
     304: {"description": "what the client has is current"},
     **{status: PROBLEMS[status] for status in (401, 403, 404, 409, 410, 416, 422, 429)},
 }
 
-Epoch = Annotated[int, Path(ge=0, le=_BOUND, description="encoder run", examples=[1])]
-Version = Annotated[int, Path(ge=0, le=_BOUND, description="number of the state in its epoch", examples=[0])]
+Epoch = Annotated[int, Path(ge=0, le=_MAX_NUMBER, description="encoder run", examples=[1])]
+Version = Annotated[int, Path(ge=0, le=_MAX_NUMBER, description="number of the state in its epoch", examples=[0])]
 
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
 played = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
@@ -74,7 +74,7 @@ async def bitstream(
     stream: StreamOf,
     request: Request,
     clock: WallClock,
-    epoch: Annotated[int | None, Query(ge=0, le=_BOUND, description="encoder run; the newest by default")] = None,
+    epoch: Annotated[int | None, Query(ge=0, le=_MAX_NUMBER, description="encoder run; the newest by default")] = None,
 ) -> Response:
     """All retained groups of pictures of one encoder run as a `.slod` file; with `from` or `to`, those between two
     times, which only a recording knows. Where these span several runs, `epoch` has to name one (409)."""

@@ -23,7 +23,7 @@ from server.http.problems import PROBLEMS, Problem
 from server.stream.stream import Stream
 from server.viewer.renderer import Grade, PictureRenderer, RenderedPicture, fitted
 
-POSTER_PIXELS = 640 * 480  # at most
+MAX_POSTER_PIXELS = 640 * 480
 _GRADE = Grade(1, 80)
 _WIDTH, _HEIGHT = 640, 360  # of the frame, where the asking site gives no bounds
 _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
@@ -48,7 +48,7 @@ class Posters:
             raise Problem(404, "the stream has no picture yet")
         made = self._made.get(stream)
         if made is None or made[0] is not scene.weights:
-            camera = fitted(middle_camera(scene), 1, POSTER_PIXELS)
+            camera = fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS)
             drawing = partial(renderer.render_picture, Splatter(), scene, camera, len(scene.levels), _GRADE)
             made = scene.weights, asyncio.create_task(renderer.run(drawing))
             self._made[stream] = made
@@ -100,7 +100,7 @@ async def oembed(
     width = min(maxwidth, maxheight * _WIDTH // _HEIGHT) or 1
     height = max(1, width * _HEIGHT // _WIDTH)
     page = html.escape(f"{request.base_url}?{urlencode({**query, 'embed': '1'})}")
-    camera = None if stream.hub.scene is None else fitted(middle_camera(stream.hub.scene), 1, POSTER_PIXELS)
+    camera = None if stream.hub.scene is None else fitted(middle_camera(stream.hub.scene), 1, MAX_POSTER_PIXELS)
     picture: dict[str, str | int] = {} if camera is None else {
         "thumbnail_url": f"{request.base_url}v1/streams/{stream.id}/poster.jpg",
         "thumbnail_width": camera.width, "thumbnail_height": camera.height,

@@ -17,7 +17,7 @@ from core.close_codes import CloseCode
 from core.errors import InputError, SessionError
 
 _MAX_SIDE = 8192  # pixels
-_FARTHEST = 1e9  # world units
+_MAX_COORDINATE = 1e9  # world units
 _FOCAL = (0.05, 50.0)  # fractions of the longer side
 _MAX_INTEGER = 2**53
 
@@ -65,7 +65,7 @@ def _view(message: dict[str, Any]) -> ViewMessage:
     if not all(_FOCAL[0] <= value / max(size) <= _FOCAL[1] for value in focal):
         raise SessionError(CloseCode.BAD_MESSAGE, f"focal must be {_FOCAL[0]:g} to {_FOCAL[1]:g} times the longer side")
     rotation = np.array(_numbers(message, "rotation", 9, 1.01)).reshape(3, 3)
-    position = np.array(_numbers(message, "position", 3, _FARTHEST))
+    position = np.array(_numbers(message, "position", 3, _MAX_COORDINATE))
     pose = np.concatenate([rotation, -rotation @ position[:, None]], axis=1)
     try:
         return ViewMessage(pinhole("viewer", (focal[0], focal[1]), (principal[0], principal[1]), size, pose))
@@ -74,7 +74,7 @@ def _view(message: dict[str, Any]) -> ViewMessage:
 
 
 def _pick(message: dict[str, Any]) -> Pick:
-    origin = np.array(_numbers(message, "origin", 3, _FARTHEST))
+    origin = np.array(_numbers(message, "origin", 3, _MAX_COORDINATE))
     direction = np.array(_numbers(message, "direction", 3, 2.0))
     length = float(np.linalg.norm(direction))
     if length < 1e-3:

@@ -24,7 +24,7 @@ COARSEST = 7  # doublings of the finest step
 _SEARCH = 30  # halvings of an interval of offsets in doublings
 _FINER = 0.002  # share of the anchors that would take less than the finest step
 _TRIALS = 2
-_FARTHEST = 8.0  # factor by which one trial corrects the next at most
+_MAX_CORRECTION = 8.0  # factor by which one trial corrects the next
 _MAX_STEPS = 1 << 14  # steps that a parameter should stay below
 _TINY = 1e-12
 
@@ -107,8 +107,8 @@ def tuned_precision(field: Field, found: Sensitivity, budget: float, added: Call
     aim = budget
     for _ in range(_TRIALS):
         precision = measured_precision(field, found, aim)
-        factor = budget / max(added(precision), budget / _FARTHEST)
-        aim *= min(factor, _FARTHEST)
+        factor = budget / max(added(precision), budget / _MAX_CORRECTION)
+        aim *= min(factor, _MAX_CORRECTION)
     return measured_precision(field, found, aim)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from server.protocol.packets import Position, StreamPacket
 
 MAX_PIECE_BYTES = 1 << 19  # NATS takes messages of 1 MiB unless it is configured otherwise
-HEADER_BYTES = 4096  # of a message, at most
+MAX_HEADER_BYTES = 4096  # of a message
 _ID = re.compile(r"([0-9a-f]{16})/(\d{1,10})/(\d{1,10})/([kr])/(\d{1,4})/(\d{1,4})")
 
 

@@ -16,7 +16,7 @@ from nats.js.errors import BadRequestError, NotFoundError
 from server.edge.ending import end
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, create_stream, directory_config
-from server.edge.jetstream.messages import HEADER_BYTES, MAX_PIECE_BYTES, MessageId, Names, pieces_of
+from server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES, MessageId, Names, pieces_of
 from server.protocol.packets import StreamPacket
 from server.settings import Settings
 from server.stream.stream import Stream
@@ -158,7 +158,7 @@ class Publisher:
                 self._queued.clear()
                 await self._queued.wait()
             waiting = self._queue[0]
-            limit = min(MAX_PIECE_BYTES, self._connection.client.max_payload - HEADER_BYTES)
+            limit = min(MAX_PIECE_BYTES, self._connection.client.max_payload - MAX_HEADER_BYTES)
             for found, data in pieces_of(self.stream.incarnation, waiting.packet, limit):
                 await self._store(found, data)
             if self._queue and self._queue[0] is waiting:  # it was not left out meanwhile

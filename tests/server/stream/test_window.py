@@ -7,12 +7,12 @@ import tracemalloc
 from server.protocol.packets import PacketWindow, stream_packet
 from tests.server.conftest import Clip
 
-_LIMIT_BYTES = 400_000
+_MAX_BYTES = 400_000
 
 
 def test_small_packets_take_no_more_memory_than_is_allowed(clip: Clip) -> None:
     key = clip.packets[0]
-    window, sequence = PacketWindow(_LIMIT_BYTES), 0
+    window, sequence = PacketWindow(_MAX_BYTES), 0
     tracemalloc.start()
     try:
         before = tracemalloc.get_traced_memory()[0]
@@ -24,4 +24,4 @@ def test_small_packets_take_no_more_memory_than_is_allowed(clip: Clip) -> None:
     finally:
         tracemalloc.stop()
     assert 100 < len(window.packets) < sequence  # whole groups were dropped
-    assert taken < 1.3 * _LIMIT_BYTES
+    assert taken < 1.3 * _MAX_BYTES

@@ -9,7 +9,7 @@ from server.protocol.packets import StreamPacket, stream_packet
 from tests.server.conftest import Clip
 
 INCARNATION = "0123456789abcdef"
-LIMIT = 16 << 20
+MAX_BYTES = 16 << 20
 
 
 def large(clip: Clip, size: int) -> StreamPacket:
@@ -19,7 +19,7 @@ def large(clip: Clip, size: int) -> StreamPacket:
 
 
 def test_a_packet_of_sixteen_mebibytes_survives(clip: Clip) -> None:
-    packet, assembler = large(clip, LIMIT), Assembler(LIMIT)
+    packet, assembler = large(clip, MAX_BYTES), Assembler(MAX_BYTES)
     pieces = list(pieces_of(INCARNATION, packet, MAX_PIECE_BYTES))
     assert len(pieces) == 32
     done = [assembler.push(found, data) for found, data in pieces]
@@ -28,7 +28,7 @@ def test_a_packet_of_sixteen_mebibytes_survives(clip: Clip) -> None:
 
 
 def test_nothing_comes_of_a_packet_without_its_middle_or_its_end(clip: Clip) -> None:
-    packet, assembler = large(clip, 4 * MAX_PIECE_BYTES), Assembler(LIMIT)
+    packet, assembler = large(clip, 4 * MAX_PIECE_BYTES), Assembler(MAX_BYTES)
     pieces = list(pieces_of(INCARNATION, packet, MAX_PIECE_BYTES))
     assert [assembler.push(*pieces[number]) for number in (0, 1, 3, 2)] == [None] * 4
     assert [assembler.push(*each) for each in pieces[:3]] == [None] * 3
@@ -38,7 +38,7 @@ def test_nothing_comes_of_a_packet_without_its_middle_or_its_end(clip: Clip) -> 
 
 
 def test_a_message_that_is_stored_twice_counts_once(clip: Clip) -> None:
-    packet, assembler = large(clip, 2 * MAX_PIECE_BYTES), Assembler(LIMIT)
+    packet, assembler = large(clip, 2 * MAX_PIECE_BYTES), Assembler(MAX_BYTES)
     pieces = list(pieces_of(INCARNATION, packet, MAX_PIECE_BYTES))
     done = [assembler.push(*pieces[number]) for number in (0, 0, 1, 1)]
     assert done == [None, None, packet.data, None]
