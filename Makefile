@@ -32,7 +32,7 @@ test: install ## Run the tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-cluster: install ## Run the tests of several servers: edges, NATS, Ray
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder -m cluster
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n $$(getconf _NPROCESSORS_ONLN) --dist loadfile --no-loadscope-reorder -m cluster
 
 lint: install ## ruff and mypy
 	$(BIN)/ruff check .
