@@ -70,7 +70,7 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
         raise Problem(507, str(error)) from error
     except InputError as error:
         raise Problem(409 if body.id in registry.streams else 422, str(error)) from error
-    if no_room := await stream.until_placed():
+    if no_room := await _until_placed(request, stream):
         if not stream.deleted:
             await _withdraw(registry, stream)
         raise Problem(409, no_room)
@@ -162,6 +162,12 @@ async def _withdraw(registry: Registry, stream: WorkerStream) -> None:
         raise Problem(507, str(error)) from error
 
 
+async def _until_placed(request: Request, stream: WorkerStream) -> str:
+    """Why there is no room for a stream, naming others that the caller may see; nothing where there is."""
+    grant = grant_of(request)
+    return await stream.until_placed(lambda name: grant.allows(Right.READ, name))
+
+
 @control.post(
     "/{stream_id}/start",
     status_code=202,
@@ -169,11 +175,11 @@ async def _withdraw(registry: Registry, stream: WorkerStream) -> None:
     dependencies=[need(Right.CONTROL), IfMatch],
     responses=_problems(409, 412),
 )
-async def start_stream(stream: WorkerStreamOf) -> StreamBody:
+async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Start the worker; one that runs goes on, an ended source begins again. Where the workers' cluster has no room for
     it the answer is 409, with what would have to stop."""
     stream.start()
-    if no_room := await stream.until_placed():
+    if no_room := await _until_placed(request, stream):
         raise Problem(409, no_room)
     return StreamBody.model_validate(stream.describe())
 

@@ -43,10 +43,8 @@ class Edge:
                 fault = self._registry.unready = ""
             except OSError as error:
                 if not fault:
-                    _LOG.warning("%s does not say which streams there are: %s", self._source.name, error)
+                    _LOG.warning("%s does not say which streams there are: %s", self._source.name, masked(str(error)))
                 fault = str(error) or "no answer"
-                if self._registry.unready:
-                    self._registry.unready = f"{self._source.name} has not been reached yet ({masked(fault)})"
             else:
                 with suppress(OSError):  # an origin that does not tell them has none, or those that it told before
                     self._registry.edges = self._registry.settings.edges or await self._source.edges()

@@ -51,11 +51,15 @@ class OriginSource:
     @property
     def name(self) -> str:
         """See `supply.StreamSource`."""
-        return f"the origin {self.origin.url}"
+        return "the origin"
 
     async def streams(self) -> list[OriginStream]:
         """See `supply.StreamSource`."""
-        found = [each for each in await self.origin.streams() if not self.chosen or each.id in self.chosen]
+        try:
+            told = await self.origin.streams()
+        except OSError as error:
+            raise OSError(f"{error or 'no answer'} ({self.origin.url})") from error
+        found = [each for each in told if not self.chosen or each.id in self.chosen]
         unknown = {each.id for each in found if not isinstance(each, OriginStream)}
         if new := unknown - self._unknown:
             _LOG.warning(
@@ -91,7 +95,7 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTake
     """Pull a stream until it is deleted there (then this returns) or the taker raises."""
     url, failures = origin.live_url(stream), 0
     while True:
-        begun, refused = time.monotonic(), False
+        begun, refused, fault = time.monotonic(), False, ""
         try:
             async with connect(
                 url,
@@ -113,12 +117,12 @@ async def pull(origin: Origin, stream: str, packet_bytes: int, taker: PacketTake
         except SessionError as error:
             refused, reason = error.close_code == CloseCode.BAD_VERSION, error.detail
         except (OSError, WebSocketException) as error:
-            reason = str(error) or "no answer"
+            reason, fault = "it does not answer", f"{error} at {origin.url}"  # viewers need no addresses
         taker.on_break(reason)
         failures = 0 if time.monotonic() - begun > _STEADY_SECONDS else failures + 1
         delay = _REFUSED_DELAY if refused else min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10))
         delay *= random.uniform(0.5, 1.0)
-        _LOG.warning("stream %s: the origin is lost (%s); connecting again in %.1f s", stream, reason, delay)
+        _LOG.warning("stream %s: the origin is lost (%s); connecting again in %.1f s", stream, fault or reason, delay)
         await asyncio.sleep(delay)
 
 

@@ -49,7 +49,7 @@ class StreamSource(Protocol):
 
     @property
     def name(self) -> str:
-        """As in a log."""
+        """As everybody may hear it: without addresses."""
 
     async def streams(self) -> list[OriginStream]:
         """All of them.

@@ -8,6 +8,7 @@ import json
 import logging
 import secrets
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -27,6 +28,7 @@ from server.stream.stream import Stream
 from server.stream.traces import FrameStages, Stage, StageTimer, Traces
 from server.worker.camera_pictures import unpack_pictures
 from server.worker.cluster.driver import run_on_ray
+from server.worker.cluster.room import Shortage
 from server.worker.ingest_report import complaint
 from server.worker.process import Resume, Tag
 from server.worker.supervisor import Ending, Supervisor
@@ -68,7 +70,7 @@ class WorkerStream(Stream):
         self._epoch = recording.last_epoch if recording else 0
         self._new_epoch = True
         self._placed = asyncio.Event()  # or given up
-        self._refused = False
+        self._refused: Shortage | None = None
         self._supervisor = self._make_supervisor()
         self._task: asyncio.Task[None] | None = None
         self._armed = False  # whether the next viewer starts it
@@ -115,23 +117,23 @@ class WorkerStream(Stream):
         if self.is_running or self.deleted:
             return
         self._note(running=True)
-        self._refused = False
+        self._refused = None
         self._armed = self.spec.on_demand
         if self._armed and not self.viewers:
             self._enter("idle", _WAITS)
         else:
             self._launch()
 
-    async def until_placed(self) -> str:
+    async def until_placed(self, may_see: Callable[[str], bool]) -> str:
         """Wait, some seconds at most, until its worker has room in the cluster; at once where it needs none.
 
-        Returns why there is no room, in which case the stream has failed; otherwise nothing.
+        Returns why there is no room, for somebody who may see such streams, and then it has failed; otherwise nothing.
         """
         if self.is_running and self._in_cluster:
             with suppress(TimeoutError):
                 async with asyncio.timeout(_PLACING_SECONDS):
                     await self._placed.wait()
-        return f"stream {self.id}: {self.detail}" if self._refused else ""
+        return f"stream {self.id}: {self._refused.sentence(may_see)}" if self._refused else ""
 
     @property
     def _in_cluster(self) -> bool:
@@ -169,7 +171,7 @@ class WorkerStream(Stream):
         if self.state in {"ended", "failed"}:
             self._frames_done, self._new_epoch = 0, True
         self._placed.clear()
-        self._refused = False
+        self._refused = None
         self._supervisor = self._make_supervisor()
         self._enter("starting")
         self._task = asyncio.create_task(self._supervisor.run())
@@ -275,7 +277,7 @@ class WorkerStream(Stream):
 
     def on_finish(self, ending: Ending) -> None:
         """See `supervisor.Owner`."""
-        _LOG.info("stream %s: %s", self.id, ending.text)
+        _LOG.info("stream %s: %s", self.id, ending.refused.sentence(bool) if ending.refused else ending.text)
         if self.bus.recording is not None:
             asyncio.get_running_loop().create_task(self.bus.recording.close())
         self._note(trained_from="", **({"running": False} if ending.done else {}))

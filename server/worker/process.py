@@ -48,7 +48,7 @@ class Tag(IntEnum):
     PREVIEW = 2  # an early keyframe, shown but not recorded
     REPORT = 3  # JSON: figures of a finished frame
     PROGRESS = 4  # JSON: fraction, loss, text
-    FAILURE = 5  # JSON: text, fatal, and refused where there was no room for it
+    FAILURE = 5  # JSON: text, fatal, and refused, a `Shortage`, where there was no room for it
     EPOCH = 6  # empty: versions begin anew
     END = 7  # empty: the source has no more frames
     HEARTBEAT = 8  # resident memory in bytes, as 8 bytes

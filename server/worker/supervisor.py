@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 from server.pipeline.spec import StreamSpec
 from server.settings import WorkerSettings
+from server.worker.cluster.room import Shortage
 from server.worker.process import Resume, Tag, resident_bytes, run_worker, send_resume
 
 _LOG = logging.getLogger(__name__)
@@ -29,13 +30,13 @@ _SPARE_AFTER_SECONDS = 3.0  # of progress first, because a starting worker needs
 class Ending:
     """How a worker ended: `text` for people, `done` at the source's end, `fatal` when a restart would not help.
 
-    `refused`: it never began, as the cluster has no room for it.
+    `refused`: it never began, as the cluster has no room for it, and why.
     """
 
     text: str
     done: bool = False
     fatal: bool = False
-    refused: bool = False
+    refused: Shortage | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +201,8 @@ class Supervisor:
                 self._ending = Ending("the source has ended", done=True)
             elif tag is Tag.FAILURE:
                 failure: dict[str, Any] = json.loads(body)
-                refused = failure.get("refused", False)
+                found = failure.get("refused")
+                refused = Shortage(found["text"], tuple(map(tuple, found["ways"]))) if found else None
                 self._ending = Ending(failure["text"], fatal=failure["fatal"], refused=refused)
             else:
                 self._handling = True

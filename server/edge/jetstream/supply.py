@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from contextlib import aclosing
 
@@ -18,7 +19,9 @@ from server.protocol.messages import event
 from server.protocol.packets import Position, stream_packet
 from server.settings import Settings
 
+_LOG = logging.getLogger(__name__)
 _RETRY_SECONDS = 0.25
+_LOST = "it does not answer"  # what viewers hear; the connection's log says more
 _LOOK_SECONDS = 0.25  # between two looks at the stream's state
 
 
@@ -52,7 +55,8 @@ class ArchivedStream:
                 await self._archive.load()
                 break
             except OSError as error:
-                taker.on_break(str(error))
+                _LOG.debug("stream %s: %s", self._stream.id, error)
+                taker.on_break(_LOST)
                 await asyncio.sleep(_RETRY_SECONDS)
         archiving, telling, following = tasks = [
             asyncio.create_task(work) for work in (self._archive.run(), self._tell(taker), self._follow(taker))
@@ -85,7 +89,8 @@ class ArchivedStream:
         def on_state(fault: str) -> None:
             self._lost = bool(fault)
             if fault:
-                taker.on_break(fault)
+                _LOG.debug("stream %s: %s", self._stream.id, fault)
+                taker.on_break(_LOST)
 
         assembler = Assembler(self._packet_bytes)
         held: Position | None = None

@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, contextmanager
+from dataclasses import asdict
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -77,11 +78,12 @@ def run_on_ray(
                 return ended
 
             if not _pass_all(start, host, pipe, push_socket, limit):
-                text = f"its process on node {place.host} of the cluster was lost, or that node"
+                _LOG.warning("stream %s: its process on node %s was lost, or that node", spec.id, place.host)
+                text = "its process on the cluster was lost, or the node that it ran on"
                 sender.send(Tag.FAILURE, {"text": text, "fatal": False})
     except NoRoom as error:
         started = receive_resume(pipe).frames > 0
-        sender.send(Tag.FAILURE, {"text": error.fault, "fatal": not started, "refused": True})
+        sender.send(Tag.FAILURE, {"text": error.fault, "fatal": not started, "refused": asdict(error.shortage)})
     except StreamlodError as error:
         sender.send(Tag.FAILURE, {"text": str(error), "fatal": False})
     except (EOFError, BrokenPipeError, ConnectionResetError):
@@ -93,7 +95,8 @@ def run_on_ray(
 
 def _give_up(settings: RaySettings, sender: Sender) -> None:
     """Say that the cluster does not answer, and end the process, which cannot be stopped otherwise."""
-    text = f"the Ray cluster {settings.address!r} does not answer; start it: ray start --head"
+    _LOG.warning("the Ray cluster %r does not answer", settings.address)
+    text = "the Ray cluster does not answer; start it: ray start --head"
     try:
         sender.send(Tag.FAILURE, {"text": text, "fatal": False})
     finally:

@@ -20,8 +20,9 @@ from server.pipeline.spec import StreamSpec
 from server.settings import RaySettings
 from server.worker.cluster.actor import WorkerActor
 from server.worker.cluster.link import LinkAddress
-from server.worker.cluster.room import Amounts, Holding, NoRoom, needs, refusal
+from server.worker.cluster.room import Amounts, Holding, NoRoom, needs, shortage
 
+_LOG = logging.getLogger(__name__)
 _MARK = "streamlod"  # a placement group's name has this, the stream's id and something that makes it unique
 _AWAY_SECONDS = 1.0  # to find a node that has no worker of the same stream
 _SECONDS = 3.0  # to find any node; what a killed worker held is free again within that
@@ -63,9 +64,9 @@ def joined(settings: RaySettings) -> Iterator[str]:
     try:
         ray.init(address=settings.address, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, RuntimeError, ValueError) as error:  # as Ray says that it found none
-        reason = f"({str(error).splitlines()[0]:.200})" if str(error) else ""
-        remedy = f"start it: ray start --head, and on other machines ray start --address HOST:6379 {reason}"
-        raise BackendUnavailable(f"the Ray cluster {settings.address!r}", remedy.rstrip()) from error
+        _LOG.warning("there is no Ray cluster at %r (%.200s)", settings.address, error)
+        remedy = "start it: ray start --head, and on other machines ray start --address HOST:6379"
+        raise BackendUnavailable("the Ray cluster", remedy) from error
     try:
         yield ray.util.get_node_ip_address()  # type: ignore[no-untyped-call]
     finally:
@@ -85,7 +86,7 @@ def reserve(stream: str, settings: RaySettings) -> Place:
     nodes = {node["NodeID"]: node for node in ray.nodes() if node["Alive"]}  # type: ignore[no-untyped-call]
     totals = {name: node["Resources"] for name, node in nodes.items()}
     if group is None:
-        raise NoRoom(f"stream {stream}", refusal(needed, totals, _holdings()))
+        raise NoRoom(f"stream {stream}", shortage(needed, totals, _holdings()))
     node = nodes.get(placement_group_table(group)["bundles_to_node_id"][0])
     return Place(group, needed, "that is lost" if node is None else node["NodeManagerAddress"])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from core.errors import InputError
@@ -11,8 +11,32 @@ Amounts = Mapping[str, float]  # by resource: CPU, GPU
 _EXACT = 1e-4  # Ray counts in ten-thousandths
 
 
+@dataclass(frozen=True, slots=True)
+class Shortage:
+    """Why there is no room for a worker.
+
+    Attributes:
+        text: what it needs, and why that is not to be had.
+        ways: ids of streams that would have to stop; all of one of these sets.
+    """
+
+    text: str
+    ways: tuple[tuple[str, ...], ...] = ()
+
+    def sentence(self, may_see: Callable[[str], bool] = lambda _: False) -> str:
+        """For somebody who may see these streams; by default for everybody."""
+        ways = [" and ".join(way) for way in self.ways if all(map(may_see, way))]
+        if self.ways:
+            return f"{self.text}; stop {', or '.join(ways) or 'other streams, or add a node'}"
+        return self.text
+
+
 class NoRoom(InputError):
-    """A cluster has no room for a stream's worker; `fault` says what it needs and what would have to stop."""
+    """A cluster has no room for a stream's worker."""
+
+    def __init__(self, subject: str, shortage: Shortage) -> None:
+        super().__init__(subject, shortage.sentence())
+        self.shortage = shortage
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +59,7 @@ def needs(cpus: float, gpus: float) -> dict[str, float]:
     return {"CPU": cpus, **({"GPU": gpus} if gpus else {})}
 
 
-def refusal(needed: Amounts, nodes: Mapping[str, Amounts], holdings: Sequence[Holding]) -> str:
+def shortage(needed: Amounts, nodes: Mapping[str, Amounts], holdings: Sequence[Holding]) -> Shortage:
     """Why a worker finds no room, and what would have to stop.
 
     Args:
@@ -46,12 +70,12 @@ def refusal(needed: Amounts, nodes: Mapping[str, Amounts], holdings: Sequence[Ho
     wanted = f"it needs {in_words(needed)} on one node of the cluster"
     large = [node for node, amounts in nodes.items() if _fits(needed, amounts)]
     if not large:
-        return f"{wanted}, and no node is that large; ask for less, or add a node"
+        return Shortage(f"{wanted}, and no node is that large; ask for less, or add a node")
     ways = {way for node in large if (way := _to_stop(needed, nodes[node], holdings, node))}
     if not ways:
-        return f"{wanted}, and other programs hold them; wait for these, or add a node"
+        return Shortage(f"{wanted}, and other programs hold them; wait for these, or add a node")
     fewest_first = sorted(ways, key=lambda way: (len(way), way))
-    return f"{wanted}, and none has them free; stop {', or '.join(' and '.join(way) for way in fewest_first)}"
+    return Shortage(f"{wanted}, and none has them free", tuple(fewest_first))
 
 
 def in_words(amounts: Amounts) -> str:

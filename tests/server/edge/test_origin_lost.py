@@ -57,6 +57,7 @@ def test_viewers_stay_while_the_origin_is_killed_and_comes_back(long_clip: Clip,
         lost = viewer.until("state")
         assert lost["state"] == "degraded"
         assert "origin" in lost["detail"]
+        assert str(port) not in lost["detail"]
         held = client.get("/v1/streams/main/manifest").json()
         assert client.get(held["gops"][0]["path"]).status_code == 200
         with viewing(edge, max_queue=None) as late:  # who comes now sees the last picture
@@ -114,7 +115,7 @@ def test_viewers_of_a_stream_that_the_origin_deletes_are_told_so(long_clip: Clip
 
 
 def test_an_edge_checks_tokens_itself_and_shows_the_origin_its_own(
-    long_clip: Clip, tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+    long_clip: Clip, tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def file_of(token: str) -> Path:
         digest = hashlib.sha256(token.encode()).hexdigest()
@@ -128,7 +129,7 @@ def test_an_edge_checks_tokens_itself_and_shows_the_origin_its_own(
             answer = client.get("/readyz")  # it has no token for the origin
             assert answer.status_code == 503
             assert "origin" in answer.json()["detail"]
-            wait(lambda: "answers 401" in client.get("/readyz").json()["detail"])
+            wait(lambda: "answers 401" in caplog.text)
             token = {"Authorization": "Bearer for-viewers"}
             with viewing(edge, additional_headers=token) as viewer, pytest.raises(ConnectionClosed) as caught:
                 viewer.connection.recv(5)
@@ -144,3 +145,12 @@ def test_an_edge_checks_tokens_itself_and_shows_the_origin_its_own(
                 viewer.connection.recv(5)
             assert caught.value.rcvd is not None
             assert caught.value.rcvd.code == 4401
+
+
+def test_an_edge_that_cannot_reach_its_origin_tells_the_log_where_that_is(
+    port: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    with edge_of(port) as edge, edge.client() as client:
+        wait(lambda: f"127.0.0.1:{port}" in caplog.text)
+        answer = client.get("/readyz")
+        assert (answer.status_code, answer.json()["detail"]) == (503, "the origin has not been reached yet")

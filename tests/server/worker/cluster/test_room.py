@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from server.worker.cluster.room import Holding, needs, refusal
+from collections.abc import Mapping, Sequence
+
+from server.worker.cluster.room import Amounts, Holding, Shortage, needs, shortage
 
 NODES = {"a": {"CPU": 4.0, "GPU": 1.0, "memory": 1e9}, "b": {"CPU": 8.0}}
 
 
 def held(holder: str, node: str, cpus: float, gpus: float = 0) -> Holding:
     return Holding(holder, node, needs(cpus, gpus))
+
+
+def refusal(needed: Amounts, nodes: Mapping[str, Amounts], holdings: Sequence[Holding]) -> str:
+    """For somebody who may see all streams."""
+    return shortage(needed, nodes, holdings).sentence(lambda _: True)
+
+
+def test_streams_are_named_to_those_who_may_see_them() -> None:
+    full = Shortage("it is full", (("mine",), ("mine", "theirs")))
+    assert full.sentence(lambda name: name == "mine") == "it is full; stop mine"
+    assert full.sentence(lambda name: name == "theirs") == full.sentence() == (
+        "it is full; stop other streams, or add a node"
+    )  # fmt: skip
+    assert Shortage("it is full").sentence() == "it is full"
 
 
 def test_no_node_is_large_enough() -> None:
