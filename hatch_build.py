@@ -65,7 +65,10 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
         elif path.suffix == ".html":
             content = re.sub(rb"\n\s+", b"\n", content)
         name = path.relative_to(folder).as_posix()
-        yield f"{name}.br", brotli.compress(content)
+        yield (
+            f"{name}.br",
+            brotli.compress(content, lgwin=16),
+        )  # no script is longer than this window, whose header is short
         yield f"{name}.gz", gzip.compress(content, mtime=0)
 
 

@@ -48,7 +48,7 @@ class PlainConfig:
         densify_interval: in steps; densify_until: no more after it.
         prune: opacity below which a Gaussian goes.
         opacity_weight: weight in the loss of the mean opacity.
-        random_background: draw every step over another colour where pictures are not black, as ours does (docs/zoo.md).
+        random_background: draw every step over another colour where pictures are not black (docs/zoo.md).
         half_size_until: pictures of half the width and height up to here.
         average_from: the result is the mean over the steps from here on.
         exposure_rate: of a gain and an offset a channel for each training camera; 0 fits none.
@@ -69,7 +69,7 @@ class PlainConfig:
     densify_until: float = 0.65
     prune: float = 0.01
     opacity_weight: float = 0.01
-    random_background: bool = True
+    random_background: bool = False
     half_size_until: float = 0.2
     average_from: float = 0.8
     exposure_rate: float = 0.002

@@ -25,7 +25,7 @@ _OPACITY_MAX = 2.0
 _MAX_PARAMETER = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
 _MAX_SCALE_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
 _NEAR = 0.01
-_MAX_ASIDE = 1.0
+_MAX_SPREAD = 0.5
 _NEEDED = {*_RULES, "absgrad"}
 
 
@@ -52,7 +52,7 @@ def rasterise_cuda(
     if count == 0:  # gsplat's kernels want at least one Gaussian
         return _empty(means, camera, background, tile_mask, base)
     pose, intrinsics, centre, half = _on_device(camera, means.device)
-    parameters = sound(parameters, pose, intrinsics, centre, half, moving)
+    parameters = sound(parameters, pose, intrinsics, centre, moving)
     images, alphas, meta = rasterization(
         *parameters,
         viewmats=pose[None],
@@ -81,20 +81,20 @@ def rasterise_cuda(
 
 
 def sound(
-    parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Tensor, half: Tensor, moving: int | None = None
+    parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Tensor, moving: int | None = None
 ) -> list[Tensor]:
-    """The five parameters with those Gaussians moved out of sight that gsplat cannot draw, or draws where we do not.
+    """The five parameters with those Gaussians moved out of sight that gsplat cannot draw, or should not.
 
-    What is not finite, has no direction, is so large that projecting it overflows, or lies far beside the picture,
+    What is not finite, has no direction, is so large that projecting it overflows, or reaches too far along the view,
     comes to lie in the camera's centre, and gets no gradient; the CPU kernels leave the same out. Opacities count as at
     most 2, their gradients go on as though they were not held.
 
     Args:
         parameters: as `rasterise_cuda` takes them.
-        pose [4,4], intrinsics [3,3], centre [3]: of the camera. half: [2] half the size of its picture, in pixels.
+        pose [4,4], intrinsics [3,3], centre [3]: of the camera.
         moving: how many of the first rows get gradients; all by default.
     """
-    return list(_Sound.apply(*parameters, pose, intrinsics, centre, half, moving))  # type: ignore[no-untyped-call]
+    return list(_Sound.apply(*parameters, pose, intrinsics, centre, moving))  # type: ignore[no-untyped-call]
 
 
 def _held(
@@ -106,19 +106,15 @@ def _held(
     pose: Tensor,
     intrinsics: Tensor,
     centre: Tensor,
-    half: Tensor,
 ) -> tuple[Tensor, ...]:
     """[N] bool which Gaussians can be drawn, and the five parameters as `sound` gives them."""
     largest = torch.maximum(means.abs().amax(dim=1), quaternions.abs().amax(dim=1))
     largest = torch.maximum(largest, torch.maximum(colours.abs().amax(dim=1), opacities.abs()))
     scale = scales.abs().amax(dim=1)
-    right, down, ahead = ((means * pose[axis, :3]).sum(dim=1) + pose[axis, 3] for axis in range(3))
-    depth = ahead.clamp_min(_NEAR)
-    aside_x = (intrinsics[0, 0] * right / depth + intrinsics[0, 2]) / half[0] - 1  # half pictures from the middle
-    aside_y = (intrinsics[1, 1] * down / depth + intrinsics[1, 2]) / half[1] - 1
+    depth = ((means * pose[2, :3]).sum(dim=1) + pose[2, 3]).clamp_min(_NEAR)
     size = scale * torch.maximum(intrinsics[0, 0], intrinsics[1, 1]) / depth
     good = torch.maximum(largest, scale) < _MAX_PARAMETER  # false for NaN too
-    good = good & (torch.maximum(aside_x.abs(), aside_y.abs()) <= 2 * _MAX_ASIDE)
+    good = good & (_spread(quaternions, scales, pose[2, :3]) <= _MAX_SPREAD * depth)
     good = good & (size < _MAX_SCALE_PIXELS) & (quaternions.square().sum(dim=1) > 0)
     rows = good[:, None]
     upright = (torch.arange(4, device=means.device) == 0).to(means.dtype)
@@ -131,6 +127,17 @@ def _held(
         torch.where(good, opacities.clamp(max=_OPACITY_MAX), zero),
         torch.where(rows, colours, zero),
     )
+
+
+def _spread(quaternions: Tensor, scales: Tensor, ahead: Tensor) -> Tensor:
+    """[N] standard deviations of Gaussians along `ahead` [3], written such that it fuses."""
+    w, x, y, z = (quaternions / quaternions.square().sum(dim=1, keepdim=True).sqrt()).unbind(1)
+    a, b, c = ahead.unbind(0)
+    first = a * (1 - 2 * (y * y + z * z)) + b * 2 * (x * y + w * z) + c * 2 * (x * z - w * y)
+    second = a * 2 * (x * y - w * z) + b * (1 - 2 * (x * x + z * z)) + c * 2 * (y * z + w * x)
+    third = a * 2 * (x * z + w * y) + b * 2 * (y * z - w * x) + c * (1 - 2 * (x * x + y * y))
+    one, two, three = scales.unbind(1)
+    return ((first * one).square() + (second * two).square() + (third * three).square()).sqrt()
 
 
 def _of_sound(good: Tensor, moving: int, *gradients: Tensor) -> tuple[Tensor, ...]:
@@ -148,14 +155,14 @@ class _Sound(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> tuple[Tensor, ...]:
-        good, *held = _HELD(*given[:9])
-        ctx.good, ctx.moving = good, len(good) if given[9] is None else given[9]
+        good, *held = _HELD(*given[:8])
+        ctx.good, ctx.moving = good, len(good) if given[8] is None else given[8]
         return tuple(held)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return (*_OF_SOUND(ctx.good, ctx.moving, *upstream), None, None, None, None, None)
+        return (*_OF_SOUND(ctx.good, ctx.moving, *upstream), None, None, None, None)
 
 
 class _Behind(torch.autograd.Function):

@@ -21,7 +21,7 @@ from core.render.cpu.kernels.inline.constants import (
     HALF,
     KERNEL,
     LOW_PASS,
-    MAX_ASIDE,
+    MAX_SPREAD,
     NEAR,
     ONE,
     OPACITY_MAX,
@@ -74,8 +74,6 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
         inverse_z = ONE / z
         mean_x = camera[FOCAL_X] * x * inverse_z + camera[CENTRE_X]
         mean_y = camera[FOCAL_Y] * y * inverse_z + camera[CENTRE_Y]
-        if not (abs(mean_x - HALF * wide) <= MAX_ASIDE * wide) or not (abs(mean_y - HALF * high) <= MAX_ASIDE * high):
-            continue
 
         # Covariance = P P^T + low pass, P = J W R(q) diag(scales), two rows of three.
         t = world_to_picture(
@@ -87,6 +85,10 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
         a0, a1, a2 = times_matrix(t[0], t[1], t[2], r)
         b0, b1, b2 = times_matrix(t[3], t[4], t[5], r)
         s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
+        c0, c1, c2 = times_matrix(camera[6], camera[7], camera[8], r)
+        spread = c0 * c0 * s0 * s0 + c1 * c1 * s1 * s1 + c2 * c2 * s2 * s2
+        if not (spread <= MAX_SPREAD * MAX_SPREAD * z * z):
+            continue
         a0, a1, a2, b0, b1, b2 = a0 * s0, a1 * s1, a2 * s2, b0 * s0, b1 * s1, b2 * s2
         xx, yy, xy = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2, a0 * b0 + a1 * b1 + a2 * b2
         # det(P P^T) as a sum of squared minors (Cauchy-Binet): no cancellation for needles.
