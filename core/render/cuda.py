@@ -25,7 +25,7 @@ _OPACITY_MAX = 2.0
 _MAX_PARAMETER = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
 _MAX_SCALE_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
 _NEAR = 0.01
-_MAX_SPREAD = 0.5
+_MAX_ASIDE, _MAX_SPREAD = 1.0, 0.5
 _NEEDED = {*_RULES, "absgrad"}
 
 
@@ -52,7 +52,7 @@ def rasterise_cuda(
     if count == 0:  # gsplat's kernels want at least one Gaussian
         return _empty(means, camera, background, tile_mask, base)
     pose, intrinsics, centre, half = _on_device(camera, means.device)
-    parameters = sound(parameters, pose, intrinsics, centre, moving)
+    parameters = sound(parameters, pose, intrinsics, centre, half, moving)
     images, alphas, meta = rasterization(
         *parameters,
         viewmats=pose[None],
@@ -81,20 +81,20 @@ def rasterise_cuda(
 
 
 def sound(
-    parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Tensor, moving: int | None = None
+    parameters: list[Tensor], pose: Tensor, intrinsics: Tensor, centre: Tensor, half: Tensor, moving: int | None = None
 ) -> list[Tensor]:
     """The five parameters with those Gaussians moved out of sight that gsplat cannot draw, or should not.
 
-    What is not finite, has no direction, is so large that projecting it overflows, or reaches too far along the view,
-    comes to lie in the camera's centre, and gets no gradient; the CPU kernels leave the same out. Opacities count as at
-    most 2, their gradients go on as though they were not held.
+    What is not finite, has no direction, is so large that projecting it overflows, lies far beside the picture or
+    reaches too far along the view comes to lie in the camera's centre, and gets no gradient; the CPU kernels leave the
+    same out. Opacities count as at most 2, their gradients go on as though they were not held.
 
     Args:
         parameters: as `rasterise_cuda` takes them.
-        pose [4,4], intrinsics [3,3], centre [3]: of the camera.
+        pose [4,4], intrinsics [3,3], centre [3]: of the camera. half: [2] half the size of its picture, in pixels.
         moving: how many of the first rows get gradients; all by default.
     """
-    return list(_Sound.apply(*parameters, pose, intrinsics, centre, moving))  # type: ignore[no-untyped-call]
+    return list(_Sound.apply(*parameters, pose, intrinsics, centre, half, moving))  # type: ignore[no-untyped-call]
 
 
 def _held(
@@ -106,14 +106,19 @@ def _held(
     pose: Tensor,
     intrinsics: Tensor,
     centre: Tensor,
+    half: Tensor,
 ) -> tuple[Tensor, ...]:
     """[N] bool which Gaussians can be drawn, and the five parameters as `sound` gives them."""
     largest = torch.maximum(means.abs().amax(dim=1), quaternions.abs().amax(dim=1))
     largest = torch.maximum(largest, torch.maximum(colours.abs().amax(dim=1), opacities.abs()))
     scale = scales.abs().amax(dim=1)
-    depth = ((means * pose[2, :3]).sum(dim=1) + pose[2, 3]).clamp_min(_NEAR)
+    right, down, ahead = ((means * pose[axis, :3]).sum(dim=1) + pose[axis, 3] for axis in range(3))
+    depth = ahead.clamp_min(_NEAR)
+    aside_x = (intrinsics[0, 0] * right / depth + intrinsics[0, 2]) / half[0] - 1  # half pictures from the middle
+    aside_y = (intrinsics[1, 1] * down / depth + intrinsics[1, 2]) / half[1] - 1
     size = scale * torch.maximum(intrinsics[0, 0], intrinsics[1, 1]) / depth
     good = torch.maximum(largest, scale) < _MAX_PARAMETER  # false for NaN too
+    good = good & (torch.maximum(aside_x.abs(), aside_y.abs()) <= 2 * _MAX_ASIDE)
     good = good & (_spread(quaternions, scales, pose[2, :3]) <= _MAX_SPREAD * depth)
     good = good & (size < _MAX_SCALE_PIXELS) & (quaternions.square().sum(dim=1) > 0)
     rows = good[:, None]
@@ -155,14 +160,14 @@ class _Sound(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> tuple[Tensor, ...]:
-        good, *held = _HELD(*given[:8])
-        ctx.good, ctx.moving = good, len(good) if given[8] is None else given[8]
+        good, *held = _HELD(*given[:9])
+        ctx.good, ctx.moving = good, len(good) if given[9] is None else given[9]
         return tuple(held)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return (*_OF_SOUND(ctx.good, ctx.moving, *upstream), None, None, None, None)
+        return (*_OF_SOUND(ctx.good, ctx.moving, *upstream), None, None, None, None, None)
 
 
 class _Behind(torch.autograd.Function):

@@ -16,6 +16,7 @@ ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.999
 OPACITY_MAX = 2.0
 TRANSMITTANCE_MIN = 1e-4
 NEAR, FAR = 0.01, 1e10
+MAX_ASIDE = 1.0
 MAX_SPREAD = 0.5
 LOW_PASS = 0.3
 FIELD_MARGIN = 0.3
@@ -123,11 +124,13 @@ def _visible(
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     determinant = xx * yy - xy * xy
     size, colour = mean.abs().sum(-1) + determinant, colours.abs().sum(-1)
+    picture = mean.new_tensor([camera.width, camera.height])
     ahead = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)[2, :3]
     spread = ((ahead @ rotation(quaternions)) * scales).norm(dim=-1)
     good = (
         (z > NEAR)
         & (z < FAR)
+        & ((mean / picture - 0.5).abs() <= MAX_ASIDE).all(-1)
         & (spread <= MAX_SPREAD * z)
         & (opacities >= ALPHA_MIN)
         & (opacities < FINITE)
@@ -137,7 +140,6 @@ def _visible(
     )
     reach = (2 * torch.log(opacities.clamp(max=OPACITY_MAX) * 255)).clamp(min=0)
     extent = torch.sqrt(reach[:, None] * torch.stack([xx, yy], -1))
-    picture = mean.new_tensor([camera.width, camera.height])
     first = torch.ceil((mean - extent - 0.5).clamp(min=0))
     last = torch.floor(torch.minimum(mean + extent - 0.5, picture - 1))
     return torch.nonzero(good & (last >= first).all(-1)).squeeze(1)

@@ -37,13 +37,12 @@ void main() {
   vec2 lower = uintBitsToFloat(last.xy);
   vec3 c = rotation * mean.xyz + translation;
   if (c.z < .01 || mean.w < 1. / 255.) return;
-  vec2 aside = (focal * c.xy / c.z + principal) / viewport - .5;
+  vec2 aside = abs((focal * c.xy / c.z + principal) / viewport - .5);
   float weight = clamp(1.4 - 2. * length(aside), .25, 1.) * clamp(range / c.z, .25, 1.);
   float keep = share < 1. ? clamp(${MAX_KEEP} * share * weight, ${MIN_KEEP}, 1.) : 1.;
-  if (rank > keep) return;
   mat3 world = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
   mat3 camera = rotation * world * transpose(rotation);
-  if (camera[2].z > .25 * c.z * c.z) return;           // cannot be linearised
+  if (rank > keep || max(aside.x, aside.y) > 1. || camera[2].z > .25 * c.z * c.z) return; // the last two cannot be linearised
   vec2 slack = .15 * viewport / focal;
   vec2 slope = clamp(c.xy / c.z, -principal / focal - slack, (viewport - principal) / focal + slack);
   vec3 jx = vec3(focal.x, 0, -focal.x * slope.x) / c.z, jy = vec3(0, focal.y, -focal.y * slope.y) / c.z;

@@ -64,7 +64,8 @@ def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) 
     pose, intrinsics, centre = (
         torch.tensor(array, dtype=torch.float32) for array in (CAMERA.world_to_camera, CAMERA.intrinsics, CAMERA.centre)
     )
-    found = sound(leaves, pose, intrinsics, centre)
+    half = torch.tensor([CAMERA.width, CAMERA.height]) / 2
+    found = sound(leaves, pose, intrinsics, centre, half)
     kept = slice(ODD.stop, None)
     weak = name == "opacities" and math.isfinite(value)  # gsplat itself leaves those out
     for old, new in zip(leaves, found, strict=True):
@@ -78,6 +79,21 @@ def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) 
         assert weak or not leaf.grad[ODD].any()
 
 
+def test_what_lies_far_beside_the_picture_is_moved_out_of_sight() -> None:
+    intrinsics, half = torch.tensor([[10.0, 0, 8], [0, 10, 6], [0, 0, 1]]), torch.tensor([8.0, 6.0])
+    aside = torch.tensor([0.99, 1.01])  # picture sizes from the middle
+    means = torch.cat(
+        [
+            torch.stack([aside * 1.6, 0 * aside, 1 + 0 * aside], 1),
+            torch.stack([0 * aside, -aside * 1.2, 1 + 0 * aside], 1),
+        ]
+    )
+    parts = [means, torch.ones(4, 4), 0.1 * torch.ones(4, 3), torch.ones(4), torch.ones(4, 3)]
+    found = sound(parts, torch.eye(4), intrinsics, torch.tensor([7.0, 7.0, 7.0]), half)
+    assert (found[0] == 7).all(dim=1).tolist() == [False, True, False, True]
+    assert found[3].tolist() == [1, 0, 1, 0]
+
+
 def test_what_reaches_far_along_the_view_is_moved_out_of_sight() -> None:
     """Against the reference's rotation: half of the depth is the most."""
     generator = torch.Generator().manual_seed(0)
@@ -88,7 +104,7 @@ def test_what_reaches_far_along_the_view_is_moved_out_of_sight() -> None:
     beyond = torch.arange(50) % 2
     at_camera = torch.stack([torch.zeros(50), torch.zeros(50), 2 * spread * (1.01 - 0.02 * beyond)], 1)
     parts = [at_camera @ pose[:3, :3], quaternions, scales, torch.ones(50), torch.ones(50, 3)]
-    found = sound(parts, pose, torch.eye(3), torch.full((3,), 7.0))
+    found = sound(parts, pose, torch.eye(3), torch.full((3,), 7.0), torch.ones(2))
     assert torch.equal((found[0] == 7).all(dim=1).long(), beyond)
     assert torch.equal(found[3].long(), 1 - beyond)
 
@@ -97,7 +113,7 @@ def test_strong_opacities_are_held_and_keep_their_gradient() -> None:
     opacities = torch.tensor([0.5, 2.0, 50.0], requires_grad=True)
     others = torch.ones(3, 3)
     parts = [others, torch.ones(3, 4), 0.1 * others, opacities, others]
-    held = sound(parts, torch.eye(4), torch.eye(3), torch.zeros(3))[3]
+    held = sound(parts, torch.eye(4), torch.eye(3), torch.zeros(3), torch.ones(2))[3]
     assert held.tolist() == [0.5, 2.0, 2.0]
     held.sum().backward()
     assert opacities.grad is not None

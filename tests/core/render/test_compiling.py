@@ -42,7 +42,7 @@ CASES: dict[str, tuple[Compiled, Given]] = {
         decode._DIFFERENTIATED,
         lambda n: (*_anchors(n), *_splats(SLOTS * n)[2:], *_splats(SLOTS * n)),
     ),
-    "held": (cuda._HELD, lambda n: (*_splats(n), torch.eye(4), torch.eye(3), torch.zeros(3))),
+    "held": (cuda._HELD, lambda n: (*_splats(n), torch.eye(4), torch.eye(3), torch.zeros(3), torch.ones(2))),
     "of sound": (cuda._OF_SOUND, lambda n: (torch.rand(n) > 0.5, n // 2, *_splats(n))),
     "moments": (losses._MOMENTS, lambda n: (torch.rand(n, 7, 3), torch.rand(n, 7, 3))),
     "similarity": (

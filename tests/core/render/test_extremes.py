@@ -81,8 +81,28 @@ def test_unusable_gaussians_are_left_out(name: str, value: float) -> None:
         assert torch.equal(found.probe.visible, wanted.probe.visible + ODD.stop)
 
 
+@pytest.mark.parametrize("side", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+@pytest.mark.parametrize("aside", [0.95, 1.05, 40.0])
+def test_what_lies_far_beside_the_picture_does_not_cover_it(side: tuple[int, int], aside: float) -> None:
+    """Up to one picture's size from its middle Gaussians are drawn as the reference draws them, then not at all."""
+    cloud, depth = make_cloud(COUNT), 1.5
+    place = np.array([0.5 + aside * side[0], 0.5 + aside * side[1], 1]) * (CAMERA.width, CAMERA.height, 1)
+    at_camera = np.append(depth * np.linalg.solve(CAMERA.intrinsics, place), 1)
+    means, scales = cloud.means.copy(), cloud.scales.copy()
+    means[ODD] = (np.linalg.inv(CAMERA.world_to_camera) @ at_camera)[:3]
+    scales[ODD] = (20, 20, 0.1) if aside > 1 else (2, 2, 0.1)
+    beside = replace(cloud, means=means, scales=scales, quaternions=sheets(cloud, 1).quaternions)
+    others = GaussianCloud(*(np.ascontiguousarray(getattr(beside, name)[ODD.stop :]) for name in NAMES))
+    if aside < 1:
+        check_reference(beside)
+    for backend in ("cpu", "reference"):
+        found, wanted = run(beside, CAMERA, backend), run(others, CAMERA, backend)
+        assert torch.equal(found.image, wanted.image) == (aside > 1)
+        assert any(found.gradients[n][ODD].any() for n in NAMES) == (aside < 1)
+
+
 @pytest.mark.parametrize("spread", [0.45, 0.55, 40.0])
-@pytest.mark.parametrize("aside", [0.0, 3.0])
+@pytest.mark.parametrize("aside", [0.0, 1.2])
 def test_what_reaches_far_along_the_view_does_not_cover_it(spread: float, aside: float) -> None:
     """A standard deviation up to half the depth is drawn as the reference draws it, more is not drawn."""
     cloud, depth = make_cloud(COUNT), 1.5

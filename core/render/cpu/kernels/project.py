@@ -21,6 +21,7 @@ from core.render.cpu.kernels.inline.constants import (
     HALF,
     KERNEL,
     LOW_PASS,
+    MAX_ASIDE,
     MAX_SPREAD,
     NEAR,
     ONE,
@@ -74,6 +75,8 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
         inverse_z = ONE / z
         mean_x = camera[FOCAL_X] * x * inverse_z + camera[CENTRE_X]
         mean_y = camera[FOCAL_Y] * y * inverse_z + camera[CENTRE_Y]
+        if not (abs(mean_x - HALF * wide) <= MAX_ASIDE * wide) or not (abs(mean_y - HALF * high) <= MAX_ASIDE * high):
+            continue
 
         # Covariance = P P^T + low pass, P = J W R(q) diag(scales), two rows of three.
         t = world_to_picture(
