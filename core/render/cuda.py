@@ -25,7 +25,7 @@ _OPACITY_MAX = 2.0
 _MAX_PARAMETER = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
 _MAX_SCALE_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
 _NEAR = 0.01
-_MAX_ASIDE, _MAX_SPREAD = 1.0, 0.5
+_MAX_ASIDE, _MAX_SLOPE, _MAX_SPREAD = 1.0, 1.0, 0.5
 _NEEDED = {*_RULES, "absgrad"}
 
 
@@ -112,13 +112,13 @@ def _held(
     largest = torch.maximum(means.abs().amax(dim=1), quaternions.abs().amax(dim=1))
     largest = torch.maximum(largest, torch.maximum(colours.abs().amax(dim=1), opacities.abs()))
     scale = scales.abs().amax(dim=1)
-    right, down, ahead = ((means * pose[axis, :3]).sum(dim=1) + pose[axis, 3] for axis in range(3))
-    depth = ahead.clamp_min(_NEAR)
-    aside_x = (intrinsics[0, 0] * right / depth + intrinsics[0, 2]) / half[0] - 1  # half pictures from the middle
-    aside_y = (intrinsics[1, 1] * down / depth + intrinsics[1, 2]) / half[1] - 1
+    at_camera = (means[:, None] * pose[:3, :3]).sum(dim=2) + pose[:3, 3]
+    depth = at_camera[:, 2].clamp_min(_NEAR)
+    slope = at_camera[:, :2] / depth[:, None]
+    aside = ((slope * intrinsics.diagonal()[:2] + intrinsics[:2, 2]) / half - 1).abs().amax(dim=1)  # in half pictures
     size = scale * torch.maximum(intrinsics[0, 0], intrinsics[1, 1]) / depth
     good = torch.maximum(largest, scale) < _MAX_PARAMETER  # false for NaN too
-    good = good & (torch.maximum(aside_x.abs(), aside_y.abs()) <= 2 * _MAX_ASIDE)
+    good = good & ((aside <= 2 * _MAX_ASIDE) | (slope.square().sum(dim=1) <= _MAX_SLOPE**2))
     good = good & (_spread(quaternions, scales, pose[2, :3]) <= _MAX_SPREAD * depth)
     good = good & (size < _MAX_SCALE_PIXELS) & (quaternions.square().sum(dim=1) > 0)
     rows = good[:, None]
@@ -135,14 +135,12 @@ def _held(
 
 
 def _spread(quaternions: Tensor, scales: Tensor, ahead: Tensor) -> Tensor:
-    """[N] standard deviations of Gaussians along `ahead` [3], written such that it fuses."""
-    w, x, y, z = (quaternions / quaternions.square().sum(dim=1, keepdim=True).sqrt()).unbind(1)
-    a, b, c = ahead.unbind(0)
-    first = a * (1 - 2 * (y * y + z * z)) + b * 2 * (x * y + w * z) + c * 2 * (x * z - w * y)
-    second = a * 2 * (x * y - w * z) + b * (1 - 2 * (x * x + z * z)) + c * 2 * (y * z + w * x)
-    third = a * 2 * (x * z + w * y) + b * 2 * (y * z - w * x) + c * (1 - 2 * (x * x + y * y))
-    one, two, three = scales.unbind(1)
-    return ((first * one).square() + (second * two).square() + (third * three).square()).sqrt()
+    """[N] standard deviations of Gaussians along `ahead` [3]: those of its direction in their own axes."""
+    unit = quaternions / quaternions.square().sum(dim=1, keepdim=True).sqrt()
+    real, imaginary, ahead = unit[:, :1], unit[:, 1:], ahead.expand(len(unit), 3)
+    turned = 2 * torch.linalg.cross(imaginary, ahead)
+    own = ahead - real * turned + torch.linalg.cross(imaginary, turned)
+    return (own * scales).square().sum(dim=1).sqrt()
 
 
 def _of_sound(good: Tensor, moving: int, *gradients: Tensor) -> tuple[Tensor, ...]:

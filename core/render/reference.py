@@ -16,7 +16,7 @@ ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.999
 OPACITY_MAX = 2.0
 TRANSMITTANCE_MIN = 1e-4
 NEAR, FAR = 0.01, 1e10
-MAX_ASIDE = 1.0
+MAX_ASIDE, MAX_SLOPE = 1.0, 1.0
 MAX_SPREAD = 0.5
 LOW_PASS = 0.3
 FIELD_MARGIN = 0.3
@@ -125,12 +125,13 @@ def _visible(
     determinant = xx * yy - xy * xy
     size, colour = mean.abs().sum(-1) + determinant, colours.abs().sum(-1)
     picture = mean.new_tensor([camera.width, camera.height])
-    ahead = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)[2, :3]
-    spread = ((ahead @ rotation(quaternions)) * scales).norm(dim=-1)
+    pose = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)
+    slope = (means @ pose[:2, :3].T + pose[:2, 3]).norm(dim=-1) / z
+    spread = ((pose[2, :3] @ rotation(quaternions)) * scales).norm(dim=-1)
     good = (
         (z > NEAR)
         & (z < FAR)
-        & ((mean / picture - 0.5).abs() <= MAX_ASIDE).all(-1)
+        & (((mean / picture - 0.5).abs() <= MAX_ASIDE).all(-1) | (slope <= MAX_SLOPE))
         & (spread <= MAX_SPREAD * z)
         & (opacities >= ALPHA_MIN)
         & (opacities < FINITE)

@@ -32,13 +32,15 @@ _LOG = logging.getLogger(__name__)
 _EXPORT_SECONDS = 2.0  # after which a collector that does not answer is given up; the end of the server waits for it
 _SAMPLED = TraceFlags(TraceFlags.SAMPLED)
 _IDS = RandomIdGenerator()
+_SCOPE = InstrumentationScope("streamlod", streamlod_version())
 
 
 @asynccontextmanager
 async def tracing(endpoint: str, role: Literal["server", "edge"], traces: Traces) -> AsyncIterator[None]:
     """Send what `traces` tells to the collector at `endpoint` while the context lasts; `role` names this server."""
     address = endpoint.rstrip("/") + "/v1/traces"
-    processor, resources = BatchSpanProcessor(OTLPSpanExporter(address, timeout=_EXPORT_SECONDS)), _Resources.of(role)
+    exporter, resources = OTLPSpanExporter(address, timeout=_EXPORT_SECONDS), _Resources.of(role)
+    processor = BatchSpanProcessor(exporter)
 
     def tell(frame: FrameStages) -> None:
         for span in _spans(frame, resources):
@@ -50,7 +52,10 @@ async def tracing(endpoint: str, role: Literal["server", "edge"], traces: Traces
         yield
     finally:
         traces.listeners.discard(tell)
-        await asyncio.to_thread(processor.shutdown)
+        ending = asyncio.create_task(asyncio.to_thread(processor.shutdown))
+        if not (await asyncio.wait({ending}, timeout=_EXPORT_SECONDS))[0]:
+            exporter.shutdown()  # the batches that are left are not tried one by one
+        await ending
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +85,11 @@ def _spans(frame: FrameStages, resources: _Resources) -> Iterator[ReadableSpan]:
         "streamlod.epoch": place.epoch,
         "streamlod.version": place.version,
     }
-    scope = InstrumentationScope("streamlod", streamlod_version())
 
     def span(stage: Stage, context: SpanContext, parent: SpanContext | None, resource: Resource) -> ReadableSpan:
         return ReadableSpan(
             stage.name, context, parent, resource, attributes,
-            start_time=stage.begin_ns, end_time=stage.end_ns, instrumentation_scope=scope,
+            start_time=stage.begin_ns, end_time=stage.end_ns, instrumentation_scope=_SCOPE,
         )  # fmt: skip
 
     stages = [(each, resources.worker) for each in frame.worker] + [(each, resources.here) for each in frame.server]

@@ -37,14 +37,14 @@ void main() {
   vec2 lower = uintBitsToFloat(last.xy);
   vec3 c = rotation * mean.xyz + translation;
   if (c.z < .01 || mean.w < 1. / 255.) return;
-  vec2 aside = abs((focal * c.xy / c.z + principal) / viewport - .5);
+  vec2 way = c.xy / c.z, aside = abs((focal * way + principal) / viewport - .5);
   float weight = clamp(1.4 - 2. * length(aside), .25, 1.) * clamp(range / c.z, .25, 1.);
   float keep = share < 1. ? clamp(${MAX_KEEP} * share * weight, ${MIN_KEEP}, 1.) : 1.;
   mat3 world = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
   mat3 camera = rotation * world * transpose(rotation);
-  if (rank > keep || max(aside.x, aside.y) > 1. || camera[2].z > .25 * c.z * c.z) return; // the last two cannot be linearised
+  if (rank > keep || max(aside.x, aside.y) > 1. && length(way) > 1. || camera[2].z > .25 * c.z * c.z) return; // the last two: cannot be linearised
   vec2 slack = .15 * viewport / focal;
-  vec2 slope = clamp(c.xy / c.z, -principal / focal - slack, (viewport - principal) / focal + slack);
+  vec2 slope = clamp(way, -principal / focal - slack, (viewport - principal) / focal + slack);
   vec3 jx = vec3(focal.x, 0, -focal.x * slope.x) / c.z, jy = vec3(0, focal.y, -focal.y * slope.y) / c.z;
   vec3 kx = camera * jx;
   float area = spread / keep;                          // what is left covers what is left out
@@ -53,7 +53,7 @@ void main() {
   float major = middle + radius, minor = max(middle - radius, 1e-6);
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1, 0) : vec2(0, 1)) : normalize(vec2(xy, major - xx));
   offset = corner * sqrt(2. * log(255. * mean.w));     // alpha falls below 1/255 there
-  vec2 pixel = focal * c.xy / c.z + principal + offset.x * sqrt(major) * axis + offset.y * sqrt(minor) * vec2(-axis.y, axis.x);
+  vec2 pixel = focal * way + principal + offset.x * sqrt(major) * axis + offset.y * sqrt(minor) * vec2(-axis.y, axis.x);
   colour = vec4(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x, mean.w);
   gl_Position = vec4(2. * pixel.x / viewport.x - 1., 1. - 2. * pixel.y / viewport.y, 0, 1);
 }`;
@@ -132,7 +132,7 @@ export class Renderer {
     }
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      throw new Error(`the shaders do not link: ${gl.getProgramInfoLog(program)}`);
+      throw new Error(gl.getProgramInfoLog(program) ?? "no shaders");
     }
     return program;
   }

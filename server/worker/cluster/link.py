@@ -22,7 +22,6 @@ _PROOF_SECONDS = 5.0
 _DIAL_SECONDS = 5.0
 _AGAIN_SECONDS = 1.0  # after which connections are taken again, when one could not be
 _KEEPALIVE_PROBES = 3  # of one second each; whoever waits for a machine that answers none has lost the connection
-_UNTAKEN_SECONDS = 60.0  # after which a sender whose bytes are not taken has lost it, as probes are not sent then
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,5 +122,4 @@ def _connection(found: socket.socket) -> Connection:
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 1)
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _KEEPALIVE_PROBES)
-        found.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(_UNTAKEN_SECONDS * 1000))
     return Connection(found.detach())

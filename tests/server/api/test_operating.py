@@ -336,7 +336,7 @@ def test_the_interface_is_shown_without_another_site(client: httpx.Client) -> No
 def _no_room(*arguments: Any) -> None:
     """In place of `server.worker.cluster.driver.run_on_ray`, in a process of its own: a cluster that is full."""
     pipe = arguments[3]
-    Sender(pipe).send(Tag.FAILURE, {"text": "it needs 1 CPU", "fatal": True, "refused": True})
+    Sender(pipe).send(Tag.FAILURE, {"text": "full", "fatal": True, "refused": {"text": "it needs 1 CPU", "ways": []}})
 
 
 def test_a_stream_that_cannot_be_created_leaves_the_recording_of_an_earlier_one(

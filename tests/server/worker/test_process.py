@@ -22,6 +22,7 @@ from server.pipeline.job import TrainJob
 from server.pipeline.spec import StreamSpec, spec_from_json
 from server.settings import Settings, WorkerSettings
 from server.stream.worker_stream import WorkerStream
+from server.worker.cluster.room import Shortage
 from server.worker.process import Resume, Sender, Tag, play, receive_resume, send_resume
 from server.worker.supervisor import Ending, Supervisor
 from tests.server.conftest import Clip, running
@@ -129,7 +130,9 @@ def grow_elsewhere(_: StreamSpec, pipe: Connection, *__: object) -> None:
 def find_no_room(_: StreamSpec, pipe: Connection, *__: object) -> None:
     """Entry of a process that finds no room for its worker."""
     receive_resume(pipe)
-    Sender(pipe).send(Tag.FAILURE, {"text": "stop another", "fatal": True, "refused": True})
+    Sender(pipe).send(
+        Tag.FAILURE, {"text": "stop another", "fatal": True, "refused": {"text": "full", "ways": [["a"]]}}
+    )
 
 
 def be_placed_and_wait(_: StreamSpec, pipe: Connection, *__: object) -> None:
@@ -145,7 +148,7 @@ def be_placed_and_wait(_: StreamSpec, pipe: Connection, *__: object) -> None:
     ("entry", "ending"),
     [
         (grow_elsewhere, Ending("the worker took 1000000 MB of memory")),
-        (find_no_room, Ending("stop another", fatal=True, refused=True)),
+        (find_no_room, Ending("stop another", fatal=True, refused=Shortage("full", (("a",),)))),
         (be_placed_and_wait, Ending("the source has ended", done=True)),
     ],
 )

@@ -22,6 +22,7 @@ from core.render.cpu.kernels.inline.constants import (
     KERNEL,
     LOW_PASS,
     MAX_ASIDE,
+    MAX_SLOPE,
     MAX_SPREAD,
     NEAR,
     ONE,
@@ -75,7 +76,8 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
         inverse_z = ONE / z
         mean_x = camera[FOCAL_X] * x * inverse_z + camera[CENTRE_X]
         mean_y = camera[FOCAL_Y] * y * inverse_z + camera[CENTRE_Y]
-        if not (abs(mean_x - HALF * wide) <= MAX_ASIDE * wide) or not (abs(mean_y - HALF * high) <= MAX_ASIDE * high):
+        near_x, near_y = abs(mean_x - HALF * wide) <= MAX_ASIDE * wide, abs(mean_y - HALF * high) <= MAX_ASIDE * high
+        if not (near_x and near_y) and not (x * x + y * y <= MAX_SLOPE * MAX_SLOPE * z * z):
             continue
 
         # Covariance = P P^T + low pass, P = J W R(q) diag(scales), two rows of three.

@@ -7,7 +7,6 @@ import os
 import queue
 import resource
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -119,17 +118,6 @@ def test_a_sender_waits_for_who_reads() -> None:
         assert len(sent) < 32  # the rest is not in memory
         for _ in range(64):
             other.recv_bytes()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="TCP_USER_TIMEOUT is Linux's")
-def test_a_sender_gives_up_when_its_bytes_are_not_taken_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As after the other machine has vanished, when no probe is sent because bytes are on their way."""
-    monkeypatch.setattr("server.worker.cluster.link._UNTAKEN_SECONDS", 1.0)
-    with linked() as (one, _):
-        begin = time.monotonic()
-        with pytest.raises(TimeoutError):
-            one.send_bytes(bytes(64_000_000))
-        assert 0.9 < time.monotonic() - begin < 20
 
 
 def test_a_connection_is_cut_under_who_waits_on_it() -> None:

@@ -73,7 +73,7 @@ def test_a_cluster_that_does_not_answer_is_given_up() -> None:
         message = ours.recv_bytes()
     process.join(10)
     assert (message[0], json.loads(message[1:])["fatal"]) == (Tag.FAILURE, False)
-    assert "'127.0.0.2:1'" in json.loads(message[1:])["text"]
+    assert json.loads(message[1:])["text"].startswith("the Ray cluster does not answer")
     assert "ray start --head" in json.loads(message[1:])["text"]
     assert process.exitcode == 1
 
