@@ -140,7 +140,8 @@ def _spread(quaternions: Tensor, scales: Tensor, ahead: Tensor) -> Tensor:
     real, imaginary, ahead = unit[:, :1], unit[:, 1:], ahead.expand(len(unit), 3)
     turned = 2 * torch.linalg.cross(imaginary, ahead)
     own = ahead - real * turned + torch.linalg.cross(imaginary, turned)
-    return (own * scales).square().sum(dim=1).sqrt()
+    spread: Tensor = (own * scales).square().sum(dim=1).sqrt()
+    return spread
 
 
 def _of_sound(good: Tensor, moving: int, *gradients: Tensor) -> tuple[Tensor, ...]:

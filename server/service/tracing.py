@@ -54,7 +54,7 @@ async def tracing(endpoint: str, role: Literal["server", "edge"], traces: Traces
         traces.listeners.discard(tell)
         ending = asyncio.create_task(asyncio.to_thread(processor.shutdown))
         if not (await asyncio.wait({ending}, timeout=_EXPORT_SECONDS))[0]:
-            exporter.shutdown()  # the batches that are left are not tried one by one
+            exporter.shutdown()  # type: ignore[no-untyped-call] # batches that are left are not tried one by one
         await ending
 
 
