@@ -46,7 +46,8 @@ class OriginSource:
     origin: Origin
     chosen: tuple[str, ...]
     settings: Settings
-    _unknown: set[str] = field(default_factory=set, init=False)  # ids of streams that were left out last
+    _unknown: set[str] = field(default_factory=set, init=False)  # ids of streams last told in unknown words
+    _known: dict[str, OriginStream] = field(default_factory=dict, init=False)  # as last told in known words
 
     @property
     def name(self) -> str:
@@ -67,7 +68,12 @@ class OriginSource:
             )
         self._unknown.clear()
         self._unknown.update(unknown)
-        return [each for each in found if isinstance(each, OriginStream)]
+        # one that is served stays, whatever its new state is called
+        kept = [each if isinstance(each, OriginStream) else self._known.get(each.id) for each in found]
+        streams = [each for each in kept if each is not None]
+        self._known.clear()
+        self._known.update((each.id, each) for each in streams)
+        return streams
 
     async def edges(self) -> tuple[str, ...]:
         """See `supply.StreamSource`."""

@@ -192,6 +192,17 @@ def test_streams_of_a_kind_that_only_later_versions_know_are_left_out_alone(
     assert len([line for line in caplog.messages if "does not know: later, latest" in line]) == 1
 
 
+def test_a_stream_that_is_served_stays_when_its_state_gets_a_name_that_only_later_versions_know(clip: Clip) -> None:
+    with origin_that(behaves(clip)) as origin, running(settings(origin)) as edge:
+        wait(lambda: "main" in edge.registry.streams)
+        served = edge.registry.streams["main"]
+        origin.listing = json.dumps({"items": [STREAM | {"state": "rehearsing"}], "next_cursor": None, "total": 1})
+        time.sleep(0.3)  # it is asked several times meanwhile
+        assert edge.registry.streams == {"main": served}
+        with viewing(edge) as viewer:
+            viewer.hello().until_version(9)
+
+
 def test_only_so_many_streams_as_the_limits_allow(clip: Clip) -> None:
     with origin_that(behaves(clip)) as origin:
         names = [f"s{number:02d}" for number in range(30)]
