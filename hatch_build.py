@@ -55,7 +55,7 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
         if path.suffix == ".js":
             script = rjsmin.jsmin(SHADER.sub(_without_comments, content.decode())).replace("}\n", "}")
             script = re.sub(r"\bconst\b", "let", script)  # shorter; our shaders have no const
-            script = re.sub(r"(?<=[=,(*+<>?:&|-])0(?=\.\d)|,(?=\})", "", script)  # 0.5 is .5; last commas
+            script = re.sub(r"(?<=[=,(*+<>?:&|-])0(?=\.\d)|(?<!\d),(?=\})", "", script)  # 0.5 is .5; last commas
             script = re.sub(r"=\(([\w.#]+)\)(?=[,;])", r"=\1", script)  # what a type was said of
             # semicolons before braces can be left out, except in shaders
             content = re.sub(rf"({SHADER.pattern})|;(?=\}})", r"\1", script, flags=re.DOTALL).encode()
@@ -65,8 +65,8 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
         elif path.suffix == ".html":
             content = re.sub(rb"\n\s+", b"\n", content)
         name = path.relative_to(folder).as_posix()
-        # a window of 64 KiB, which no script exceeds, has a shorter header than the usual one
-        yield f"{name}.br", brotli.compress(content, lgwin=16)
+        tried = (brotli.compress(content, mode, lgwin=window) for mode in range(3) for window in range(10, 19, 2))
+        yield f"{name}.br", min(tried, key=len)
         yield f"{name}.gz", gzip.compress(content, mtime=0)
 
 

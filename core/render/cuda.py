@@ -115,12 +115,14 @@ def _held(
     at_camera = (means[:, None] * pose[:3, :3]).sum(dim=2) + pose[:3, 3]
     depth = at_camera[:, 2].clamp_min(_NEAR)
     slope = at_camera[:, :2] / depth[:, None]
-    aside = ((slope * intrinsics.diagonal()[:2] + intrinsics[:2, 2]) / half - 1).abs().amax(dim=1)  # in half pictures
+    place = torch.addcmul(intrinsics[:2, 2], slope, intrinsics.diagonal()[:2])  # pixels
+    aside = (place / half - 1).abs().amax(dim=1)  # from the picture's middle, in half pictures
+    length = torch.linalg.vector_norm(quaternions, dim=1)
     size = scale * torch.maximum(intrinsics[0, 0], intrinsics[1, 1]) / depth
     good = torch.maximum(largest, scale) < _MAX_PARAMETER  # false for NaN too
-    good = good & ((aside <= 2 * _MAX_ASIDE) | (slope.square().sum(dim=1) <= _MAX_SLOPE**2))
-    good = good & (_spread(quaternions, scales, pose[2, :3]) <= _MAX_SPREAD * depth)
-    good = good & (size < _MAX_SCALE_PIXELS) & (quaternions.square().sum(dim=1) > 0)
+    good = good & ((aside <= 2 * _MAX_ASIDE) | (torch.linalg.vector_norm(slope, dim=1) <= _MAX_SLOPE))
+    good = good & (_spread(quaternions / length[:, None], scales, pose[2, :3]) <= _MAX_SPREAD * depth)
+    good = good & (size < _MAX_SCALE_PIXELS)
     rows = good[:, None]
     upright = (torch.arange(4, device=means.device) == 0).to(means.dtype)
     one, zero = upright[0], upright[1]  # rather than numbers, each of which torch sends to the device
@@ -134,13 +136,15 @@ def _held(
     )
 
 
-def _spread(quaternions: Tensor, scales: Tensor, ahead: Tensor) -> Tensor:
-    """[N] standard deviations of Gaussians along `ahead` [3]: those of its direction in their own axes."""
-    unit = quaternions / quaternions.square().sum(dim=1, keepdim=True).sqrt()
-    real, imaginary, ahead = unit[:, :1], unit[:, 1:], ahead.expand(len(unit), 3)
+def _spread(rotations: Tensor, scales: Tensor, ahead: Tensor) -> Tensor:
+    """[N] standard deviations along `ahead` [3] of Gaussians with unit quaternions `rotations` [N,4], NaN without one.
+
+    They are those of the direction in each Gaussian's own axes.
+    """
+    real, imaginary, ahead = rotations[:, :1], rotations[:, 1:], ahead.expand(len(rotations), 3)
     turned = 2 * torch.linalg.cross(imaginary, ahead)
-    own = ahead - real * turned + torch.linalg.cross(imaginary, turned)
-    spread: Tensor = (own * scales).square().sum(dim=1).sqrt()
+    own = torch.addcmul(ahead, real, turned, value=-1) + torch.linalg.cross(imaginary, turned)
+    spread: Tensor = torch.linalg.vector_norm(own * scales, dim=1)
     return spread
 
 

@@ -2,7 +2,9 @@
 
 One rule for all viewers: the server asks it for those that cannot draw, and the page's copy (`pick` and `depthAlong` in
 `client/web/view/engine.js`) is tested against it. A ray hits a Gaussian with an opacity of at least 0.2, farther than
-0.02 world units in front of its origin, whose centre lies nearer to the ray than the root of the larger of
+0.02 world units in front of its origin, with a standard deviation along the ray of at most half of its depth (what
+reaches farther is not drawn, codec/FORMAT.md section 14), whose centre lies nearer to the ray than the root of the
+larger of
 
 * twice the largest of its variances along the world's axes,
 * the square of 0.004 of its depth, about four pixels of a usual picture, so that distant points can be hit at all.
@@ -17,6 +19,7 @@ from core.scene.gaussians import GaussianCloud
 
 MIN_OPACITY = 0.2
 MIN_DEPTH = 0.02  # world units
+MAX_SPREAD = 0.5  # of the depth
 VARIANCES = 2.0
 MIN_REACH = 0.004  # of the depth
 CONE = 1.1  # of the squared depth: anchors within about 18 degrees of a camera's axis
@@ -31,8 +34,10 @@ def pick(cloud: GaussianCloud, origin: Float64, direction: Float64) -> Float64 |
     away = cloud.means - origin
     depth = away @ direction
     apart = (away**2).sum(axis=1) - depth**2
-    reach = np.maximum(VARIANCES * _largest_variance(cloud), (MIN_REACH * depth) ** 2)
-    hit = depth[(cloud.opacities >= MIN_OPACITY) & (depth > MIN_DEPTH) & (apart < reach)]
+    axes = _axes(cloud)
+    reach = np.maximum(VARIANCES * (axes**2).sum(axis=2).max(axis=1, initial=0), (MIN_REACH * depth) ** 2)
+    drawn = ((direction @ axes) ** 2).sum(axis=1) <= (MAX_SPREAD * depth) ** 2
+    hit = depth[(cloud.opacities >= MIN_OPACITY) & (depth > MIN_DEPTH) & drawn & (apart < reach)]
     return np.asarray(origin + hit.min() * direction) if len(hit) else None
 
 
@@ -48,8 +53,8 @@ def depth_along(anchors: Float32 | Float64, origin: Float64, direction: Float64)
     return float(np.sort(near)[len(near) // 2]) if len(near) else 0.0
 
 
-def _largest_variance(cloud: GaussianCloud) -> Float64:
-    """[G] largest entry on the diagonal of each Gaussian's covariance R diag(s^2) R^T."""
+def _axes(cloud: GaussianCloud) -> Float64:
+    """[G,3,3] R diag(s) of each Gaussian's covariance R diag(s^2) R^T."""
     w, x, y, z = (cloud.quaternions / np.linalg.norm(cloud.quaternions, axis=1, keepdims=True)).T.astype(np.float64)
     rotation = np.array(
         [
@@ -58,4 +63,4 @@ def _largest_variance(cloud: GaussianCloud) -> Float64:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    return np.asarray(np.einsum("ijg,gj->gi", rotation**2, cloud.scales.astype(np.float64) ** 2).max(axis=1, initial=0))
+    return np.asarray(np.moveaxis(rotation, 2, 0) * cloud.scales[:, None])

@@ -150,7 +150,7 @@ class SceneHeader:
         feature_steps: [F] float32; offset_steps: [3K] float32; scaling_steps: [6] float32.
         background: [3] float32 RGB in [0, 1] behind everything.
         fps: frames a second of the clip.
-        cameras: the rig, offered to viewers as viewpoints.
+        cameras: the rig, offered to viewers as viewpoints; `core.scene.expand.near_radius` goes by them.
     """
 
     octree: Octree

@@ -56,7 +56,8 @@ class Trainer:
         config: the method.
         fps: frames a second, told to viewers.
         device: ``auto``, ``cpu`` or ``cuda``.
-        rig: cameras offered to viewers as places to stand; the training cameras by default.
+        rig: cameras offered to viewers as places to stand, near which nothing is hidden from them
+            (`core.scene.expand.near_radius`); the training cameras by default.
         frame_budget_ms: wall time for each later frame, None for as long as it takes. `sent` tells what encoding took.
         target_kbps: kilobits a second that predicted packets may take, None for any; needs `sent` after every frame.
         clock: seconds that the budget and the report go by.

@@ -19,9 +19,9 @@ pytestmark = [
     pytest.mark.cuda,
     pytest.mark.skipif(cuda_fault() is None, reason="a real GPU does not tell its launches"),
 ]
-# Of a step, where nothing is compiled, 27 of them to tell what cannot be linearised; docs/benchmarks.md says how many
-# are left where it is.
-MAX_LAUNCHES = 350
+# Of a step where nothing is compiled (338 when this was set); docs/benchmarks.md says how many are left
+# where it is.
+MAX_LAUNCHES = 345
 
 ONCE = {f"core/train/keyframe/{name}.py" for name in ("precision", "drawing")}
 

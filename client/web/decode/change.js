@@ -1,4 +1,4 @@
-/** CHANGE and REMOVED chunks: which rows of a level differ, and by how much; codec/FORMAT.md sections 9 and 10. */
+/** CHANGE and REMOVED chunks, codec/FORMAT.md sections 9 and 10. */
 
 import { inflateColumns, rowCount } from "./deflate.js";
 import { checkTable, must, Reader } from "./packet.js";

@@ -9,7 +9,7 @@ export const FILE_HEAD = 8; // bytes before the first record
 export const FOOTER = 16;
 const ENTRY = 40;
 
-/** Refuse what does not begin like a file of this version. @type {(head: Uint8Array) => void} */
+/** Refuse other files than those of this version. @type {(head: Uint8Array) => void} */
 export function checkHead(head) {
   const [name, version] = head.length === FILE_HEAD ? new Uint32Array(head.slice().buffer) : [];
   must(name === 0x444f4c53, "bad_file", "this is not a .slod file");
@@ -62,7 +62,7 @@ export function walkRecords(bytes) {
 }
 
 /**
- * Numbers of the entries to decode, in order, to show `version`: on from `from`, what the decoder holds, or from the last keyframe.
+ * Entries to decode, in order, to show `version`: on from `from`, what the decoder holds, or from the last keyframe.
  * @type {(entries: Entry[], version: number, from: { keyframe: number, version: number } | null) => number[]}
  */
 export function plan(entries, version, from) {

@@ -50,7 +50,7 @@ export class FileReader {
       const answer = await this.#fetch(`${start}-${end - 1}`);
       if (answer.status !== 206 || !answer.body) this.#keep(new Uint8Array(await answer.arrayBuffer()));
       else {
-        must(end - start <= MAX_READ, "limit_exceeded", "the recording has no index and is too long");
+        must(end - start <= MAX_READ, "limit_exceeded", "the recording has no index and is too long to be read without");
         const bytes = new Uint8Array(end - start), reader = answer.body.getReader();
         for (let at = 0, more; !(more = await reader.read()).done; ) {
           bytes.set(more.value, at);

@@ -1,4 +1,4 @@
-/** From packets and a view to splats in drawing order; needs no browser. */
+/** From packets and a view to splats in drawing order. */
 
 import { SceneDecoder } from "../decode/decoder.js";
 import { Expander, MIN_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";
@@ -192,7 +192,7 @@ export class Engine {
     return spans;
   }
 
-  /** All texture rows again, after the graphics card lost them. */
+  /** After the graphics card lost the texture. */
   forgetTexture() {
     this.capacity = 0;
   }
@@ -215,10 +215,10 @@ export class Engine {
   /**
    * The first clearly visible splat along a ray.
    * @param {Vec3} origin
-   * @param {Vec3} direction - unit length
+   * @param {Vec3} direction - of unit length
    * @returns {Vec3 | null}
    */
-  pick(origin, direction) {
+  pick(origin, [a, b, c]) {
     if (!this.expander) return null;
     const { numbers } = this.expander;
     const near = this.#near(origin);
@@ -227,14 +227,16 @@ export class Engine {
       const o = this.active[i] * RECORD;
       if (numbers[o + 3] < 0.2) continue;
       const x = numbers[o] - origin[0], y = numbers[o + 1] - origin[1], z = numbers[o + 2] - origin[2];
-      const depth = x * direction[0] + y * direction[1] + z * direction[2];
+      const depth = a * x + b * y + c * z;
       const away = x * x + y * y + z * z;
       if (depth <= 0.02 || depth >= best || away < near * near) continue;
-      const variance = Math.max(numbers[o + 4], numbers[o + 7], numbers[o + 9]);
-      if (away - depth * depth < Math.max(2 * variance, (0.004 * depth) ** 2)) best = depth;
+      const [xx, xy, xz, yy, yz, zz] = numbers.subarray(o + 4);
+      const along = a * (a * xx + 2 * (b * xy + c * xz)) + b * (b * yy + 2 * c * yz) + c * c * zz;
+      if (4 * along > depth * depth) continue; // not drawn
+      if (away - depth * depth < Math.max(2 * xx, 2 * yy, 2 * zz, (0.004 * depth) ** 2)) best = depth;
     }
     if (best === Infinity) return null;
-    return [origin[0] + best * direction[0], origin[1] + best * direction[1], origin[2] + best * direction[2]];
+    return [origin[0] + best * a, origin[1] + best * b, origin[2] + best * c];
   }
 
   /** Median depth of the anchors near a camera's axis: what it looks at. @type {(origin: Vec3, forward: Vec3) => number} */

@@ -1,4 +1,4 @@
-/** The space that the rig has seen: outside it there is nothing true to show. No page needed. */
+/** The space that the rig has seen: outside it there is nothing true to show. */
 
 import { add, dot, fromCamera, unit } from "./camera.js";
 

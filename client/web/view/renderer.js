@@ -132,7 +132,7 @@ export class Renderer {
     }
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      throw new Error(gl.getProgramInfoLog(program) ?? "no shaders");
+      throw new Error(`the shaders do not link: ${gl.getProgramInfoLog(program)}`);
     }
     return program;
   }

@@ -12,8 +12,11 @@ import pytest
 
 from codec.container import SlodWriter
 from codec.encoder import encode_keyframe
+from core.arrays import Float64
 from core.render.pick import depth_along, pick
+from core.scene.anchors import Scene
 from core.scene.expand import anchor_positions, expand
+from core.scene.gaussians import GaussianCloud
 from tests.client.web.scenes import make_scene
 
 HERE = Path(__file__).parent
@@ -21,7 +24,7 @@ HERE = Path(__file__).parent
 
 @pytest.mark.parametrize("view_dependent", [False, True])
 def test_the_page_picks_by_the_reference_rule(node: str, kernel: bytes, tmp_path: Path, view_dependent: bool) -> None:
-    scene = make_scene(400, view_dependent)
+    scene = _with_needles(make_scene(400, view_dependent))
     with SlodWriter(tmp_path / "a.slod") as writer:
         writer.append(encode_keyframe(scene, time_ns=0))
     generator = np.random.default_rng(3)
@@ -37,7 +40,7 @@ def test_the_page_picks_by_the_reference_rule(node: str, kernel: bytes, tmp_path
     done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     anchors = np.concatenate([anchor_positions(scene.header, n, level) for n, level in enumerate(scene.levels)])
-    hits, hidden = 0, 0
+    hits, hidden, through = 0, 0, 0
     answers = json.loads((tmp_path / "out.json").read_text())
     for (origin, ray), (point, depth, splats) in zip(rays, answers, strict=True):
         cloud = expand(scene, origin)
@@ -45,6 +48,7 @@ def test_the_page_picks_by_the_reference_rule(node: str, kernel: bytes, tmp_path
         everything = expand(replace(scene, header=replace(scene.header, cameras=())), origin)
         hidden += len(everything) - len(cloud)
         mine = pick(cloud, origin, ray)
+        through += _differ(mine, _pick_all(cloud, origin, ray))
         assert (mine is None) == (point is None)
         if mine is not None:
             hits += 1
@@ -52,3 +56,25 @@ def test_the_page_picks_by_the_reference_rule(node: str, kernel: bytes, tmp_path
         assert depth == pytest.approx(depth_along(anchors, origin, ray), abs=1e-4)
     assert 3 < hits < len(rays)
     assert hidden > 100
+    assert through > 1  # rays meet needles that are not drawn
+
+
+def _with_needles(scene: Scene) -> Scene:
+    """Every 25th anchor's Gaussians are made 30 times as long, some of them along the rays."""
+    levels = []
+    for level in scene.levels:
+        scaling = level.scaling.copy()
+        scaling[::25, 3] += round(np.log(30) / scene.header.scaling_steps[3])
+        levels.append(replace(level, scaling=scaling))
+    return replace(scene, levels=tuple(levels))
+
+
+def _pick_all(cloud: GaussianCloud, origin: Float64, ray: Float64) -> Float64 | None:
+    """As `pick`, but hits what reaches far along the ray as well."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("core.render.pick.MAX_SPREAD", np.inf)
+        return pick(cloud, origin, ray)
+
+
+def _differ(one: Float64 | None, other: Float64 | None) -> bool:
+    return (one is None) != (other is None) or (one is not None and not np.array_equal(one, other))

@@ -76,8 +76,8 @@ def project_rows(  # noqa: PLR0915 - one formula, in one place
         inverse_z = ONE / z
         mean_x = camera[FOCAL_X] * x * inverse_z + camera[CENTRE_X]
         mean_y = camera[FOCAL_Y] * y * inverse_z + camera[CENTRE_Y]
-        near_x, near_y = abs(mean_x - HALF * wide) <= MAX_ASIDE * wide, abs(mean_y - HALF * high) <= MAX_ASIDE * high
-        if not (near_x and near_y) and not (x * x + y * y <= MAX_SLOPE * MAX_SLOPE * z * z):
+        is_close = abs(mean_x - HALF * wide) <= MAX_ASIDE * wide and abs(mean_y - HALF * high) <= MAX_ASIDE * high
+        if not is_close and not (x * x + y * y <= MAX_SLOPE * MAX_SLOPE * z * z):
             continue
 
         # Covariance = P P^T + low pass, P = J W R(q) diag(scales), two rows of three.

@@ -15,9 +15,10 @@ OPACITY_MAX = np.float32(2)  # dropout may scale opacities up to this; stronger 
 TRANSMITTANCE_MIN = np.float32(1e-4)  # a pixel is finished before it would fall to this
 NEAR = np.float32(0.01)  # world units
 FAR = np.float32(1e10)
-MAX_ASIDE = np.float32(1)  # picture sizes from its middle to a Gaussian's centre: linearising fails beyond, where
-MAX_SLOPE = np.float32(1)  # the centre's direction leads farther from the axis than this as well
-MAX_SPREAD = np.float32(0.5)  # of its depth, a Gaussian's standard deviation along it: linearising fails beyond
+# What cannot be linearised is left out: a Gaussian beyond both of the first two, and one beyond the third.
+MAX_ASIDE = np.float32(1)  # from the picture's middle to the centre, in widths and heights of the picture
+MAX_SLOPE = np.float32(1)  # tangent of the angle between the view's axis and the centre
+MAX_SPREAD = np.float32(0.5)  # standard deviation along the view's axis, in depths of the centre
 LOW_PASS = np.float32(0.3)  # pixels^2 added to both variances
 FIELD_MARGIN = np.float32(0.3)  # Jacobian clamped beyond 1.3 times the half field of view
 COLOUR_MAX = np.float32(1e15)  # larger sums of colours would overflow in gradients
