@@ -8,7 +8,7 @@ import numpy as np
 
 from codec.coder import change_model
 from codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, scale_of, words_of
-from codec.coder.rans import VALUE_LIMIT, Array
+from codec.coder.rans import MAX_VALUE, Array
 from core.arrays import Int16, Int32, Int64, UInt8
 from core.scene.anchors import LATENTS, AnchorLevel
 from core.scene.entropy_model import MAX_SCALE, SCALES
@@ -27,7 +27,7 @@ def encode(level: AnchorLevel, rows: Int64, position: Int64, latent: Int64, elap
     before, latent_before = _plain(level)
     motion = change_model.steady_motion(before, rows, elapsed.age, elapsed.span)
     errors = change_model.position_errors(position, motion)
-    if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) >= VALUE_LIMIT:
+    if max(np.abs(errors).max(initial=0), np.abs(latent).max(initial=0)) > MAX_VALUE:
         return None
     changed, touched = np.zeros(len(level), np.uint8), history(level)
     changed[rows] = 1

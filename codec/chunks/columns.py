@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from codec.chunks.plain import row_count
 from codec.coder import class_model
 from codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
-from codec.coder.rans import VALUE_LIMIT
+from codec.coder.rans import MAX_VALUE
 from codec.coder.trend import add_trend, trend_errors
 from codec.packet.limits import Room
 from core.arrays import Int32, Int64
@@ -31,7 +31,7 @@ def encode(matrix: Int64, shifted: slice, *, with_count: bool = False) -> bytes 
     whichever is smallest.
     """
     modes, centre, used, classes, values = classed(matrix, shifted)
-    if np.abs(values).max(initial=0) >= VALUE_LIMIT:
+    if np.abs(values).max(initial=0) > MAX_VALUE:
         return None
     coded = [encode_scales(values[classes == k]) for k in range(len(used))]
     scales = np.stack([scale for _, scale in coded])

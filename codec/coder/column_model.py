@@ -19,7 +19,7 @@ from codec.coder.rans import (
 )
 from core.scene.entropy_model import ESCAPE, FREQUENCIES
 
-ENERGY_LIMIT = 65535
+MAX_ENERGY = 65535
 
 
 @compiled
@@ -61,7 +61,7 @@ def columns_items(values: Array, scale: Array, items: Array, n: int) -> int:
             if scale[c]:
                 value = values[i, c]
                 n = put_value(items, n, value, bins[c] + gain)
-                energy += weight[c] * min(abs(value), ENERGY_LIMIT)
+                energy += weight[c] * min(abs(value), MAX_ENERGY)
                 seen += expected[c]
         mean += (energy - mean) >> 3
     return n
@@ -101,7 +101,7 @@ def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array
                     value = take_value(words, x, ctl, b)
                     item, at = ctl[0], ctl[1]
                 values[i, c] = value
-                energy += weight[c] * min(abs(value), ENERGY_LIMIT)
+                energy += weight[c] * min(abs(value), MAX_ENERGY)
                 seen += expected[c]
         mean += (energy - mean) >> 3
         if ctl[2]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from core.errors import BitstreamError
-from core.scene.entropy_model import BIN_LIMIT, BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES
+from core.scene.entropy_model import BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, HALVED_FROM
 
 _THRESHOLDS = [int(t) for t in BIN_THRESHOLDS]
 _ROWS = [[int(f) for f in row] for row in FREQUENCIES]
@@ -111,7 +111,7 @@ def flag(coder: Coder, model: list[int], bit: int | None) -> int:
 def magnitude_bin(e: int) -> int:
     """bin(e)."""
     k = 0
-    while e >= BIN_LIMIT:
+    while e >= HALVED_FROM:
         e, k = e >> 1, k + 4
     return k + sum(threshold <= e for threshold in _THRESHOLDS)
 

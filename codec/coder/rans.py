@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from codec.coder.compiled import compiled
 from core.arrays import Int64
-from core.scene.entropy_model import BIN_LIMIT, BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, SYMBOLS
+from core.scene.entropy_model import BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, HALVED_FROM, SYMBOLS
 
 Array = NDArray[Any]
 
 MIN_STATE = 1 << 16
-VALUE_LIMIT = 1 << 30  # no coded value has this magnitude
+MAX_VALUE = (1 << 30) - 1  # magnitude of a coded value
 TOP_BIN = BINS - 1
 _MAX_BIN = 120  # a shift of 23 bits: whatever the context, shifts stay below the width of a value
 _MAX_WIDTH = 30  # bits of an escape
@@ -33,7 +33,7 @@ SYMBOL_OF = np.concatenate([np.repeat(np.arange(SYMBOLS), row) for row in FREQUE
 def magnitude_bin(e: int) -> int:
     """bin(e) of FORMAT.md section 6.2."""
     k = 0
-    while e >= BIN_LIMIT:
+    while e >= HALVED_FROM:
         e >>= 1
         k += 4
     low, high = 0, 30
@@ -230,7 +230,7 @@ def take_value(words: Array, x: Array, ctl: Array, b: int) -> int:
     value: Any = high
     if shift:
         value = (high << shift) - (1 << (shift - 1)) + take_raw(words, x, ctl, shift)
-    if abs(value) >= VALUE_LIMIT:
+    if abs(value) > MAX_VALUE:
         ctl[2] = 1
         return 0
     return int(value)

@@ -63,7 +63,7 @@ BIN_THRESHOLDS: Int64 = np.array((
     140, 166, 197, 235, 279, 332, 395, 470, 558, 664,
 ), np.int64)
 # fmt: on
-BIN_LIMIT = 790  # from here on a magnitude is halved, and four bins are added
+HALVED_FROM = 790  # from here on a magnitude is halved, and four bins are added
 MAX_SCALE = 191
 SCALES: Int64 = np.array([round(2 ** (q / 8)) for q in range(MAX_SCALE + 1)], np.int64)  # in 1/256; as in FORMAT.md
 

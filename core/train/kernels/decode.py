@@ -15,7 +15,7 @@ from core.arrays import Float32
 from core.render.cpu.kernels.inline.constants import INLINE, KERNEL, ONE, TWO, ZERO
 from core.scene.gaussians import MAX_LOG_SCALE
 
-_LIMIT = np.float32(MAX_LOG_SCALE)
+_MAX_LOG_SCALE = np.float32(MAX_LOG_SCALE)
 _LOWEST, _HIGHEST = np.float32(-87), np.float32(88)  # exponents whose exp is a normal float32
 _LOG2E, _LN2_HIGH, _LN2_LOW = np.float32(1.44269504), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _TAYLOR = tuple(np.float32(1 / f) for f in (720, 120, 24, 6, 2))
@@ -69,7 +69,7 @@ def activate(
     for w in numba.prange(workers):
         for i in range(count * w // workers, count * (w + 1) // workers):
             for c in range(6):
-                size[i, c] = _exp(min(max(scaling[i, c], -_LIMIT), _LIMIT))
+                size[i, c] = _exp(min(max(scaling[i, c], -_MAX_LOG_SCALE), _MAX_LOG_SCALE))
             for k in range(slots):
                 opacities[i, k] = TWO * _sigmoid(TWO * outputs[i, k]) - ONE
             for j in range(3 * slots):
@@ -131,5 +131,5 @@ def differentiate(
                     to_outputs[i, 4 * slots + j] = widened * (ONE - scales[i, j] / size[i, 3 + c])
                     grown += widened
                 to_position[i, c] = moved
-                to_scaling[i, c] = stretched * size[i, c] if abs(scaling[i, c]) <= _LIMIT else ZERO
-                to_scaling[i, 3 + c] = grown if abs(scaling[i, 3 + c]) <= _LIMIT else ZERO
+                to_scaling[i, c] = stretched * size[i, c] if abs(scaling[i, c]) <= _MAX_LOG_SCALE else ZERO
+                to_scaling[i, 3 + c] = grown if abs(scaling[i, 3 + c]) <= _MAX_LOG_SCALE else ZERO
