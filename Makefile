@@ -9,7 +9,7 @@ export OMP_WAIT_POLICY = PASSIVE
 export PYTHONDONTWRITEBYTECODE =
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-cluster lint bench bench-web clean
+.PHONY: help install demo test test-long test-cluster lint bench bench-web clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -30,6 +30,10 @@ demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-ou
 
 test: install ## Run the tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+
+test-long: install ## Run those that take more than four seconds or need Chromium
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder \
+		-m '(browser or long) and not cluster and not slow'
 
 test-cluster: install ## Run the tests of several servers: edges, NATS, Ray
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n $$(getconf _NPROCESSORS_ONLN) --dist loadfile --no-loadscope-reorder -m cluster

@@ -117,6 +117,7 @@ class Camera(threading.Thread):
         self._intake.close()
 
 
+@pytest.mark.long
 def test_bombs_neither_end_a_rig_nor_take_memory(rig: tuple[subprocess.Popen[str], Path]) -> None:
     process, path = rig
     assert process.stdout is not None

@@ -60,6 +60,7 @@ class Faults:
         self.reasons.append(reason)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("status", "kind", "body"),
     [

@@ -20,6 +20,7 @@ def create(server: Running, client: httpx.Client, clip: Clip) -> str:
     return f"/v1/streams/main/incarnations/{manifest['incarnation']}/packets/{manifest['epoch']}/7"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("recorded", [True, False])
 def test_a_stream_made_anew_has_other_addresses_and_tags(tmp_path: Path, recorded: bool) -> None:
     clips = [make_clip(tmp_path / f"{number}.slod", 12, (4, 8 + number, 16), key_every=4) for number in range(2)]

@@ -68,6 +68,7 @@ def test_a_token_for_some_streams_sees_nothing_of_others(tmp_path: Path) -> None
         assert missing.json() == hidden.json()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", ["withdrawn", "expired", "fewer rights"])
 def test_a_viewer_whose_token_ends_is_closed(
     tmp_path: Path, clip: Clip, change: str, monkeypatch: pytest.MonkeyPatch
@@ -86,6 +87,7 @@ def test_a_viewer_whose_token_ends_is_closed(
         assert close_code(viewer.step) == (4403 if change == "fewer rights" else 4401)
 
 
+@pytest.mark.long
 def test_a_capture_node_whose_token_ends_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from server.api import push
 

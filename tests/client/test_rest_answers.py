@@ -48,6 +48,7 @@ def answering(body: bytes, kind: str, announced: int | None = None) -> Iterator[
         server.server_close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("body", "kind"),
     [

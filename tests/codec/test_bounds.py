@@ -64,6 +64,7 @@ def _in_little_memory(folder: Path, streams: list[list[bytes]]) -> list[tuple[st
     return [(code, float(seconds)) for code, seconds in lines]
 
 
+@pytest.mark.long
 def test_what_announces_too_much_costs_nothing(tmp_path: Path) -> None:
     streams = hostile()
     costs = _in_little_memory(tmp_path, list(streams.values()))
@@ -72,6 +73,7 @@ def test_what_announces_too_much_costs_nothing(tmp_path: Path) -> None:
         assert seconds < 0.2 + 20e-6 * len(packets[-1]), name
 
 
+@pytest.mark.long
 def test_the_densest_packets_cost_in_proportion(tmp_path: Path) -> None:
     """Rows for nothing, as many as the bytes allow: twice the bytes take about twice the time, in little memory."""
     streams = [densest(rows) for rows in (20_000, 40_000)]

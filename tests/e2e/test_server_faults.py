@@ -105,6 +105,7 @@ def follows(port: int) -> None:
         viewer.next_packet()
 
 
+@pytest.mark.long
 def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path) -> None:
     unshare = shutil.which("unshare")
     mount = ["unshare", "--user", "--map-root-user", "--mount"]
@@ -160,6 +161,7 @@ def test_a_clock_that_is_set_deletes_nothing_and_stops_nobody(clip: Clip, tmp_pa
         assert not viewer.named("skipped")
 
 
+@pytest.mark.long
 def test_a_thousand_silent_viewers_are_shown_out(clip: Clip, tmp_path: Path) -> None:
     config = tmp_path / "server.toml"
     config.write_text("[limits]\nhello_seconds = 2.0\nconnections = 3000\n")
@@ -213,6 +215,7 @@ def test_hostile_viewers_are_refused_and_counted(clip: Clip) -> None:
         assert stream(port)["restarts"] == 0
 
 
+@pytest.mark.long
 def test_hostile_requests_are_refused_and_counted(clip: Clip, tmp_path: Path) -> None:
     config = tmp_path / "server.toml"
     config.write_text("[limits]\nrequest_seconds = 2.0\nconnections = 40\n")

@@ -93,6 +93,7 @@ def test_playing_needs_little_memory_and_no_training_library(clip: Clip) -> None
         assert total < 300_000
 
 
+@pytest.mark.long
 def test_sigterm_tells_viewers_and_ends_within_ten_seconds_with_a_clean_log(clip: Clip) -> None:
     with ExitStack() as stack, serving("--play", clip.path) as (process, port):
         wait_live(port)
@@ -117,6 +118,7 @@ def test_sigterm_tells_viewers_and_ends_within_ten_seconds_with_a_clean_log(clip
         assert "Traceback" not in process.stderr.read()
 
 
+@pytest.mark.long
 def test_a_killed_server_keeps_what_it_recorded(clip: Clip, tmp_path: Path) -> None:
     options = ("--play", clip.path, "--state-dir", tmp_path)
     with serving(*options) as (process, port):

@@ -100,6 +100,7 @@ class Node:
         self._thread.join(10)
 
 
+@pytest.mark.long
 def test_training_that_is_slower_than_filming_gets_the_newest_instant(tmp_path: Path) -> None:
     ours, theirs = multiprocessing.Pipe(duplex=False)
     messages: list[tuple[Tag, bytes, int]] = []

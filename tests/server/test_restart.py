@@ -191,6 +191,7 @@ def test_a_stream_that_is_changed_begins_with_its_first_frame(clip: Clip) -> Non
     assert asyncio.run(run()) == Resume()
 
 
+@pytest.mark.long
 def test_old_recordings_are_deleted_though_no_packet_comes(tmp_path: Path, clip: Clip) -> None:
     settings = Settings(state=tmp_path, retention=Retention(seconds=2.5))
     with running(settings, StreamSpec(play=clip.path, loop=False)) as server:

@@ -23,6 +23,7 @@ from core.errors import InputError
 from tests.client.evaluation.conftest import SPEC, shortened
 
 
+@pytest.mark.long
 def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) -> None:
     (ours, *_) = study_rows("balanced", [])
     rows = [replace(ours, config=shortened(ours.config))]
@@ -54,6 +55,7 @@ def test_a_study_writes_figures_tables_and_pictures(clip: Path, tmp_path: Path) 
     assert not list((tmp_path / "out").glob(".*"))
 
 
+@pytest.mark.long
 def test_a_study_goes_on_where_it_stopped(clip: Path, tmp_path: Path) -> None:
     """What was measured stays as it is, times and all; another system is measured."""
     split = tmp_path / "split.json"
@@ -102,6 +104,7 @@ def test_a_file_that_is_no_report_is_not_overwritten(tmp_path: Path) -> None:
     assert earlier_report(path, {"data": "kitchen"}) == {}
 
 
+@pytest.mark.long
 def test_a_sweep_writes_points_fronts_and_plots(clip: Path, tmp_path: Path) -> None:
     names = {"balanced", "downscale 2"}
     points = [replace(point, config=shortened(point.config)) for point in one_at_a_time() if point.name in names]

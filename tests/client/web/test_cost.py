@@ -47,6 +47,7 @@ def test_the_densest_packets_cost_in_proportion(node: str, tmp_path: Path) -> No
     assert times[1] < 6 * times[0] + 0.2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("target", ["packet", "container", "session"])
 def test_mutants_are_taken_or_refused(node: str, target: str) -> None:
     """A second of what tests/fuzz/run_page.mjs does for longer."""

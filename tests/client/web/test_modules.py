@@ -37,6 +37,7 @@ def test_node(node: str, name: str) -> None:
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-1000:]
 
 
+@pytest.mark.long
 def test_types() -> None:
     """JSDoc types, strictly."""
     compiler = HERE / "node_modules" / ".bin" / "tsc"

@@ -56,6 +56,7 @@ def _caliscope(folder: Path) -> None:
     write_caliscope(folder, rig(("cam_0", "cam_1")), [[True, True], [True, False]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("write", "file"),
     [

@@ -45,6 +45,7 @@ def surface_error(points: PointCloud) -> np.ndarray:
     return error
 
 
+@pytest.mark.long
 def test_swept_points_lie_on_the_surfaces(swept: PointCloud) -> None:
     error = surface_error(swept)
     assert len(swept) > 0.21 * PIXELS
@@ -62,6 +63,7 @@ def test_swept_points_carry_the_colours_of_the_pictures(frame: FrameSet, swept: 
     assert np.median(difference) < 0.03
 
 
+@pytest.mark.long
 def test_bounds_need_not_be_known(frame: FrameSet) -> None:
     points = first_points(frame, DATASET.cameras, depth_bounds=None, method="sweep")
     assert len(points) > 0.17 * PIXELS
@@ -149,6 +151,7 @@ def test_bounds_of_a_ring_hold_what_it_looks_at() -> None:
     assert far > 4
 
 
+@pytest.mark.long
 def test_real_inward_facing_rig_with_different_exposures(real_data: Path) -> None:
     dataset = open_dataset(real_data / "caliscope_4cam", downscale=10)
     points = first_points(next(iter(dataset.frames())), dataset.cameras, depth_bounds=None)

@@ -29,6 +29,7 @@ def flat_map(x: float, depth: float, cost: float = 0.0) -> DepthMap:
     return DepthMap(camera, np.full((20, 20), depth, np.float32), np.full((20, 20), cost, np.float32))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("width", "free", "off"),
     [(128, 20.0, 0.09), pytest.param(240, 9.0, 0.06, marks=pytest.mark.slow)],  # windows widen what is near, in pixels

@@ -50,6 +50,7 @@ def test_depth_bounds_hold_what_the_cameras_see() -> None:
         assert bounds[0] < depth.min() < depth.max() < bounds[1]
 
 
+@pytest.mark.long
 def test_the_files_read_back_as_the_clip(clip: Path) -> None:
     data = open_dataset(clip)
     assert (data.layout, data.frame_count, data.fps) == ("n3dv", 5, 25.0)

@@ -45,6 +45,7 @@ def test_depth_of_one_camera_is_where_another_sees_the_surface(kind: str) -> Non
     assert (depth[fits] < 0.9 * there).mean() < 0.05  # before everything that the other camera sees there
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_cameras_stand_in_free_space_and_bounds_hold_the_depths(kind: str) -> None:
     spec = small(kind)

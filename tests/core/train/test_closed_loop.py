@@ -110,6 +110,7 @@ def swapped(picture: UInt8) -> UInt8:
     return picture[order]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("spoil", "frames"), [(black, 1), (white, 1), (noise, 1), (flash, 1), (covered, 10), (swapped, 2)]
 )

@@ -58,6 +58,7 @@ def test_joins_coarse_first_and_follows_every_frame(server: Running, clip: Clip)
         assert all(later in {earlier + 1, 0, 60} for earlier, later in itertools.pairwise(seen))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("frame_ns", "key_every", "lag_seconds"), [(20_000_000, 20, 30.0), (400_000_000, 5, 1.0)])
 def test_a_new_keyframe_comes_in_pieces_and_no_version_is_lost(
     tmp_path: Path, frame_ns: int, key_every: int, lag_seconds: float

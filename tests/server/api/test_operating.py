@@ -259,6 +259,7 @@ def test_a_web_token_is_withdrawn_by_its_name_or_hash(tmp_path: Path) -> None:
             time.sleep(0.2)
 
 
+@pytest.mark.long
 def test_recordings_are_listed_downloaded_by_time_and_deleted(clip: Clip, tmp_path: Path) -> None:
     with running(Settings(state=tmp_path), _play(clip)) as server, server.client() as client:
         client.post("/v1/streams", json={"id": "gone", "play": str(clip.path), "start": True})
@@ -339,6 +340,7 @@ def _no_room(*arguments: Any) -> None:
     Sender(pipe).send(Tag.FAILURE, {"text": "full", "fatal": True, "refused": {"text": "it needs 1 CPU", "ways": []}})
 
 
+@pytest.mark.long
 def test_a_stream_that_cannot_be_created_leaves_the_recording_of_an_earlier_one(
     clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

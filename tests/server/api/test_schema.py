@@ -42,6 +42,7 @@ def run(server: Running, folder: Path, *options: str) -> None:
         assert client.get("/healthz").status_code == 200
 
 
+@pytest.mark.long
 def test_the_interface_is_as_described(server: Running, tmp_path: Path) -> None:
     run(server, tmp_path, "--phases", "fuzzing", "--max-examples", "3")
 

@@ -217,6 +217,7 @@ def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:
         assert_refused(run("serve", "--play", scene, "--port", port), f"port {port}")
 
 
+@pytest.mark.long
 def test_serve_and_view_until_interrupted(run: Run, tmp_path: Path, scene: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

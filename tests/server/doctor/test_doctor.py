@@ -25,6 +25,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not NO_GPU, reason="this machine has a GPU")
 def test_a_gpu_that_was_asked_for_and_is_not_there_is_a_fault() -> None:
     done = run("doctor", "--quick", "--device", "cuda", "--port", "0", "--json")
@@ -36,6 +37,7 @@ def test_a_gpu_that_was_asked_for_and_is_not_there_is_a_fault() -> None:
     assert "CUDA" in fault["remedy"]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not NO_GPU, reason="this machine has a GPU")
 def test_serving_on_a_gpu_that_is_not_there_ends_at_once() -> None:
     done = run("serve", "--synthetic", "cameras=3,frames=1", "--device", "cuda", "--port", "0")

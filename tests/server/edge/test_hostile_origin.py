@@ -106,6 +106,7 @@ SPEECHES: dict[str, list[str | bytes]] = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SPEECHES)
 def test_what_the_origin_says_wrong_harms_nobody(name: str, clip: Clip, caplog: pytest.LogCaptureFixture) -> None:
     damaged = bytearray(clip.packets[0])

@@ -121,6 +121,7 @@ def complete(watch: Watch) -> int:
     return sum(-1 not in entry.numbers for entry in list(watch.seen))
 
 
+@pytest.mark.long
 @NEEDS_FFMPEG
 def test_rtsp_cameras_are_paired_through_a_stop_and_a_death(
     tmp_path: Path, clip: Path, watch: Callable[..., Watch]
@@ -173,6 +174,7 @@ def _film(tmp_path: Path, clip: Path, watch: Callable[..., Watch], quiet: int, p
             assert misaligned(rig.seen[-10:], 4) == 0
 
 
+@pytest.mark.long
 @NEEDS_FFMPEG
 def test_transport_streams_and_rtmp_are_paired_by_arrival(
     tmp_path: Path, clip: Path, watch: Callable[..., Watch]

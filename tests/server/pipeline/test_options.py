@@ -137,6 +137,7 @@ def test_no_place_has_an_option_of_its_own() -> None:
     }
 
 
+@pytest.mark.long
 @each_option
 def test_help_default_and_bounds_are_the_same_everywhere(option: Option) -> None:
     commands = {serve: option.default}

@@ -31,6 +31,7 @@ def test_the_codec_is_warmed() -> None:
     warming.WARM_UPS["codec"]()
 
 
+@pytest.mark.long
 def test_warming_compiles_every_kernel_and_leaves_training_nothing_to_compile() -> None:
     """In a process of its own, so that no other test has compiled anything there."""
     command = [sys.executable, "-m", "tests.server.pipeline.warmed"]

@@ -78,6 +78,7 @@ def _worker(pid: int) -> int:
     raise AssertionError("there is no worker")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reader", ["stands still", "has gone"])
 def test_a_log_that_nobody_reads_holds_nothing_up(clip: Clip, reader: str) -> None:
     ours, theirs = os.pipe()

@@ -34,6 +34,7 @@ import scipy.linalg  # others can still have it
 _MAX_OWN_MEGABYTES = 115
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_serving_loads_no_more_than_it_needs() -> None:
     found = subprocess.run([sys.executable, "-c", _RUN], capture_output=True, text=True, check=True)

@@ -59,6 +59,7 @@ def test_each_epoch_is_announced_before_its_first_packet(tmp_path_factory: pytes
         assert seen[first + 17 : first + 33] == [*clip.packets, 3]
 
 
+@pytest.mark.long
 def test_a_relay_that_falls_behind_is_told_so_and_begins_with_a_keyframe(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -20,6 +20,7 @@ from tests.server.conftest import running
 SPEC = SyntheticSpec(cameras=3, frames=3, width=64, height=36)
 
 
+@pytest.mark.long
 @pytest.mark.cuda
 def test_a_worker_trains_on_the_device_that_was_asked_for(
     gpu: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -78,6 +78,7 @@ def test_figures_become_plain_json() -> None:
     assert json.loads(data[1:]) == {"loss": None, "seconds": {"train": 0.5}, "frames": 3.0, "text": "x"}
 
 
+@pytest.mark.long
 def test_a_worker_that_hangs_or_takes_too_much_memory_is_replaced(clip: Clip) -> None:
     settings = Settings.model_validate({"worker": {"heartbeat_seconds": 2.5}})
     with running(settings, StreamSpec(play=clip.path)) as server:
@@ -144,6 +145,7 @@ def be_placed_and_wait(_: StreamSpec, pipe: Connection, *__: object) -> None:
     sender.send(Tag.END)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("entry", "ending"),
     [

@@ -83,6 +83,7 @@ def unbound(config: TrainConfig, clip: Dataset, pictures: list[UInt8], first: Sc
     return quality(last.scene, clip, pictures[-1])
 
 
+@pytest.mark.long
 def test_a_burst_holds_the_frame_budget_and_quality_returns(clip: Dataset, pictures: list[UInt8], first: Scene) -> None:
     budget, clock = 0.035, Ticks()
     trainer = Trainer(clip.cameras, config(), FPS, "cpu", frame_budget_ms=1000 * budget, clock=clock)
@@ -130,6 +131,7 @@ def bound(config: TrainConfig, clip: Dataset, pictures: list[UInt8], first: Scen
     return quality(result.scene, clip, pictures[-1])
 
 
+@pytest.mark.long
 def test_a_burst_stays_within_the_buffer_and_quality_returns(
     clip: Dataset, pictures: list[UInt8], first: Scene
 ) -> None:

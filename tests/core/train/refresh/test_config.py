@@ -130,6 +130,7 @@ class Clock:
         return self.now
 
 
+@pytest.mark.long
 def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
     """As many steps as without one, spread over frames in which things move; the frames after it lead on from it."""
     settings = {"refresh_steps": 8 * FRAMES, "prune_opacity": 0.0}  # all anchors stay, so that rows can be compared
@@ -159,6 +160,7 @@ def test_a_frame_budget_trains_it_beside_the_frames(clip: Dataset, pictures: lis
     assert [level.digest() for level in decoder.scene.levels] == [level.digest() for level in after.scene.levels]
 
 
+@pytest.mark.long
 def test_anchors_that_have_faded_are_left_out(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
     """Also where the keyframe is trained beside the stream: else a stream that adds anchors would only grow."""
     least = 0.3
@@ -172,6 +174,7 @@ def test_anchors_that_have_faded_are_left_out(clip: Dataset, pictures: list[Fram
     assert opacity(field_of(renewed)).min() > 0.9 * least  # rounding may take a little
 
 
+@pytest.mark.long
 def test_a_scene_that_has_faded_altogether_stays(clip: Dataset, pictures: list[FrameSet], first: Scene) -> None:
     """Without an anchor nothing could ever grow again."""
     trainer = trainer_at(clip, first, pictures[1:2], budget_ms=60_000, prune_opacity=1e6)

@@ -61,6 +61,7 @@ def join_nothing(pipe: Connection) -> None:
         run_on_ray(settings, 1000, spec, pipe)
 
 
+@pytest.mark.long
 def test_a_cluster_that_does_not_answer_is_given_up() -> None:
     pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
     context = multiprocessing.get_context("spawn")
