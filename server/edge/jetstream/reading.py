@@ -25,6 +25,8 @@ _SILENT_SECONDS = 1.25  # two heartbeats and a half
 _INACTIVE_SECONDS = 10.0  # after which NATS forgets a consumer
 _RETRY_SECONDS = 0.25
 _GOES_ON = {"404", "408"}  # nothing there yet; the request has expired
+_NOBODY = "503"  # nobody hears: servers of a cluster learn of a new consumer one after another, or it is lost
+_UNHEARD_SECONDS, _MAX_UNHEARD = 0.05, 20
 _BATCH_ENDS = {"Message Size Exceeds MaxBytes", "Batch Completed"}
 
 
@@ -120,6 +122,7 @@ async def _consume(
             return
         request = f"$JS.API.CONSUMER.MSG.NEXT.{selection.stream}.{consumer}"
         batch, left = _BATCH if end is None else min(_BATCH, max(1, end - first)), 0
+        unheard = 0
         while True:
             if left == 0:
                 left = batch
@@ -129,12 +132,15 @@ async def _consume(
             headers = message.headers or {}
             status = headers.get("Status")
             if status is None:
-                left -= 1
+                left, unheard = left - 1, 0
                 yield message
             elif status in _GOES_ON or headers.get("Description") in _BATCH_ENDS:
                 if finite and left == batch and status in _GOES_ON:
                     return
                 left = 0
+            elif status == _NOBODY and unheard < _MAX_UNHEARD:
+                unheard, left = unheard + 1, 0
+                await asyncio.sleep(_UNHEARD_SECONDS)
             elif status != "100":
                 raise Error(f"the reader ended with status {status} {headers.get('Description', '')}")
     finally:

@@ -1,0 +1,53 @@
+"""Messages of JetStream are read in order, whichever server of a cluster is asked."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import aclosing
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
+
+from server.edge.jetstream.connection import NatsConnection
+from server.edge.jetstream.reading import Selection, read
+from tests.server.edge.jetstream.nats_servers import Nats, nats, needs_nats
+
+pytestmark = needs_nats
+MESSAGES = [b"%d" % number for number in range(20)]
+READS = 100
+
+
+def test_servers_that_have_not_heard_of_a_reader_yet_are_asked_again(tmp_path: Path) -> None:
+    """One read in a hundred meets such a server."""
+    with nats(tmp_path, 3) as servers:
+        asyncio.run(asyncio.wait_for(_write(servers), 20))
+        for number in range(3):
+            found = asyncio.run(asyncio.wait_for(_read_often(servers, number), 20))
+            assert found == [MESSAGES] * READS
+
+
+async def _write(servers: Nats) -> None:
+    connection = NatsConnection(servers.settings().jetstream)
+    await connection.open()
+    try:
+        await connection.jetstream.add_stream(name="numbers", subjects=["numbers.*"], num_replicas=3)
+        for message in MESSAGES:
+            await connection.jetstream.publish("numbers.a", message)
+    finally:
+        await connection.close()
+
+
+async def _read_often(servers: Nats, number: int) -> list[list[bytes]]:
+    """The messages as server `number` gives them, time after time."""
+    one = servers.settings().jetstream.model_copy(update={"servers": (servers.servers[number].url,)})
+    connection, found = NatsConnection(one), list[list[bytes]]()
+    await connection.open()
+    try:
+        for _ in range(READS):
+            async with aclosing(read(connection, Selection("numbers", "numbers.*"), 1, None)) as messages:
+                found.append([message.data async for message in messages])
+    finally:
+        await connection.close()
+    return found
