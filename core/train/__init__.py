@@ -1,7 +1,7 @@
 """Training: the first frame (`keyframe`), every later frame (`residual`), and what both are made of."""
 
 from core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
-from core.train.presets import PRESETS, preset
+from core.train.presets.named import PRESETS, preset
 from core.train.progress import FrameReport, Progress, TrainedFrame
 from core.train.trainer import Trainer
 

@@ -1,6 +1,6 @@
 """Every choice of the method: our value, which is the default, what it means, and the paper's value with its source.
 
-`core.train.presets` names other sets of values; the preset `paper` has the paper's (docs/preset-paper.md).
+`core.train.presets.named` names other sets of values; the preset `paper` has the paper's (docs/preset-paper.md).
 """
 
 from __future__ import annotations

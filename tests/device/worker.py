@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from core.train.presets import PRESETS, preset
+from core.train.presets.named import PRESETS, preset
 from server.pipeline.spec import StreamSpec
 from server.worker import process
 from tests.device.fixture import on_gpu

@@ -30,7 +30,7 @@ class BriefActor(actor.WorkerActor):
 
 
 def _train_briefly(*arguments: Any) -> None:
-    from core.train.presets import PRESETS, preset  # numba with it, which counts its threads once
+    from core.train.presets.named import PRESETS, preset  # numba with it, which counts its threads once
 
     brief = preset("live")
     with pytest.MonkeyPatch.context() as patch:

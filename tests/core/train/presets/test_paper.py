@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from core.train import KeyframeConfig, ModelConfig, PredictConfig, preset
-from core.train.paper import paper_table
+from core.train.presets.paper import paper_table
 from core.train.setting import Choice
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "preset-paper.md"
+DOCUMENT = Path(__file__).parents[4] / "docs" / "preset-paper.md"
 PARTS = [ModelConfig, KeyframeConfig, PredictConfig]
 
 

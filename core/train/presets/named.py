@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from core.errors import unknown_name
 from core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
-from core.train.paper import paper
+from core.train.presets.paper import paper
 
 PRESETS = {
     "live": TrainConfig(
