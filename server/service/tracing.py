@@ -11,15 +11,15 @@ import hashlib
 import logging
 import os
 import socket
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
 from opentelemetry.sdk.resources import Resource
 from opentelemetry.sdk.trace import ReadableSpan
-from opentelemetry.sdk.trace.export import BatchSpanProcessor
+from opentelemetry.sdk.trace.export import BatchSpanProcessor, SpanExportResult
 from opentelemetry.sdk.trace.id_generator import RandomIdGenerator
 from opentelemetry.sdk.util.instrumentation import InstrumentationScope
 from opentelemetry.trace import SpanContext, TraceFlags
@@ -39,23 +39,67 @@ _SCOPE = InstrumentationScope("streamlod", streamlod_version())
 async def tracing(endpoint: str, role: Literal["server", "edge"], traces: Traces) -> AsyncIterator[None]:
     """Send what `traces` tells to the collector at `endpoint` while the context lasts; `role` names this server."""
     address = endpoint.rstrip("/") + "/v1/traces"
-    exporter, resources = OTLPSpanExporter(address, timeout=_EXPORT_SECONDS), _Resources.of(role)
-    processor = BatchSpanProcessor(exporter)
+    with _kept_out_of_the_log() as faults:
+        exporter, resources = _Exporter(address, faults), _Resources.of(role)
+        processor = BatchSpanProcessor(exporter)
 
-    def tell(frame: FrameStages) -> None:
-        for span in _spans(frame, resources):
-            processor.on_end(span)
+        def tell(frame: FrameStages) -> None:
+            for span in _spans(frame, resources):
+                processor.on_end(span)
 
-    traces.listeners.add(tell)
-    _LOG.info("traces are sent to %s", address)
+        traces.listeners.add(tell)
+        _LOG.info("traces are sent to %s", address)
+        try:
+            yield
+        finally:
+            traces.listeners.discard(tell)
+            ending = asyncio.create_task(asyncio.to_thread(processor.shutdown))
+            if not (await asyncio.wait({ending}, timeout=_EXPORT_SECONDS))[0]:
+                exporter.shutdown()  # type: ignore[no-untyped-call] # batches that are left are not tried one by one
+            await ending
+
+
+class _Faults(logging.Handler):
+    """Takes what OpenTelemetry writes to its log: a line or two for each batch that the collector does not take.
+
+    Attributes:
+        first: the first line since it was emptied.
+    """
+
+    first = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.first = self.first or record.getMessage()
+
+
+@contextmanager
+def _kept_out_of_the_log() -> Iterator[_Faults]:
+    library, faults = logging.getLogger("opentelemetry"), _Faults()
+    library.addHandler(faults)
+    library.propagate = False
     try:
-        yield
+        yield faults
     finally:
-        traces.listeners.discard(tell)
-        ending = asyncio.create_task(asyncio.to_thread(processor.shutdown))
-        if not (await asyncio.wait({ending}, timeout=_EXPORT_SECONDS))[0]:
-            exporter.shutdown()  # type: ignore[no-untyped-call] # batches that are left are not tried one by one
-        await ending
+        library.removeHandler(faults)
+        library.propagate = True
+
+
+class _Exporter(OTLPSpanExporter):
+    """Writes one line to the log when the collector begins to take no traces, and one when it takes them again."""
+
+    def __init__(self, address: str, faults: _Faults) -> None:
+        super().__init__(address, timeout=_EXPORT_SECONDS)
+        self._address, self._faults, self._works = address, faults, True
+
+    def export(self, spans: Sequence[ReadableSpan]) -> SpanExportResult:
+        result = super().export(spans)
+        works = result is SpanExportResult.SUCCESS
+        if self._works and not works:
+            _LOG.warning("%s takes no traces, which are lost until it does (%.300s)", self._address, self._faults.first)
+        if works and not self._works:
+            _LOG.info("%s takes traces again", self._address)
+        self._works, self._faults.first = works, ""
+        return result
 
 
 @dataclass(frozen=True, slots=True)

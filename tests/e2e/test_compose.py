@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import signal
 import subprocess
+import sys
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -13,6 +18,7 @@ import pytest
 
 from server.settings import Settings, load_settings
 from tests.server.edge.jetstream.nats_servers import NATS_SERVER
+from tests.server.edge.processes import free_ports, wait
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is missing: pip install pyyaml")
 
@@ -85,15 +91,17 @@ def test_the_dashboard_finds_its_prometheus_in_either_profile() -> None:
 def ray_options(command: str) -> dict[str, Any]:
     """What `ray start` in a command is told, as its own parser understands it."""
     scripts = pytest.importorskip("ray.scripts.scripts", reason="ray is missing: pip install 'streamlod[ray]'")
-    (line,) = re.findall(r"^ *(?:exec )?ray start (.*?)(?: \|\| exit 1)?$", command, re.MULTILINE)
+    (line,) = re.findall(r"^ *(?:exec |while :; do )ray start (.*?)(?:; sleep 1; done &)?$", command, re.MULTILINE)
     return dict(scripts.start.make_context("start", line.split()).params)
 
 
 def test_ray_nodes_join_the_head_beside_the_server_and_have_room_for_a_worker() -> None:
     head, worker = (ray_options(CLUSTER[name]["command"][0]) for name in ("origin", "ray"))
     assert head["head"]
+    assert head["block"]  # until it ends, when it is started again
     assert head["num_cpus"] == 0  # the server's own node trains nothing
-    assert worker["address"] == f"origin:{head['port']}"
+    (name,) = CLUSTER["origin"]["networks"]["default"]["aliases"]
+    assert worker["address"] == f"{name}:{head['port']}"
     assert worker["block"]
     settings = settings_of("origin")
     assert settings.jobs == "ray"
@@ -102,6 +110,56 @@ def test_ray_nodes_join_the_head_beside_the_server_and_have_room_for_a_worker() 
     assert CLUSTER["ray"]["deploy"]["replicas"] >= 1 + settings.worker.spare
     assert CLUSTER["ray"]["image"] == CLUSTER["origin"]["image"]  # and so the same version of everything
     assert "ray" in CLUSTER["origin"]["build"]["args"]["EXTRAS"].split(",")
+
+
+def test_only_a_server_on_a_node_of_the_ray_cluster_has_its_workers_there() -> None:
+    for name in NODES:
+        assert (settings_of(name).jobs == "ray") == ("ray start" in " ".join(CLUSTER[name]["command"]))
+    origin, second = settings_of("origin"), settings_of("second")
+    assert origin.jetstream == second.jetstream  # and so they share their streams
+
+
+@pytest.mark.slow
+def test_the_head_is_started_again_beside_its_server() -> None:
+    """The command of the container, with a process that sleeps in the place of the server and ports that are free."""
+    pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
+    (port,) = free_ports(1)
+    head, serve = CLUSTER["origin"]["command"][0].strip().splitlines()
+    assert serve.startswith("exec streamlod serve ")
+    environment = os.environ | CLUSTER["origin"]["environment"] | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    with tempfile.TemporaryDirectory() as folder:  # a short path, as its sockets need
+        places = f"--port {port} --node-ip-address 127.0.0.2 --temp-dir {folder}"
+        command = head.replace("--port 6379", places) + "\nexec sleep 300"
+        process = subprocess.Popen(["/bin/sh", "-c", command], env=environment, start_new_session=True)
+        try:
+            (first,) = wait(lambda: heads_at(port), 60)
+            os.kill(first, signal.SIGKILL)
+            wait(lambda: heads_at(port) - {first}, 60)
+            assert process.poll() is None
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            wait(lambda: not heads_at(port))  # Ray's own processes notice and end
+
+
+def heads_at(port: int) -> set[int]:
+    """Processes that lead a Ray cluster at this port."""
+    option = f"--gcs_server_port={port}".encode()
+    found = set()
+    for each in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            if option in each.read_bytes().split(b"\0"):
+                found.add(int(each.parent.name))
+    return found
+
+
+def test_nobody_can_log_in_at_the_dashboard() -> None:
+    """Grafana makes an account `admin` whose password everybody knows, unless it is told not to."""
+    environment = CLUSTER["grafana"]["environment"]
+    assert environment["GF_SECURITY_DISABLE_INITIAL_ADMIN_CREATION"] == "true"
+    assert environment["GF_AUTH_DISABLE_LOGIN_FORM"] == "true"
+    assert environment["GF_AUTH_BASIC_ENABLED"] == "false"
+    assert environment["GF_AUTH_ANONYMOUS_ORG_ROLE"] == "Viewer"
 
 
 def test_what_the_origin_trains_needs_no_file_that_ray_nodes_would_lack() -> None:

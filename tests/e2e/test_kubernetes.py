@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -85,7 +84,7 @@ def test_they_are_the_servers_of_the_compose_profile() -> None:
         if name == "ray":
             assert container["args"] == service["command"]
             assert WORKLOADS[name]["spec"]["replicas"] == service["deploy"]["replicas"]
-        if name in {"origin", "ray"}:
+        if name in {"origin", "ray", "grafana"}:
             assert {each["name"]: each["value"] for each in container["env"]} == service["environment"]
         if name == "proxy":
             assert container["args"][0].split("mkdir")[0] == service["command"][0].split("mkdir")[0]
@@ -141,18 +140,27 @@ def test_services_lead_to_ports_that_are_open() -> None:
         assert workload["kind"] == "Deployment" or workload["spec"]["serviceName"] in SERVICES
 
 
+def test_only_what_leads_to_no_viewer_is_found_before_it_is_ready() -> None:
+    """A server that drains takes no further viewers."""
+    early = {name: service for name, service in SERVICES.items() if service.get("publishNotReadyAddresses")}
+    assert set(early) == {"head", "nats1", "nats2", "nats3"}
+    assert not any(port["name"] == "http" for service in early.values() for port in service["ports"])
+
+
 def test_names_in_the_configuration_are_services() -> None:
-    shared = Settings.model_validate(tomllib.loads((FOLDER / "cluster" / "shared.toml").read_text()))
-    wanted = [url.removeprefix("nats://") for url in shared.jetstream.servers]
+    origin = settings_of("origin")
+    wanted = [url.removeprefix("nats://") for url in origin.jetstream.servers]
     targets = yaml.safe_load((FOLDER / "cluster" / "prometheus.yml").read_text())["scrape_configs"][0]
     wanted += targets["static_configs"][0]["targets"]
     wanted += [f"{name}:6222" for name in ("nats1", "nats2", "nats3")]
     assert all(name in (FOLDER / "cluster" / "nats.conf").read_text() for name in wanted[-3:])
-    wanted += [f"origin:{ray_options(CLUSTER['origin']['command'][0])['port']}", "prometheus:9090"]
+    head, node = (ray_options(CLUSTER[name]["command"][0]) for name in ("origin", "ray"))
+    assert node["address"] == f"head:{head['port']}"
+    wanted += [node["address"], "prometheus:9090"]
     wanted += ["origin:8000", "second:8000", "edge1:8000", "edge2:8000"]
     for name, _, port in (each.partition(":") for each in wanted):
         assert int(port) in {each["port"] for each in SERVICES[name]["ports"]}
-    assert shared.jetstream.replicas == WORKLOADS["nats"]["spec"]["replicas"]
+    assert origin.jetstream.replicas == WORKLOADS["nats"]["spec"]["replicas"]
 
 
 def test_probes_ask_for_what_there_is() -> None:
@@ -193,12 +201,11 @@ def test_nothing_runs_as_root_or_without_limits_or_as_whatever_is_latest() -> No
 
 
 def test_edges_ask_their_origin_by_a_name_that_it_answers_to() -> None:
-    shared = Settings.model_validate(tomllib.loads((FOLDER / "cluster" / "shared.toml").read_text()))
     for name in ("edge1", "edge2"):
         args = WORKLOADS[name]["spec"]["template"]["spec"]["containers"][0]["args"]
         host = args[args.index("--origin") + 1].removeprefix("http://").partition(":")[0]
         assert host in SERVICES
-        assert host in shared.hosts
+        assert host in settings_of(host).hosts
 
 
 def test_a_ray_node_has_the_cores_that_it_offers_and_listens_where_it_is_probed() -> None:

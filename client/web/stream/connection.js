@@ -101,10 +101,10 @@ export class Connection extends Link {
   /** A packet did not fit: leave and come again. */
   #refuse() {
     this.queue.length = 0;
-    const code = this.session.refuse();
     const socket = this.socket;
+    this.session.refused++;
     this.socket = null;
-    socket?.close(code, "a packet was refused");
+    socket?.close(4400, "a packet was refused");
     this.closed(code, "a packet was damaged");
   }
 

@@ -18,6 +18,7 @@ export class Link {
   }
 
   open() {
+    this.home ||= this.url;
     const socket = new WebSocket(this.url, this.protocols);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => this.opened(this.session.opened(performance.now()));
@@ -39,6 +40,10 @@ export class Link {
 
   /** @param {number} code @param {string} reason */
   closed(code, reason) {
+    if (this.url !== this.home && [4401, 4403, 4404].includes(code)) { // an edge refuses what the origin may serve
+      this.url = this.home;
+      return this.open();
+    }
     const wait = this.session.closed(code, reason, performance.now(), Math.random());
     if (wait !== null) this.retry = self.setTimeout(() => this.#move(), wait);
     this.tell();
@@ -55,7 +60,6 @@ export class Link {
   async #move() {
     const { session, socket } = this;
     session.leaves = false;
-    this.home ||= this.url;
     const ready = session.edges.map(async (edge) => {
       if (!(await fetch(edge + "/readyz", { signal: AbortSignal.timeout(2000) })).ok) throw edge;
       return edge.replace("http", "ws") + new URL(this.home).pathname;

@@ -67,7 +67,7 @@ export class Session {
     this.saidHello = now;
     this.epoch = 0;
     this.streamState = "";
-    this.refused = 0;
+    this.refused = 0; // packets in a row
     this.edges = /** @type {string[]} */ ([]);
     this.leaves = false; // for an edge
     /** @type {{ levels?: number | null, kilobytes_per_second?: number | null }} */
@@ -166,8 +166,8 @@ export class Session {
   /** The phase that follows from what is known. */
   settle() {
     const { status } = this, { position, window } = status;
-    const known = position && window && status.fps && position.epoch === window.newest.epoch;
-    status.lagSeconds = known ? Math.max(0, window.newest.version - position.version) / /** @type {number} */ (status.fps) : null;
+    const known = position && window && position.epoch === window.newest.epoch;
+    status.lagSeconds = known && status.fps ? Math.max(0, window.newest.version - position.version) / status.fps : null;
     const isOld = position && window && position.epoch < window.newest.epoch;
     status.phase = phaseOf({
       link: this.link, verdict: this.verdict, stream: this.streamState, source: status.source, mode: status.mode,
@@ -216,12 +216,6 @@ export class Session {
     this.isQuiet = now - this.lastPacket > Math.min(patience, MAX_STALL_MS);
     this.settle();
     return this.unacknowledged && now - this.lastAck > 900 ? this.acknowledge(null, now) : [];
-  }
-
-  /** A packet was refused: the close code to leave with. @type {() => number} */
-  refuse() {
-    this.refused++;
-    return 4400;
   }
 
   /**

@@ -55,9 +55,9 @@ export function words(status, picture, waitMs) {
     case "stalled":
       return small("No new frames", "busy");
     case "reconnecting": {
-      const when = seconds > 0 ? `Trying again in ${seconds} s.` : "Trying again.";
-      if (picture) return small(seconds > 0 ? `Reconnecting in ${seconds} s` : "Reconnecting", "busy");
-      return full("Reconnecting", "busy", detail ? "Not available now" : "The server does not answer", `${detail ? `${detail}. ` : ""}${when}`, { spinner: true, button: "Try now" });
+      const when = seconds > 0 ? ` in ${seconds} s` : "";
+      if (picture) return small(`Reconnecting${when}`, "busy");
+      return full("Reconnecting", "busy", detail ? "Not available now" : "The server does not answer", `${detail && `${detail}. `}Trying again${when}.`, { spinner: true, button: "Try now" });
     }
     case "ended":
       return picture ? small("Ended", "quiet") : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");

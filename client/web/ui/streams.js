@@ -43,9 +43,7 @@ export async function countWatchers(options, stream, viewer) {
 
 /** @type {(stream: string) => string} */
 export function liveAddress(stream) {
-  const address = new URL(`/v1/streams/${encodeURIComponent(stream)}/live`, location.href);
-  address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-  return address.href;
+  return new URL(`/v1/streams/${encodeURIComponent(stream)}/live`, location.href).href.replace("http", "ws");
 }
 
 /** The list, in a dialog. @param {URLSearchParams} options */

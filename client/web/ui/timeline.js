@@ -112,11 +112,10 @@ export class Timeline {
   /** Show `version`; playing goes on from there, unless paused. @param {number} version */
   seek(version) {
     const to = this.at(version);
-    if (!to) return;
-    this.send([{ type: "seek", to, stop: this.paused }]);
+    if (to) this.send([{ type: "seek", to, stop: this.paused }]);
   }
 
-  /** Stand still at a moment that a link names; `epoch` null: the newest one. @param {number} version @param {number | null} epoch */
+  /** Stand still at a moment; `epoch` null: of the newest one. @param {number} version @param {number | null} epoch */
   showMoment(version, epoch) {
     const to = epoch === null ? this.at(version) : { epoch, version };
     if (to) this.send([...(this.recording ? [{ type: "pause" }] : []), { type: "seek", to, stop: true }]);
@@ -139,8 +138,7 @@ export class Timeline {
 
   /** @param {number} by - frames */
   step(by) {
-    const to = this.at(this.version + by);
-    if (to) this.send([...(this.recording ? [{ type: "pause" }] : []), { type: "seek", to, stop: true }]);
+    this.showMoment(this.version + by, null);
   }
 
   /** @param {boolean} on */

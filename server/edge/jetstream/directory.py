@@ -32,6 +32,7 @@ _PUBLISH_SECONDS = 1.0
 _RETRY_SECONDS = 0.25
 _WRONG_LAST = 10071  # JetStream's error code for "wrong last sequence"
 _OTHER_CONFIG = 10058  # and for "stream name already in use with a different configuration"
+MAX_REFUSED = 1000  # streams whose fault is kept in mind, so that the log has it once
 _NOBODY = ""
 _CHANGES = {"starting", "live", "degraded"}  # states in which packets are to be expected
 
@@ -137,14 +138,13 @@ class Directory:
     def _take(self, stream: str, body: bytes, *, is_new: bool) -> None:
         if not body:
             self._told.pop(stream, None)
+            self._refused.pop(stream, None)
             return
         try:
             values = json.loads(body)
             description = _checked(values)
         except (ValueError, RecursionError) as error:
-            if self._refused.get(stream) != str(error):
-                self._refused[stream] = str(error)
-                _LOG.warning("stream %.80s: its description in JetStream cannot be used (%.200s)", stream, error)
+            self._refuse(stream, str(error)[:200])
             return
         self._refused.pop(stream, None)
         if description.id != stream:
@@ -154,6 +154,14 @@ class Directory:
         if is_new and type(sent_ns) is int:
             ahead_ns = sent_ns - time.time_ns()
         self._told[stream] = Told(description, time.monotonic(), ahead_ns)
+
+    def _refuse(self, stream: str, fault: str) -> None:
+        """Write to the log why a stream is left out, once for each reason; the oldest one makes room for a new one."""
+        if self._refused.pop(stream, None) != fault:
+            _LOG.warning("stream %.80s: its description in JetStream cannot be used (%s)", stream, fault)
+        self._refused[stream] = fault
+        if len(self._refused) > MAX_REFUSED:
+            del self._refused[next(iter(self._refused))]
 
     def _is_silent(self, told: Told) -> bool:
         return time.monotonic() - told.told_at > SILENT_SECONDS

@@ -133,7 +133,8 @@ def _pass_all(
 def _check_version(found: object) -> None:
     """What a worker is told and tells is the same in one version only."""
     if found != (own := streamlod_version()):
-        raise BackendUnavailable("a node of the cluster", f"it has streamlod {found}; install {own}, as the server has")
+        has = f"has streamlod {found:.40}" if isinstance(found, str) else "does not say which streamlod it has"
+        raise BackendUnavailable("a node of the cluster", f"it {has}; install {own}, as the server has")
 
 
 def _log_fault(stream: str, ended: Future[Any]) -> None:

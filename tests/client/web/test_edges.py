@@ -66,3 +66,21 @@ def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, 
         stops[1 - at].close()  # no edge is left: back to where it came from
         wait(lambda: pages_at(origin) == 1, 60)
         shows(page, "!['reconnecting', 'connecting'].includes(s.phase)")
+
+
+def test_the_page_goes_back_where_an_edge_refuses_what_its_origin_serves(chromium: Any, long_clip: Clip) -> None:
+    ports = free_ports(2)
+    with ExitStack() as stack:
+        known = Settings(edges=(f"http://127.0.0.1:{ports[1]}",))
+        origin = stack.enter_context(running(known, StreamSpec(play=long_clip.path), port=ports[0]))
+        origin.registry.streams["main"].source = "cameras"  # the page goes to edges for what is live
+        of_another = EdgeSettings(origin=origin.url, streams=("another",), poll_seconds=0.1)
+        edge = stack.enter_context(running(Settings(edge=of_another, origins=(origin.url,)), port=ports[1]))
+        wait(lambda: not edge.registry.unready)
+        page = stack.enter_context(chromium.new_context()).new_page()
+        page.goto(f"{origin.url}/?stream=main")
+        wait(lambda: edge.registry.turned_away["4404"] and pages_at(origin) == 1, 60)
+        shows(page, "s.version > 0 && !['missing', 'reconnecting', 'connecting'].includes(s.phase)")
+        page.wait_for_timeout(1500)
+        assert pages_at(origin) == 1  # and stays there
+        assert edge.registry.turned_away["4404"] == 1

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ from server.pipeline.spec import StreamSpec
 from server.service.app import create_app
 from server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
-from tests.server.edge.processes import node, wait
+from tests.server.edge.processes import free_ports, node, wait
 from tests.server.service.telling_worker import work
 
 
@@ -41,8 +43,8 @@ class Told:
 
 
 @contextmanager
-def collector() -> Iterator[tuple[str, list[Told]]]:
-    """An OTLP/HTTP receiver on loopback: its address, and the spans that have come."""
+def collector(port: int = 0) -> Iterator[tuple[str, list[Told]]]:
+    """An OTLP/HTTP receiver on loopback, at a free port by default: its address, and the spans that have come."""
     told: list[Told] = []
 
     class Handler(BaseHTTPRequestHandler):
@@ -55,7 +57,7 @@ def collector() -> Iterator[tuple[str, list[Told]]]:
         def log_message(self, *_: object) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+    with ThreadingHTTPServer(("127.0.0.1", port), Handler) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         try:
@@ -129,16 +131,34 @@ def test_what_a_worker_did_to_a_frame_is_in_the_frames_trace(clip: Clip, monkeyp
         assert (frame.begin_ns, frame.end_ns) == (stages[0].begin_ns, stages[-1].end_ns)
 
 
-def test_a_collector_that_does_not_answer_holds_nothing_up(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_collector_that_does_not_answer_holds_nothing_up_and_is_told_of_once(
+    clip: Clip, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setenv("OTEL_BSP_SCHEDULE_DELAY", "50")
-    spec = StreamSpec(play=clip.path)
+    (port,) = free_ports(1)
+    spec = StreamSpec(play=clip.path, loop=True)
+
+    def lines(text: str) -> list[str]:
+        return [record.getMessage() for record in caplog.records if text in record.getMessage()]
+
     with (
-        running(Settings(trace_endpoint="http://127.0.0.1:9"), spec) as server,
+        ExitStack() as later,
+        caplog.at_level("INFO"),
+        running(Settings(trace_endpoint=f"http://127.0.0.1:{port}"), spec) as server,
         viewing(server, max_queue=None) as viewer,
     ):
         viewer.hello().until("caught_up")
-        for _ in range(30):
+        wait(lambda: viewer.step() and lines("takes no traces"))
+        begun = time.monotonic()
+        while time.monotonic() < begun + 3:  # further attempts fail
             viewer.next_packet()
+        later.enter_context(collector(port))
+        wait(lambda: viewer.step() and lines("takes traces again"))
+    (line,) = lines("takes no traces")
+    assert "refused" in line  # why
+    assert len(lines("takes traces again")) == 1
+    assert not [record for record in caplog.records if record.name.startswith("opentelemetry")]
+    assert logging.getLogger("opentelemetry").propagate
 
 
 WITHOUT = """

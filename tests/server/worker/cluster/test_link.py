@@ -147,10 +147,17 @@ def test_an_actor_that_is_lost_before_it_has_begun_is_told_of(told: list[bytes])
         assert not _pass_all(actor_that_sends(*told), HOST, theirs, None, 1 << 20)
 
 
-@pytest.mark.parametrize("told", [b'{"pictures": null}', b'{"version": "7.0", "pictures": null}'])
-def test_a_node_with_another_version_is_refused_with_what_to_install(told: bytes) -> None:
+@pytest.mark.parametrize(
+    ("told", "has"),
+    [
+        (b'{"pictures": null}', "it does not say which streamlod it has"),
+        (b'{"version": [7], "pictures": null}', "it does not say which streamlod it has"),
+        (b'{"version": "7.0", "pictures": null}', "it has streamlod 7.0"),
+    ],
+)
+def test_a_node_with_another_version_is_refused_with_what_to_install(told: bytes, has: str) -> None:
     ours, theirs = Pipe()
-    with ours, theirs, pytest.raises(BackendUnavailable, match=f"; install {streamlod_version()}"):
+    with ours, theirs, pytest.raises(BackendUnavailable, match=f"{has}; install {streamlod_version()}"):
         _pass_all(actor_that_sends(told), HOST, theirs, None, 1 << 20)
 
 
