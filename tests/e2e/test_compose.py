@@ -126,7 +126,8 @@ def test_the_head_is_started_again_beside_its_server() -> None:
     (port,) = free_ports(1)
     head, serve = CLUSTER["origin"]["command"][0].strip().splitlines()
     assert serve.startswith("exec streamlod serve ")
-    environment = os.environ | CLUSTER["origin"]["environment"] | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    environment = os.environ | CLUSTER["origin"]["environment"] | {"PATH": path}
     with tempfile.TemporaryDirectory() as folder:  # a short path, as its sockets need
         places = f"--port {port} --node-ip-address 127.0.0.2 --temp-dir {folder}"
         command = head.replace("--port 6379", places) + "\nexec sleep 300"
