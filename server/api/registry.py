@@ -205,9 +205,11 @@ class Registry:
                 _LOG.warning("a remembered stream is left out: %s", error)
 
     async def _begin(self, stream: WorkerStream, *, start: bool) -> None:
-        await stream.restore()
+        restoring = asyncio.create_task(stream.restore())
+        await asyncio.sleep(0)  # it has begun; the worker loads its code meanwhile, and continues from what is restored
         if start and not self.draining:
             stream.start()
+        await restoring
 
     async def _retain(self, store: Store) -> None:
         while True:

@@ -24,7 +24,7 @@ from server.settings import Settings
 from server.stream.bus import Bus
 
 _LOG = logging.getLogger(__name__)
-_MIN_DELAY, _MAX_DELAY = 0.25, 2.0  # seconds between attempts to connect
+_MIN_DELAY, _MAX_DELAY = 0.25, 1.0  # seconds between attempts to connect
 _REFUSED_DELAY = 15.0  # after the origin has said that another attempt ends in the same way
 _STEADY_SECONDS = 5.0  # of connection, after which the next break is a new one
 _OPEN_SECONDS = 5.0

@@ -70,6 +70,7 @@ class WorkerStream(Stream):
         self._epoch = recording.last_epoch if recording else 0
         self._new_epoch = True
         self._placed = asyncio.Event()  # or given up
+        self._restoring = asyncio.Lock()  # held while the recording's last state is loaded
         self._refused: Shortage | None = None
         self._supervisor = self._make_supervisor()
         self._task: asyncio.Task[None] | None = None
@@ -181,6 +182,10 @@ class WorkerStream(Stream):
 
         If that is recent, and trained from what the stream is made from now, training will continue from it.
         """
+        async with self._restoring:
+            await self._restore()
+
+    async def _restore(self) -> None:
         recording = self.bus.recording
         if recording is None or not recording.segments or self.hub.newest is not None:
             return
@@ -262,7 +267,8 @@ class WorkerStream(Stream):
 
     async def resume_point(self) -> Resume:
         """See `supervisor.Owner`."""
-        self._new_epoch, self.ingest = True, None
+        async with self._restoring:
+            self._new_epoch, self.ingest = True, None
         if self._frames_done == 0:
             return Resume()
         return Resume(tuple(await self.hub.snapshot()), self._frames_done)

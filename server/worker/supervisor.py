@@ -135,10 +135,15 @@ class Supervisor:
                 await asyncio.shield(asyncio.to_thread(self._spare.process.join, 5))
 
     async def _run_once(self) -> Ending:
-        resume = await self._owner.resume_point()
-        self._ending, self._heard, self._spoke, self._reported = None, time.monotonic(), False, 0
         spare, self._spare = self._spare, None
         worker = self._worker = spare if spare is not None and spare.process.is_alive() else self._start()
+        try:
+            resume = await self._owner.resume_point()  # a new process loads its code meanwhile
+        except BaseException:
+            self._kill()
+            worker.pipe.close()
+            raise
+        self._ending, self._heard, self._spoke, self._reported = None, time.monotonic(), False, 0
         begun = self._heard
         loop = asyncio.get_running_loop()
         thread = ThreadPoolExecutor(1, thread_name_prefix=f"pump-{self._spec.id}")  # the shared pool may be in use

@@ -5,8 +5,8 @@
 none: nothing happens, for comparison. stop: the viewer's edge gets SIGTERM, another one is there. kill: it gets
 SIGKILL, another one is there. alone: it gets SIGKILL and there is no other; it is started again at once, as a service
 manager does. origin: the origin gets SIGKILL and is started again at once, with its state folder. What is told is the
-longest time from one picture to the next, of 50 a second, as a list over the repeats; for `alone` and `origin` most of
-it is the start of a Python process.
+longest time from one picture to the next, of 50 a second, as a list over the repeats; for `alone` and `origin` also
+what of it comes after the process listens again.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class Cluster:
         origin = ("serve", "--play", clip, "--state-dir", folder / "state", "--config", config)
         self._commands = [origin] + [("edge", "--origin", f"http://127.0.0.1:{ports[0]}")] * edges
         self.nodes: list[Node] = []
+        self.start_seconds: list[float] = []  # from each kill until the process listens again
         for number, port in enumerate(ports):
             self.nodes.append(self._start(number, port))
         for edge in self.nodes[1:]:
@@ -57,17 +58,24 @@ class Cluster:
 
     def kill_and_start(self, number: int) -> None:
         """SIGKILL, and start it again."""
+        begun = time.monotonic()
         self.nodes[number].kill()
-        self.start(number)
+        started = listening(begin(self._folder, *self._commands[number], port=self.nodes[number].port))
+        self.start_seconds.append(time.monotonic() - begun)
+        self.nodes[number] = ready(started)
 
     def close(self) -> None:
         for each in self.nodes:
             each.kill()
 
     def _start(self, number: int, port: int) -> Node:
-        found = listening(begin(self._folder, *self._commands[number], port=port))
-        wait(lambda: found.get("/readyz").status_code == 200)
-        return found
+        return ready(listening(begin(self._folder, *self._commands[number], port=port)))
+
+
+def ready(started: Node) -> Node:
+    """The process once viewers may come."""
+    wait(lambda: started.get("/readyz").status_code == 200)
+    return started
 
 
 def once(cluster: Cluster, fault: str) -> float:
@@ -82,6 +90,11 @@ def once(cluster: Cluster, fault: str) -> float:
     gap = longest_gap(port, lambda: cluster.stop(1) if fault == "stop" else cluster.nodes[1].kill())
     cluster.start(1)
     return gap
+
+
+def tell(name: str, gaps: list[float]) -> None:
+    """Print a line."""
+    print(f"{name}: median {np.median(gaps):.2f} s, worst {max(gaps):.2f} s of {gaps}", flush=True)
 
 
 def main() -> None:
@@ -108,9 +121,13 @@ def main() -> None:
                 cluster = Cluster(folder, clip, edges)
                 stack.callback(cluster.close)
                 for fault in chosen:
+                    cluster.start_seconds.clear()
                     found[fault] = [round(once(cluster, fault), 2) for _ in range(repeats)]
-                    median, worst = np.median(found[fault]), max(found[fault])
-                    print(f"{fault}: median {median:.2f} s, worst {worst:.2f} s of {found[fault]}", flush=True)
+                    tell(fault, found[fault])
+                    if starts := cluster.start_seconds:
+                        later = [round(gap - start, 2) for gap, start in zip(found[fault], starts, strict=True)]
+                        found[f"{fault}, after it listens"] = later
+                        tell(f"{fault}, after it listens", later)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n")
 
