@@ -105,7 +105,7 @@ export class Connection extends Link {
     this.session.refused++;
     this.socket = null;
     socket?.close(4400, "a packet was refused");
-    this.closed(code, "a packet was damaged");
+    this.closed(4400, "a packet was damaged");
   }
 
   /** Commands of the protocol; a seek with `stop` pauses on arrival. @param {any[]} messages */
