@@ -245,12 +245,17 @@ class PredictConfig:
         reading(16, "positions are float32 there; ours are integers, which must be sent"),
     )
     rate_weight: float = setting(
-        0.005,
+        0.007,
         "weight in the loss of the bits of the residual, divided by the numbers in a picture",
         given(0.0, "IV-D", "the loss has no rate term"),
     )
     dssim_weight: float = setting(
         0.2, "share of D-SSIM in the loss; the rest is L1", given(0.2, "IV-D", "lambda is 0.2")
+    )
+    changed_weight: float = setting(
+        1.25,
+        "how much more the absolute error of a pixel counts that has changed: 1 for twice as much as the others",
+        given(0.0, "IV-D", "all pixels count alike"),
     )
     cue: str = setting(
         "difference",

@@ -1,8 +1,8 @@
 """How far a rendered picture is from the filmed one.
 
 Loss of Kerbl et al. 2023, equation 7: (1 - w) L1 + w (1 - SSIM), SSIM with an 11x11 Gaussian window of sigma 1.5 and
-zero padding, means over all pixels and channels. Three forms of one loss: a numba pass on the CPU, `photometric_planes`
-on other devices, and `photometric_reference`, which says it plainly.
+zero padding, means over all pixels and channels; absolute differences may be weighted. Three forms of one loss: a numba
+pass on the CPU, `photometric_planes` on other devices, and `photometric_reference`, which says it plainly.
 """
 
 from __future__ import annotations
@@ -24,7 +24,11 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def photometric_loss(
-    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+    image: Tensor,
+    target: Tensor,
+    dssim_weight: float = 0.2,
+    region: Sequence[Box] | None = None,
+    pixel_weights: Tensor | None = None,
 ) -> Tensor:
     """Scalar loss of `image` [H,W,3] float32 against `target` [H,W,3], both in [0, 1]; differentiable by `image`.
 
@@ -33,12 +37,17 @@ def photometric_loss(
         region: evaluate only what the pixels of these boxes change. The gradient inside is that of the whole loss and
             zero outside; the value differs from the whole loss by what does not depend on the boxes' pixels. Boxes
             must lie ten pixels apart.
+        pixel_weights: [H,W,3] weights of the absolute differences; None for ones.
 
     Raises:
         ValueError: the shapes differ or are not [H,W,3], or a box is empty, leaves the picture or is near another.
     """
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"pictures must both be [H,W,3], not {tuple(image.shape)} and {tuple(target.shape)}")
+    if pixel_weights is not None and pixel_weights.shape != image.shape:
+        raise ValueError(
+            f"pixel weights must be {tuple(image.shape)} like the pictures, not {tuple(pixel_weights.shape)}"
+        )
     height, width = image.shape[:2]
     boxes = (Box(0, 0, width, height),) if region is None else tuple(region)
     for box in boxes:
@@ -48,13 +57,17 @@ def photometric_loss(
         if _gap(one, other) < WINDOW - 1:
             raise ValueError(f"regions {tuple(one)} and {tuple(other)} are less than {WINDOW - 1} pixels apart")
     if image.device.type == "cpu" and image.dtype == torch.float32:
-        loss: Tensor = _Fused.apply(image, target, dssim_weight, boxes)  # type: ignore[no-untyped-call]
+        loss: Tensor = _Fused.apply(image, target, dssim_weight, boxes, pixel_weights)  # type: ignore[no-untyped-call]
         return loss
-    return photometric_planes(image, target, dssim_weight, region)
+    return photometric_planes(image, target, dssim_weight, region, pixel_weights)
 
 
 def photometric_planes(
-    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+    image: Tensor,
+    target: Tensor,
+    dssim_weight: float = 0.2,
+    region: Sequence[Box] | None = None,
+    pixel_weights: Tensor | None = None,
 ) -> Tensor:
     """`photometric_loss` on any device and for any float type, value and gradient together.
 
@@ -62,12 +75,18 @@ def photometric_planes(
     three functions that torch compiles for the device. Nothing in it waits for the device.
     """
     masks = (None, None) if region is None else tuple(_pixels(image, region, room) for room in (0, WINDOW // 2))
-    loss: Tensor = _Planes.apply(image, target, dssim_weight, *masks)  # type: ignore[no-untyped-call]
+    inside, near = masks
+    counted = inside if pixel_weights is None else pixel_weights if inside is None else inside * pixel_weights
+    loss: Tensor = _Planes.apply(image, target, dssim_weight, inside, near, counted)  # type: ignore[no-untyped-call]
     return loss
 
 
 def photometric_reference(
-    image: Tensor, target: Tensor, dssim_weight: float = 0.2, region: Sequence[Box] | None = None
+    image: Tensor,
+    target: Tensor,
+    dssim_weight: float = 0.2,
+    region: Sequence[Box] | None = None,
+    pixel_weights: Tensor | None = None,
 ) -> Tensor:
     """`photometric_loss` as torch convolutions, on any device and for any float type."""
     if region is not None:
@@ -76,6 +95,7 @@ def photometric_reference(
         difference, dissimilarity = (image - target).abs() * inside, (1 - ssim_map(mixed, target)) * near
     else:
         difference, dissimilarity = (image - target).abs(), 1 - ssim_map(image, target)
+    difference = difference if pixel_weights is None else pixel_weights * difference
     return ((1 - dssim_weight) * difference.sum() + dssim_weight * dissimilarity.sum()) / image.numel()
 
 
@@ -131,7 +151,7 @@ def _moments(image: Tensor, target: Tensor) -> Tensor:
 
 
 def _similarity(
-    blurred: Tensor, image: Tensor, target: Tensor, weight: float, inside: Tensor | None, near: Tensor | None
+    blurred: Tensor, image: Tensor, target: Tensor, weight: float, near: Tensor | None, counted: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """The loss of each pixel [3,H,W], of blurred moments [5,3,H,W] and the pictures; and SSIM's derivatives [3,3,H,W]
     by the blurred image, its blurred square and the blurred product."""
@@ -144,16 +164,19 @@ def _similarity(
     by_mean = 2 * (b * (likeness - luminance) * scale + a * ssim * (1 / variances - 1 / means))
     slopes = torch.stack([by_mean, -ssim / variances, 2 * luminance * scale])
     difference, dissimilarity = (image - target).abs().permute(2, 0, 1), 1 - ssim
-    if inside is not None and near is not None:
-        difference, dissimilarity = difference * inside.permute(2, 0, 1), dissimilarity * near.permute(2, 0, 1)
+    difference = difference if counted is None else difference * counted.permute(2, 0, 1)
+    dissimilarity = dissimilarity if near is None else dissimilarity * near.permute(2, 0, 1)
     return (1 - weight) * difference + weight * dissimilarity, slopes
 
 
-def _slope(image: Tensor, target: Tensor, spread: Tensor, inside: Tensor | None, weight: float) -> Tensor:
+def _slope(
+    image: Tensor, target: Tensor, spread: Tensor, inside: Tensor | None, counted: Tensor | None, weight: float
+) -> Tensor:
     """[H,W,3] the loss's gradient: of L1, and of -SSIM, whose derivatives `spread` [3,3,H,W] have been blurred."""
     by_mean, by_square, by_product = (part.permute(1, 2, 0) for part in spread)
     similar = by_mean + 2 * image * by_square + target * by_product
-    total: Tensor = ((1 - weight) * (image - target).sign() - weight * similar) / image.numel()
+    sign = (image - target).sign() if counted is None else (image - target).sign() * counted
+    total: Tensor = ((1 - weight) * sign - weight * similar) / image.numel()
     return total if inside is None else total * inside
 
 
@@ -165,31 +188,44 @@ class _Planes(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, image: Tensor, target: Tensor, weight: float, inside: Tensor | None, near: Tensor | None
+        ctx: Any,
+        image: Tensor,
+        target: Tensor,
+        weight: float,
+        inside: Tensor | None,
+        near: Tensor | None,
+        counted: Tensor | None,
     ) -> Tensor:
         blurred = _blurred(_MOMENTS(image, target))
-        losses, slopes = _SIMILARITY(blurred, image, target, weight, inside, near)
+        losses, slopes = _SIMILARITY(blurred, image, target, weight, near, counted)
         if ctx.needs_input_grad[0]:
-            ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, weight)
+            ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, counted, weight)
         loss: Tensor = losses.mean()
         return loss
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return ctx.gradient * upstream, None, None, None, None  # asking what it is would make the host wait
+        return ctx.gradient * upstream, None, None, None, None, None  # asking what it is would make the host wait
 
 
 class _Fused(torch.autograd.Function):
     """The gradient is made together with the value, since it needs the same blurs."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float, boxes: tuple[Box, ...]) -> Tensor:
+    def forward(
+        ctx: Any,
+        image: Tensor,
+        target: Tensor,
+        dssim_weight: float,
+        boxes: tuple[Box, ...],
+        pixel_weights: Tensor | None,
+    ) -> Tensor:
         from core.render.cpu.photometric import photometric_sums
 
-        value, gradient = photometric_sums(
-            image.detach().contiguous().numpy(), target.detach().contiguous().numpy(), dssim_weight, boxes
-        )
+        drawn, filmed = image.detach().contiguous().numpy(), target.detach().contiguous().numpy()
+        counted = None if pixel_weights is None else pixel_weights.contiguous().numpy()
+        value, gradient = photometric_sums(drawn, filmed, dssim_weight, boxes, counted)
         ctx.gradient = torch.from_numpy(gradient)
         return image.new_tensor(value)
 
@@ -197,5 +233,5 @@ class _Fused(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         if upstream != 1:  # no backward pass may change what another may ask for again
-            return ctx.gradient * upstream, None, None, None
-        return ctx.gradient, None, None, None
+            return ctx.gradient * upstream, None, None, None, None
+        return ctx.gradient, None, None, None, None

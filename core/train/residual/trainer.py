@@ -95,6 +95,7 @@ class ResidualTrainer:
         self._shown = state.shown
         self._caches: dict[int, TileCache] = {}
         self._drawn: dict[int, Tensor] = {}
+        self._weights: dict[int, Tensor] = {}
         self._added: AddedAnchors | None = None
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
 
@@ -168,7 +169,8 @@ class ResidualTrainer:
         position = self._position()
         raster, cache = self._caches[number].render(self._dynamic_splats(number, position))
         self._caches[number] = cache
-        loss = photometric_loss(raster.image, self._views.targets[number], config.dssim_weight, cache.region)
+        target, weights = self._views.targets[number], self._pixel_weights(number, config.changed_weight)
+        loss = photometric_loss(raster.image, target, config.dssim_weight, cache.region, weights)
         if config.rate_weight:
             bits = residual_bits(self._optimiser.parameters["latent"], position)
             loss = loss + config.rate_weight * bits / raster.image.numel()
@@ -181,6 +183,13 @@ class ResidualTrainer:
         new = {} if self._added is None else self._added.rates(config.position_rate, decay)
         self._optimiser.step(rates | {"latent": config.latent_rate * decay} | new)
         return loss.detach()
+
+    def _pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
+        """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
+        if number not in self._weights and changed_weight:
+            counted = 1 + changed_weight * self._masks[number, ..., None].to(self._views.targets.dtype)
+            self._weights[number] = counted.expand(-1, -1, 3).contiguous()
+        return self._weights.get(number)
 
     def _cache_of(self, number: int, dynamic: Splats, backend: Backend) -> TileCache:
         camera = self._views.cameras[number]

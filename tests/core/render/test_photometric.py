@@ -22,11 +22,20 @@ def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, torc
     return image, target
 
 
+def pixel_weights(height: int, width: int) -> torch.Tensor:
+    """From 0 to 3, another one for each channel."""
+    return 3 * torch.rand(height, width, 3, generator=torch.Generator().manual_seed(5))
+
+
 def value_and_gradient(
-    image: torch.Tensor, target: torch.Tensor, region: tuple[Box, ...] | None, weight: float
+    image: torch.Tensor,
+    target: torch.Tensor,
+    region: tuple[Box, ...] | None,
+    weight: float,
+    pixel_weights: torch.Tensor | None = None,
 ) -> tuple[float, torch.Tensor]:
     leaf = image.clone().requires_grad_()
-    loss = photometric_loss(leaf, target, weight, region)
+    loss = photometric_loss(leaf, target, weight, region, pixel_weights)
     loss.backward()
     assert leaf.grad is not None
     return float(loss.detach()), leaf.grad
@@ -45,25 +54,33 @@ CASES = [
 ]
 
 
+@pytest.mark.parametrize("weighted", [False, True])
 @pytest.mark.parametrize(("height", "width", "region", "weight"), CASES)
-def test_fused_equals_convolutions(height: int, width: int, region: tuple[Box, ...] | None, weight: float) -> None:
+def test_fused_equals_convolutions(
+    height: int, width: int, region: tuple[Box, ...] | None, weight: float, weighted: bool
+) -> None:
     image, target = pictures(height, width)
-    value, gradient = value_and_gradient(image, target, region, weight)
+    weights = pixel_weights(height, width) if weighted else None
+    value, gradient = value_and_gradient(image, target, region, weight, weights)
     leaf = image.double().requires_grad_()
-    wanted = photometric_reference(leaf, target.double(), weight, region)
+    wanted = photometric_reference(leaf, target.double(), weight, region, weights)
     wanted.backward()
     assert leaf.grad is not None
     assert value == pytest.approx(float(wanted.detach()), abs=1e-6)
     assert float((gradient - leaf.grad).norm() / leaf.grad.norm()) < 2e-6
 
 
+@pytest.mark.parametrize("weighted", [False, True])
 @pytest.mark.parametrize(("height", "width", "region", "weight"), CASES)
-def test_planes_equal_convolutions(height: int, width: int, region: tuple[Box, ...] | None, weight: float) -> None:
+def test_planes_equal_convolutions(
+    height: int, width: int, region: tuple[Box, ...] | None, weight: float, weighted: bool
+) -> None:
     image, target = (picture.double() for picture in pictures(height, width))
+    weights = pixel_weights(height, width) if weighted else None
     outcomes = []
     for function in (photometric_planes, photometric_reference):
         leaf = image.clone().requires_grad_()
-        loss = function(leaf, target, weight, region)
+        loss = function(leaf, target, weight, region, weights)
         outcomes.append((loss.detach(), *torch.autograd.grad(3 * loss, leaf)))
     torch.testing.assert_close(outcomes[0], outcomes[1], rtol=1e-10, atol=1e-14)
 
@@ -151,6 +168,8 @@ def test_impossible_regions_are_refused(box: Box) -> None:
         photometric_loss(*pictures(30, 30), region=(box,))
     with pytest.raises(ValueError, match=r"\[H,W,3\]"):
         photometric_loss(torch.zeros(3, 4), torch.zeros(3, 4))
+    with pytest.raises(ValueError, match="weights"):
+        photometric_loss(*pictures(30, 30), pixel_weights=torch.ones(30, 30, 1))
 
 
 def test_boxes_that_share_windows_are_refused() -> None:

@@ -139,17 +139,17 @@ def _blur_slopes_down(ring: Float32, newest: int, blurred: Float32) -> None:
 
 
 @njit(**SERIAL)
-def _gradient_row(
-    x: Float32, y: Float32, by_mean: Float32, by_square: Float32, by_product: Float32, weights: Any, out: Float32
-) -> Any:
-    """Gradient of a row of x, written to `out`; returns the row's sum of |x - y|."""
+def _gradient_row(x: Float32, y: Float32, pixel_weights: Float32, slopes: Float32, weights: Any, out: Float32) -> Any:
+    """Gradient of a row of x, written to `out`; returns the row's weighted sum of |x - y|. slopes: [3,F], blurred."""
     l1_weight, ssim_weight = weights
+    by_mean, by_square, by_product = slopes[0], slopes[1], slopes[2]
     total = ZERO
     for j in range(out.shape[0]):
         difference = x[j] - y[j]
         sign = ONE if difference > ZERO else (-ONE if difference < ZERO else ZERO)
-        out[j] = l1_weight * sign - ssim_weight * (by_mean[j] + TWO * x[j] * by_square[j] + y[j] * by_product[j])
-        total += abs(difference)
+        by_similarity = by_mean[j] + TWO * x[j] * by_square[j] + y[j] * by_product[j]
+        out[j] = l1_weight * pixel_weights[j] * sign - ssim_weight * by_similarity
+        total += pixel_weights[j] * abs(difference)
     return total
 
 
@@ -176,6 +176,7 @@ def _sum_floats(values: Float32) -> Any:
 def _band(
     x: Float32,
     y: Float32,
+    pixel_weights: Float32,
     left: int,
     right: int,
     top: int,
@@ -223,9 +224,8 @@ def _band(
             l1 += _gradient_row(
                 x[done, left:right],
                 y[done, left:right],
-                blurred[0],
-                blurred[1],
-                blurred[2],
+                pixel_weights[done, left:right],
+                blurred,
                 weights,
                 out[done, left:right],
             )
@@ -237,6 +237,7 @@ def photometric(
     workers: int,
     x: Float32,
     y: Float32,
+    pixel_weights: Float32,
     left: int,
     right: int,
     top: int,
@@ -249,12 +250,13 @@ def photometric(
 
     Args:
         workers: at most one a row of the box.
-        x, y: [H,3W] pictures in [0, 1]. left, right: floats of a row, top, bottom: rows of the box; ends exclusive.
+        x, y: [H,3W] pictures in [0, 1]. pixel_weights: [H,3W] weights of |x - y|.
+        left, right: floats of a row, top, bottom: rows of the box; ends exclusive.
         weights: (of a unit of |x - y|, of a unit of 1 - SSIM), float32.
         out: [H,3W] gradient by x, written in the box only.
-        sums: out, [workers,2] |x - y| over the box, and 1 - SSIM over all pixels whose window touches it.
+        sums: out, [workers,2] weighted |x - y| over the box, and 1 - SSIM over all pixels whose window touches it.
     """
     for w in prange(workers):
         first, last = top + (bottom - top) * w // workers, top + (bottom - top) * (w + 1) // workers
         above, below = RADIUS if w == 0 else 0, RADIUS if w == workers - 1 else 0
-        sums[w, 0], sums[w, 1] = _band(x, y, left, right, first, last, above, below, weights, out)
+        sums[w, 0], sums[w, 1] = _band(x, y, pixel_weights, left, right, first, last, above, below, weights, out)

@@ -189,10 +189,12 @@ def test_later_frames_have_hardly_more_anchors_than_the_first(
     limited = configuration(0.1, 400)
     trainer = Trainer(CAMERAS, replace(limited, predict=replace(limited.predict, growth_room=room)), 30.0, "cpu")
     trainer.resume(scene)
+    counts = [scene.anchor_count]
     for index in (1, 2, 3):
         trainer.predict(pictures(index, targets.roll(index, dims=2)))
         trainer.resume(as_keyframe(trainer.scene, index), keep_references=True)
-    assert trainer.scene.anchor_count == scene.anchor_count + most
+        counts.append(trainer.scene.anchor_count)
+    assert max(counts) == scene.anchor_count + most  # a few become transparent and go
 
 
 def test_none_is_added_while_a_keyframe_trains_beside_the_stream(scene: Scene, targets: Tensor) -> None:
