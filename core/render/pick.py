@@ -2,9 +2,9 @@
 
 One rule for all viewers: the server asks it for those that cannot draw, and the page's copy (`pick` and `depthAlong` in
 `client/web/view/engine.js`) is tested against it. A ray hits a Gaussian with an opacity of at least 0.2, farther than
-0.02 world units in front of its origin, with a standard deviation along the ray of at most half of its depth (what
-reaches farther is not drawn, codec/FORMAT.md section 14), whose centre lies nearer to the ray than the root of the
-larger of
+0.02 world units in front of its origin, with a standard deviation along the ray of at most half of its depth (renderers
+leave out what has more along the view's axis, codec/FORMAT.md section 14; a ray has no view), whose centre lies nearer
+to the ray than the root of the larger of
 
 * twice the largest of its variances along the world's axes,
 * the square of 0.004 of its depth, about four pixels of a usual picture, so that distant points can be hit at all.

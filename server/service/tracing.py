@@ -60,7 +60,7 @@ async def tracing(endpoint: str, role: Literal["server", "edge"], traces: Traces
 
 
 class _Faults(logging.Handler):
-    """Takes what OpenTelemetry writes to its log: a line or two for each batch that the collector does not take.
+    """Takes the log of OpenTelemetry's exporter: a line or two for each batch that the collector does not take.
 
     Attributes:
         first: the first line since it was emptied.
@@ -74,7 +74,7 @@ class _Faults(logging.Handler):
 
 @contextmanager
 def _kept_out_of_the_log() -> Iterator[_Faults]:
-    library, faults = logging.getLogger("opentelemetry"), _Faults()
+    library, faults = logging.getLogger("opentelemetry.exporter"), _Faults()
     library.addHandler(faults)
     library.propagate = False
     try:
@@ -92,13 +92,14 @@ class _Exporter(OTLPSpanExporter):
         self._address, self._faults, self._works = address, faults, True
 
     def export(self, spans: Sequence[ReadableSpan]) -> SpanExportResult:
+        self._faults.first = ""
         result = super().export(spans)
         works = result is SpanExportResult.SUCCESS
         if self._works and not works:
             _LOG.warning("%s takes no traces, which are lost until it does (%.300s)", self._address, self._faults.first)
         if works and not self._works:
             _LOG.info("%s takes traces again", self._address)
-        self._works, self._faults.first = works, ""
+        self._works = works
         return result
 
 

@@ -142,6 +142,7 @@ class Supervisor:
         except BaseException:
             self._kill()
             worker.pipe.close()
+            await asyncio.shield(asyncio.to_thread(worker.process.join, 5))
             raise
         self._ending, self._heard, self._spoke, self._reported = None, time.monotonic(), False, 0
         begun = self._heard

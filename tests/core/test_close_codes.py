@@ -23,7 +23,8 @@ def test_the_page_gives_up_after_the_same_ones() -> None:
     final = re.search(r"^const FINAL = \{(.*)\};$", source, re.MULTILINE)
     assert final is not None
     assert {int(code) for code in re.findall(r"(\d{4}):", final[1])} == REFUSALS | {CloseCode.DONE}
-    bad_message = re.search(r"refuse\(\) \{[^}]*return (\d{4});", source)
+    connection = (ROOT / "client" / "web" / "stream" / "connection.js").read_text()
+    bad_message = re.search(r"#refuse\(\) \{[^}]*close\((\d{4}),", connection)
     assert bad_message is not None
     assert int(bad_message[1]) == CloseCode.BAD_MESSAGE
 

@@ -14,6 +14,7 @@ export class Link {
     this.socket = null;
     this.retry = 0;
     this.home = "";
+    this.stays = false; // at home
     this.ticker = setInterval(() => this.#tick(), TICK_MS);
   }
 
@@ -40,8 +41,9 @@ export class Link {
 
   /** @param {number} code @param {string} reason */
   closed(code, reason) {
-    if (this.url !== this.home && [4401, 4403, 4404].includes(code)) { // an edge refuses what the origin may serve
+    if (this.url !== this.home && code > 4400 && code < 4405) { // its origin may serve
       this.url = this.home;
+      this.stays = true;
       return this.open();
     }
     const wait = this.session.closed(code, reason, performance.now(), Math.random());
@@ -60,7 +62,7 @@ export class Link {
   async #move() {
     const { session, socket } = this;
     session.leaves = false;
-    const ready = session.edges.map(async (edge) => {
+    const ready = (this.stays ? [] : session.edges).map(async (edge) => {
       if (!(await fetch(edge + "/readyz", { signal: AbortSignal.timeout(2000) })).ok) throw edge;
       return edge.replace("http", "ws") + new URL(this.home).pathname;
     });

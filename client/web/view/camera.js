@@ -1,5 +1,5 @@
 /**
- * Where the viewer stands: poses and the ways to move them. Every function returns a new pose.
+ * Where the viewer stands: poses and ways to move them. Functions return new poses.
  *
  * Axes as everywhere in streamlod: x right, y down, z forward; `rotation` holds the world-to-camera rows.
  */

@@ -227,16 +227,14 @@ export class Engine {
       const o = this.active[i] * RECORD;
       if (numbers[o + 3] < 0.2) continue;
       const x = numbers[o] - origin[0], y = numbers[o + 1] - origin[1], z = numbers[o + 2] - origin[2];
-      const depth = a * x + b * y + c * z;
-      const away = x * x + y * y + z * z;
+      const depth = a * x + b * y + c * z, away = x * x + y * y + z * z;
       if (depth <= 0.02 || depth >= best || away < near * near) continue;
-      const [xx, xy, xz, yy, yz, zz] = numbers.subarray(o + 4);
-      const along = a * (a * xx + 2 * (b * xy + c * xz)) + b * (b * yy + 2 * c * yz) + c * c * zz;
-      if (4 * along > depth * depth) continue; // not drawn
-      if (away - depth * depth < Math.max(2 * xx, 2 * yy, 2 * zz, (0.004 * depth) ** 2)) best = depth;
+      const xx = numbers[o + 4], yy = numbers[o + 7], zz = numbers[o + 9];
+      if (away - depth * depth >= Math.max(2 * xx, 2 * yy, 2 * zz, (0.004 * depth) ** 2)) continue;
+      const mixed = a * b * numbers[o + 5] + a * c * numbers[o + 6] + b * c * numbers[o + 8];
+      if (4 * (a * a * xx + b * b * yy + c * c * zz + 2 * mixed) <= depth * depth) best = depth; // not too long
     }
-    if (best === Infinity) return null;
-    return [origin[0] + best * a, origin[1] + best * b, origin[2] + best * c];
+    return best < Infinity ? [origin[0] + best * a, origin[1] + best * b, origin[2] + best * c] : null;
   }
 
   /** Median depth of the anchors near a camera's axis: what it looks at. @type {(origin: Vec3, forward: Vec3) => number} */

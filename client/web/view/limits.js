@@ -1,4 +1,4 @@
-/** The space that the rig has seen: outside it there is nothing true to show. */
+/** The space that the rig has seen: nothing true is outside. */
 
 import { add, dot, fromCamera, unit } from "./camera.js";
 

@@ -30,7 +30,7 @@ _PIXELS_A_NODE = 2  # pixels that are looked for in space, for each anchor that 
 _AGREEING_SHARE = 0.7  # share of the views that see a node, whose error must lie there
 _AGREEING_ERROR = 0.25  # of the mean error of these views, from which a view agrees
 _BITS = 120.0  # that a new anchor takes
-_MENDED = 0.56  # share of its error that an anchor mends
+_MENDED = 0.4  # share of its error that an anchor mends
 _OPAQUE, _ALIKE = 0.3, 0.1  # of anchors whose features new ones take: least opacity, largest difference of colours
 
 

@@ -21,6 +21,8 @@ from core.train.growth.new_anchors import first_values
 from core.train.growth.rules import GradientGrowth
 from core.train.pictures.views import Views
 
+_ANCHOR_BIT = 5 / 7  # of the price of a residual's bit: an anchor serves for longer than a frame
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HalfTrained:
@@ -100,7 +102,7 @@ class ByGradient:
 
 
 LATER_RULES: dict[str, Callable[[PredictConfig], LaterGrowth]] = {
-    "error": lambda config: ByError(config.rate_weight),
+    "error": lambda config: ByError(_ANCHOR_BIT * config.rate_weight),
     "gradient": lambda config: ByGradient(config.growth_threshold),
 }
 

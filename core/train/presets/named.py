@@ -16,7 +16,7 @@ PRESETS = {
     "quality": TrainConfig(
         ModelConfig(max_anchors=80_000),
         KeyframeConfig(steps=1500, growth_interval=75, refresh_steps=400),
-        PredictConfig(epochs=40, rate_weight=0.004),
+        PredictConfig(epochs=40, rate_weight=0.0042),
     ),
     "paper": paper(),
 }

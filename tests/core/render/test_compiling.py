@@ -51,7 +51,11 @@ CASES: dict[str, tuple[Compiled, Given]] = {
     ),
     "slope": (
         losses._SLOPE,
-        lambda n: (torch.rand(n, 7, 3), torch.rand(n, 7, 3), _planes(3, 3, rows=n), None, 0.2),
+        lambda n: (torch.rand(n, 7, 3), torch.rand(n, 7, 3), _planes(3, 3, rows=n), None, None, 0.2),
+    ),
+    "weighted slope": (
+        losses._SLOPE,
+        lambda n: (*torch.rand(2, n, 7, 3), _planes(3, 3, rows=n), None, torch.rand(n, 7, 3), 0.2),
     ),
     "penalty": (penalty._PRICED, lambda n: (*_splats(n)[2:4], torch.tensor(n // 2), 0.1, 0.2)),
     "at camera": (exposure._AT_CAMERA, lambda n: (torch.rand(3), torch.rand(3), n // 2, n)),

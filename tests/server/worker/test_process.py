@@ -163,6 +163,40 @@ def test_a_worker_elsewhere_is_watched_by_what_it_tells(entry: Callable[..., Non
     assert (owner.tags.count(Tag.PLACED) == len(owner.endings)) is (entry is not find_no_room)
 
 
+class Reading(Reports):
+    """Reads the last state for ever, or fails to, while the worker's process begins."""
+
+    def __init__(self, fails: bool) -> None:
+        super().__init__()
+        self.fails, self.reads = fails, asyncio.Event()
+
+    async def resume_point(self) -> Resume:
+        self.reads.set()
+        if self.fails:
+            raise OSError("the recording cannot be read")
+        await asyncio.Event().wait()
+        raise AssertionError
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_worker_begins_while_the_last_state_is_read_and_does_not_outlive_that(fails: bool) -> None:
+    async def run() -> tuple[int | None, Reading]:
+        owner, watched = Reading(fails), WorkerSettings(attempts=1)
+        supervisor = Supervisor(StreamSpec(play=Path("none.slod")), watched, 1000, owner, entry=be_placed_and_wait)
+        running = asyncio.create_task(supervisor.run())
+        await owner.reads.wait()
+        pid = supervisor.pid
+        if not fails:
+            running.cancel()
+        await asyncio.wait([running], timeout=20)
+        return pid, owner
+
+    pid, owner = asyncio.run(run())
+    assert pid is not None
+    assert not Path(f"/proc/{pid}").exists()
+    assert bool(owner.endings) == fails
+
+
 def test_a_deleted_stream_is_not_started_again(clip: Clip) -> None:
     async def run() -> bool:
         stream = WorkerStream(StreamSpec(play=clip.path), Settings())

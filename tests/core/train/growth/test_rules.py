@@ -60,7 +60,7 @@ def test_the_rule_takes_its_settings_from_the_configuration() -> None:
     first = KeyframeConfig(growth_threshold=1.0, prune_opacity=2.0, extra_level_gain=3.0)
     assert rules.growth_rule(first) == rules.GradientGrowth(1.0, 2.0, 3.0)
     assert later.later_growth(PredictConfig(growth_rule="gradient", growth_threshold=4.0)) == later.ByGradient(4.0)
-    assert later.later_growth(PredictConfig(rate_weight=5.0)) == later.ByError(5.0)
+    assert later.later_growth(PredictConfig(rate_weight=7.0)) == later.ByError(5.0)
 
 
 def test_an_unknown_rule_is_refused_and_the_known_are_named() -> None:

@@ -194,7 +194,8 @@ def test_later_frames_have_hardly_more_anchors_than_the_first(
         trainer.predict(pictures(index, targets.roll(index, dims=2)))
         trainer.resume(as_keyframe(trainer.scene, index), keep_references=True)
         counts.append(trainer.scene.anchor_count)
-    assert max(counts) == scene.anchor_count + most  # a few become transparent and go
+    assert max(counts) == scene.anchor_count + most
+    assert counts[-1] > max(counts) - 5  # a few become transparent and go
 
 
 def test_none_is_added_while_a_keyframe_trains_beside_the_stream(scene: Scene, targets: Tensor) -> None:
