@@ -13,8 +13,9 @@ from core.scene.anchors import Scene
 class Welcome:
     """The server accepted us.
 
-    `state` as in `Notice`; `levels` and `fps` are None before the first keyframe; `edges` are addresses of servers at
-    which the same stream can be watched. Under another `incarnation` of it, a position is another picture.
+    `state` is one of a stream (docs/protocol.md), such as ``live``; `levels` and `fps` are None before the first
+    keyframe; `edges` are addresses of servers at which the same stream can be watched. A position names a picture only
+    within one `incarnation` of the stream.
     """
 
     stream: str

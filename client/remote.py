@@ -1,4 +1,4 @@
-"""The command `streamlod remote`: what `ServerClient` can do, from a terminal; returns the text to print."""
+"""The command `streamlod remote`: manage a server's streams from a terminal; yields the lines to print."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def remote(
     if action not in ACTIONS:
         raise InputError("remote", f"{action} is none of {', '.join(ACTIONS)}")
     if name is None and action not in ALONE:
-        raise InputError("remote", f"name the stream to {action}")
+        raise InputError("remote", f"{action} needs the id of a stream")
     given = dict(options or {})
     if action not in _DESCRIBING and (unknown := sorted(given.keys() - _OPTIONS.get(action, set()))):
-        raise InputError("--set", f"{action} has no {', '.join(unknown):.80}")
+        raise InputError("--set", f"{action} does not take {', '.join(unknown):.80}")
     with ServerClient(address, os.environ.get(TOKEN_VARIABLE), ca) as server:
         yield from _lines(server, action, name or "", given, out)
 
@@ -88,7 +88,7 @@ def _lines(server: ServerClient, action: str, name: str, options: dict[str, Any]
 
 
 def _option(options: dict[str, Any], name: str, kind: type[_Value], form: str) -> _Value | None:
-    """An option if it is given; never converted, as any text would be true."""
+    """An option, None if it is not given; not converted, because bool("false") is True."""
     value = options.get(name)
     if value is None or type(value) is kind:
         return value

@@ -80,7 +80,7 @@ class ServerClient:
         return self._stream("POST", "/v1/streams", body={**options, "id": name})
 
     def change(self, name: str, options: Mapping[str, Any], etag: str | None = None) -> StreamInfo:
-        """Change what a stream is made from; with `etag`, only if that is still its own."""
+        """Change what a stream is made from; with `etag`, only if the stream's ETag is still that."""
         return self._stream("PATCH", _path(name), body=dict(options), etag=etag)
 
     def start(self, name: str) -> StreamInfo:
@@ -137,7 +137,7 @@ class ServerClient:
         self._delete(f"/v1/recordings/{quote(name, safe='')}", _times(begin, end))
 
     def events(self, name: str | None = None, last_id: str | None = None) -> Iterator[FeedEvent]:
-        """Events as they happen, until the server ends the feed; those after `last_id` first."""
+        """Events after `last_id`, then as they happen; ends when the feed is closed or the connection breaks."""
         headers = {} if last_id is None else {"Last-Event-ID": last_id}
         params = {} if name is None else {"stream": name}
         with self._open("GET", "/v1/events", _EVENTS, params, headers=headers, timeout=None) as answer:
@@ -209,7 +209,7 @@ class ServerClient:
 
 
 def _detail(answer: httpx.Response) -> str:
-    """The sentence of a problem, or of an answer that is none."""
+    """The `detail` of a problem document (RFC 9457), or the reason phrase where there is none."""
     try:
         answer.read()
         return str(answer.json()["detail"])

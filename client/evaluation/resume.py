@@ -19,7 +19,7 @@ def earlier_report(path: Path, facts: Mapping[str, Any]) -> dict[str, Any]:
     A report does not know which program wrote it: after a change of the method, measure into a new folder.
 
     Raises:
-        InputError: a file that is no report, which would be overwritten.
+        InputError: the file cannot be read or is not JSON. Other files, with other facts, are replaced.
     """
     if not path.is_file():
         return {}

@@ -57,7 +57,7 @@ class TradeoffOptions:
     Attributes:
         frames: at most so many, or None for all.
         views: training cameras, by the linspace rule; None for all that are not held out.
-        downscale: of the held-out pictures, and of the training pictures where that is not the knob.
+        downscale: of the held-out pictures, and of the training pictures where that is not the setting that varies.
         test: held-out cameras; the first one of the rig where none is named.
         split: a file that names the cameras instead of `views` and `test`.
         device: to train on.
@@ -192,8 +192,8 @@ def tradeoff_report(value: dict[str, Any]) -> str:
     host, split = value["machine"], value["split"]
     on_front = {name for front in value["fronts"].values() for name in front}
     runs = max((len(point["runs"]) for point in value["points"]), default=0)
-    many = f"means of {runs} seeds and their standard deviation"
-    seeds = many if runs > 1 else "one seed, so differences of a tenth of a decibel are no result"
+    many = f"means of {runs} seeds; ± is the standard deviation of the PSNR"
+    seeds = many if runs > 1 else "one seed, so differences of 0.1 dB say nothing"
     head = ("point", "PSNR dB", "SSIM", *(cost.label for cost in COSTS), "anchors", "on a front")
     body = [
         [
@@ -211,7 +211,7 @@ def tradeoff_report(value: dict[str, Any]) -> str:
         f"# Price of quality on {value['data']}",
         "",
         f"{host['processor']}, {host['cores']} cores{accelerator}; {value['frames']} frames; split {split['name']}, "
-        f"held out {', '.join(split['test'])}. One knob at a time away from the preset {value['base']}; {seeds}. "
+        f"held out {', '.join(split['test'])}. One setting at a time away from the preset {value['base']}; {seeds}. "
         "Held-out pictures keep their size whatever the training pictures' is.",
         "",
         table(head, body),
@@ -231,7 +231,8 @@ def tradeoff_report(value: dict[str, Any]) -> str:
 
 def _preset_line(point: dict[str, Any], points: Sequence[dict[str, Any]]) -> str:
     better = beaten_by(point, points)
-    verdict = f"beaten by {', '.join(better)}" if better else "nothing is better for no more seconds and bytes a frame"
+    best = "no other point has a higher PSNR at no more seconds and bytes a frame"
+    verdict = f"beaten by {', '.join(better)}" if better else best
     return f"- {point['name']}: {verdict}"
 
 

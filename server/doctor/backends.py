@@ -26,14 +26,12 @@ def check_backends(device: str, quick: bool) -> Iterator[Finding]:
     """Both backends: whether they are there, whether their gradients are right, how fast they are.
 
     Args:
-        device: ``auto``, ``cpu`` or ``cuda``; only what was asked for by name can be a fault.
+        device: ``auto``, ``cpu`` or ``cuda``; a missing backend is a fault only where ``cuda`` was named.
         quick: leave out gradients and speed.
     """
     if importlib.util.find_spec("torch") is None:
         verdict = Verdict.FAULT if device == "cuda" else Verdict.ABSENT
-        yield Finding(
-            "training", verdict, "torch is missing: recordings can be played", "pip install 'streamlod[train]'"
-        )
+        yield Finding("training", verdict, "torch is missing: only playback works", "pip install 'streamlod[train]'")
         return
     from core.render.backends import cuda_fault
 

@@ -103,7 +103,7 @@ def test_times_and_unknown_fields_are_read() -> None:
         ("download", {"epoch": "1"}, "a number"),
         ("download", {"epoch": True}, "a number"),
         ("disconnect", {}, "which viewer"),
-        ("start", {"erase": True}, "start has no erase"),
+        ("start", {"erase": True}, "start does not take erase"),
     ],
 )
 def test_options_that_cannot_be_used_are_refused_before_anything_is_sent(

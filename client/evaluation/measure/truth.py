@@ -4,7 +4,7 @@ An anchor has no surface of its own. What it *shows* is measured by its blending
 training pictures. It truly moves when at least half of what it shows moves by a quarter of a pixel or more in this
 step; a dynamic anchor is right when at least a tenth of what it shows moves at all. Between the two, either answer is
 accepted. Surfaces count, not appearances: shadows, highlights, reflections and uncovered background are false alarms.
-Anchors that no camera sees are left out.
+Anchors seen by less than 0.3 pixels never count as moving; a dynamic one that no camera sees is a false alarm.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from core.synthetic import SyntheticSpec, surface_motion
 from core.train.field.convert import field_of
 from core.train.motion.coverage import coverage
 
-VISIBLE = 0.25  # pixels in one step: the finest motion that video codecs describe
+VISIBLE = 0.25  # pixels in one step: the motion precision of H.264 and HEVC
 _ANY = 0.01  # pixels
 _MOSTLY, _PARTLY = 0.5, 0.1  # of what an anchor shows
 _SEEN = 0.3  # pixels, over all training pictures
@@ -45,7 +45,7 @@ class MotionScore:
 
     @property
     def precision(self) -> float:
-        """Share of the dynamic anchors that truly move; 1 where there are none."""
+        """Share of the dynamic anchors that are right; 1 where there are none."""
         return self.right / self.dynamic if self.dynamic else 1.0
 
     @property

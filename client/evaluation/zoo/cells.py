@@ -14,11 +14,11 @@ from core.errors import InputError
 
 _log = logging.getLogger(__name__)
 SCHEMA = 2
-_PACKAGES = ("core", "client/evaluation")  # what decides over a cell's figures
+_PACKAGES = ("core", "codec", "client/evaluation")  # whose source affects a cell's figures
 
 
 def program_digest() -> str:
-    """Names the source that measures: two runs of which one has another line of it may differ."""
+    """Digest of the source that measures; cells measured under different digests are not mixed."""
     root, digest = Path(__file__).parents[3], hashlib.sha256()
     for path in sorted(path for package in _PACKAGES for path in (root / package).rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
@@ -31,8 +31,9 @@ class CellKey:
 
     Attributes:
         scene: of the zoo. views: training cameras. seed: of the training.
-        system: ``ours``, ``plain`` or ``paper``. preset: which of ours; plain gets the CPU time that it took.
-        downscale: of the pictures, from nominal. frames: measured, the first one included.
+        system: ``ours``, ``plain`` or ``paper``. preset: of ``ours``; plain Gaussians get the CPU time that it took.
+        downscale: how many times smaller pictures are than the scene's nominal size.
+        frames: measured, the first one included.
     """
 
     scene: str

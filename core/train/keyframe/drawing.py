@@ -34,7 +34,7 @@ class ViewLoss:
         return rasterise(*splats.astuple(), camera, torch.zeros(3, device=splats.means.device), backend=self.backend)
 
     def over(self, raster: Raster, number: int, colour: Tensor) -> Raster:
-        """`raster` of camera `number` over `colour` [3], but for pixels that the picture shows black."""
+        """`raster` of camera `number` over `colour` [3], except where the picture is black."""
         image = over_colour(raster.image, raster.transmittance, self.views.targets[number], colour)
         return replace(raster, image=image)
 
@@ -46,9 +46,8 @@ class ViewLoss:
     def penalty(self, splats: Splats) -> Tensor:
         """What Gaussians cost whatever they show: volume and opacity.
 
-        With few views much of a model can be anything without a loss. A price on opacity takes out what no picture
-        asks for, as in Kheradmand et al. 2024. The scene pays it once, not once for each of its views: the more of them
-        say what is there, the less it decides.
+        With few views many Gaussians are not constrained by any picture. A penalty on opacity removes those, as in
+        Kheradmand et al. 2024. Its weight is divided by the number of views: more views constrain the scene better.
         """
         config = self.config
         opacity_weight = config.opacity_weight / len(self.views.usable)

@@ -1,7 +1,7 @@
 """Pictures of a first frame over a random colour, so that surfaces must become opaque to hide it.
 
 Over black alone, a surface may stay half transparent wherever black makes its colour; to other views it shows what is
-behind it. Where a picture is black itself, nothing at all may be there, as around a lit stage.
+behind it. Where a picture is black, the background stays black: nothing need be there, as around a lit stage.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
 
 
 def over_colour(image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
-    """`image` [H,W,3] over black, over `colour` [3] instead, but for pixels that `target` [H,W,3] shows black."""
+    """Put `image` [H,W,3] over `colour` [3], except where `target` [H,W,3] is black; transmittance is [H,W]."""
     if image.device.type == "cpu":
         return over_colour_reference(image, transmittance, target, colour)
     shown: Tensor = _OnDevice.apply(image, transmittance, target, colour)  # type: ignore[no-untyped-call]

@@ -36,8 +36,8 @@ class Groups:
     def moved(self, own: Tensor, shift: Tensor, turn: Tensor) -> Tensor:
         """[n,3] how far each anchor goes if it goes `own` [n,3] and its group is shifted and turned by [count,3] each.
 
-        All are lengths of one unit: `turn` is how far the end of an arm of length 1 goes that is at right angles to it
-        (the small rotation turn x arm).
+        All have one unit of length. `turn` is a small rotation vector times a group's width: an anchor moves by
+        turn x arm.
         """
         moved: Tensor = _Moved.apply(own, shift, turn, self.number, self.arm)  # type: ignore[no-untyped-call]
         return moved

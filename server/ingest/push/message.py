@@ -60,7 +60,7 @@ def parse_push(message: bytes) -> PushMessage:
         SessionError: longer than 16 MiB, or not of the form described in the module.
     """
     if len(message) > MAX_MESSAGE_BYTES:
-        raise SessionError(CloseCode.TOO_BIG, f"a picture may have {MAX_MESSAGE_BYTES} bytes at most")
+        raise SessionError(CloseCode.TOO_BIG, f"a message may have {MAX_MESSAGE_BYTES} bytes at most")
     if len(message) < 2:
         raise SessionError(CloseCode.BAD_MESSAGE, "the message ends before its header")
     (length,) = struct.unpack_from(">H", message)
@@ -85,9 +85,9 @@ def _checked(fields: Any, message: bytes, header: int) -> PushMessage:
     if not isinstance(camera, str):
         raise SessionError(CloseCode.BAD_MESSAGE, "camera must be a name")
     if not _is_number(sequence, _MAX_SEQUENCE):
-        raise SessionError(CloseCode.BAD_MESSAGE, "sequence must be a number from 0 to 2^53")
+        raise SessionError(CloseCode.BAD_MESSAGE, "sequence must be an integer from 0 to 2^53")
     if capture is not None and not _is_number(capture, _MAX_CAPTURE_NS):
-        raise SessionError(CloseCode.BAD_MESSAGE, "capture_ns must be null or nanoseconds since 1970")
+        raise SessionError(CloseCode.BAD_MESSAGE, "capture_ns must be null or an integer, nanoseconds since 1970")
     if codec not in set(Codec):
         raise SessionError(CloseCode.BAD_MESSAGE, "codec must be jpeg, png or h264")
     return PushMessage(camera, sequence, capture, Codec(codec), message[header:], message)

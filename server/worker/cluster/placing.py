@@ -1,4 +1,4 @@
-"""Reserves room for a worker on a node of a Ray cluster; whoever holds what is seen in Ray's placement groups."""
+"""Reserves room for a worker on a node of a Ray cluster; Ray's placement groups show what is already reserved."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Place:
     Attributes:
         group: Ray's reservation.
         needed: what is reserved.
-        host: address of the node.
+        host: address of the node, ``unknown`` if it was lost meanwhile.
     """
 
     group: PlacementGroup
@@ -56,7 +56,7 @@ class Place:
 
 @contextmanager
 def joined(settings: RaySettings) -> Iterator[str]:
-    """Be connected to the cluster, with this address, while the context lasts; its end frees all that was reserved.
+    """Connect to the cluster and yield this machine's address; leaving the context frees all that was reserved.
 
     Raises:
         BackendUnavailable: there is no cluster there.
@@ -88,11 +88,11 @@ def reserve(stream: str, settings: RaySettings) -> Place:
     if group is None:
         raise NoRoom(f"stream {stream}", shortage(needed, totals, _holdings()))
     node = nodes.get(placement_group_table(group)["bundles_to_node_id"][0])
-    return Place(group, needed, "that is lost" if node is None else node["NodeManagerAddress"])
+    return Place(group, needed, "unknown" if node is None else node["NodeManagerAddress"])
 
 
 def _try(stream: str, needed: Amounts, avoided: set[str], seconds: float) -> PlacementGroup | None:
-    """A reservation on none of the nodes `avoided`, if there is one in time."""
+    """A reservation on a node outside `avoided`; None if Ray finds no room within `seconds`."""
     selector = {"ray.io/node-id": f"!in({','.join(sorted(avoided))})"} if avoided else {}
     name = f"{_MARK}:{stream}:{secrets.token_hex(4)}"
     group: PlacementGroup = placement_group([dict(needed)], name=name, bundle_label_selector=[selector])
