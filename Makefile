@@ -2,6 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest --dist loadfile --no-loadscope-reorder
 
 # Waiting threads must sleep: spinning ones cost a factor of three on shared cores (core/runtime.py)
 export OMP_WAIT_POLICY = PASSIVE
@@ -29,14 +30,13 @@ demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-ou
 	$(BIN)/streamlod demo
 
 test: install ## Run the tests
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -n auto
 
 test-long: install ## Run those that take more than four seconds or need Chromium
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder \
-		-m '(browser or long) and not cluster and not slow'
+	$(PYTEST) -n auto -m '(browser or long) and not cluster and not slow'
 
 test-cluster: install ## Run the tests of several servers: edges, NATS, Ray
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n $$(getconf _NPROCESSORS_ONLN) --dist loadfile --no-loadscope-reorder -m cluster
+	$(PYTEST) -n $$(getconf _NPROCESSORS_ONLN) -m cluster
 
 lint: install ## ruff and mypy
 	$(BIN)/ruff check .

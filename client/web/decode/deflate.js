@@ -1,4 +1,4 @@
-/** Coding 0: raw deflate (codec/FORMAT.md 6.1, RFC 1951). The browser's inflater ignores what follows the end. */
+/** Coding 0: raw deflate (codec/FORMAT.md 6.1, RFC 1951). The browser's is not strict about the end. */
 
 import { must } from "./packet.js";
 

@@ -232,7 +232,7 @@ export class Engine {
       const xx = numbers[o + 4], yy = numbers[o + 7], zz = numbers[o + 9];
       if (away - depth * depth >= Math.max(2 * xx, 2 * yy, 2 * zz, (0.004 * depth) ** 2)) continue;
       const mixed = a * b * numbers[o + 5] + a * c * numbers[o + 6] + b * c * numbers[o + 8];
-      if (4 * (a * a * xx + b * b * yy + c * c * zz + 2 * mixed) <= depth * depth) best = depth; // not too long
+      if (4 * (a * a * xx + b * b * yy + c * c * zz + 2 * mixed) <= depth * depth) best = depth; // else left out
     }
     return best < Infinity ? [origin[0] + best * a, origin[1] + best * b, origin[2] + best * c] : null;
   }

@@ -1,4 +1,4 @@
-/** The space that the rig has seen: nothing true is outside. */
+/** The space that the rig has seen, which viewers stay in. */
 
 import { add, dot, fromCamera, unit } from "./camera.js";
 

@@ -76,7 +76,9 @@ def photometric_planes(
     """
     masks = (None, None) if region is None else tuple(_pixels(image, region, room) for room in (0, WINDOW // 2))
     inside, near = masks
-    counted = inside if pixel_weights is None else pixel_weights if inside is None else inside * pixel_weights
+    counted = inside
+    if pixel_weights is not None:
+        counted = pixel_weights if inside is None else inside * pixel_weights
     loss: Tensor = _Planes.apply(image, target, dssim_weight, inside, near, counted)  # type: ignore[no-untyped-call]
     return loss
 

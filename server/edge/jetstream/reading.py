@@ -25,8 +25,8 @@ _SILENT_SECONDS = 1.25  # two heartbeats and a half
 _INACTIVE_SECONDS = 10.0  # after which NATS forgets a consumer
 _RETRY_SECONDS = 0.25
 _GOES_ON = {"404", "408"}  # nothing there yet; the request has expired
-_NOBODY = "503"  # nobody hears: servers of a cluster learn of a new consumer one after another, or it is lost
-_UNHEARD_SECONDS, _MAX_UNHEARD = 0.05, 20
+_NO_RESPONDERS = "503"  # servers of a cluster learn of a new consumer one after another; or it is lost
+_UNHEARD_SECONDS, _MAX_UNHEARD = 0.05, 20  # between requests that nobody answers, and how many in a row
 _BATCH_ENDS = {"Message Size Exceeds MaxBytes", "Batch Completed"}
 
 
@@ -138,7 +138,7 @@ async def _consume(
                 if finite and left == batch and status in _GOES_ON:
                     return
                 left = 0
-            elif status == _NOBODY and unheard < _MAX_UNHEARD:
+            elif status == _NO_RESPONDERS and unheard < _MAX_UNHEARD:
                 unheard, left = unheard + 1, 0
                 await asyncio.sleep(_UNHEARD_SECONDS)
             elif status != "100":
