@@ -4,9 +4,9 @@
 * `core.render.cuda`: gsplat.
 * `core.render.reference`: dense float64 torch, slow and obvious: the oracle of the other two.
 
-`rasterise` is the training interface over all three. The rules (`docs/numerics.md`) are gsplat's: low-pass 0.3 pixels^2
-and alpha in [1/255, 0.999]; a pixel ends when its transmittance would fall to 1e-4. Importing this package loads
-nothing heavy: what needs torch is looked up when it is first used.
+`rasterise` is the training interface over all three. The rules (`docs/numerics.md`) are gsplat's but for a low-pass of
+0.1 pixels^2: alpha in [1/255, 0.999]; a pixel ends when its transmittance would fall to 1e-4. Importing this package
+loads nothing heavy: what needs torch is looked up when it is first used.
 """
 
 from __future__ import annotations

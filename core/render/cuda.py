@@ -20,7 +20,7 @@ from core.render.raster import Probe, Raster
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
-_RULES = {"near_plane": 0.01, "far_plane": 1e10, "eps2d": 0.3, "rasterize_mode": "classic", "packed": True}
+_RULES = {"near_plane": 0.01, "far_plane": 1e10, "eps2d": 0.1, "rasterize_mode": "classic", "packed": True}
 _OPACITY_MAX = 2.0
 _MAX_PARAMETER = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond
 _MAX_SCALE_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32

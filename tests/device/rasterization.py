@@ -40,7 +40,7 @@ def rasterization(
 ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
     """([1,H,W,3] image, [1,H,W,1] alpha, meta with packed `gaussian_ids` [V] and `means2d` [V,2]) of one camera."""
     assert packed
-    assert (near_plane, far_plane, eps2d, rasterize_mode) == (0.01, 1e10, 0.3, "classic")
+    assert (near_plane, far_plane, eps2d, rasterize_mode) == (0.01, 1e10, 0.1, "classic")
     given = (means, quats, scales, opacities, colors)
     assert all(isinstance(value, DeviceTensor) for value in (*given, viewmats, Ks)), "a tensor is not on the device"
     pose, matrix = (value.held[0].double().numpy() for value in (viewmats, Ks))  # type: ignore[attr-defined]

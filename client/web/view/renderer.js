@@ -48,7 +48,7 @@ void main() {
   vec3 jx = vec3(focal.x, 0, -focal.x * slope.x) / c.z, jy = vec3(0, focal.y, -focal.y * slope.y) / c.z;
   vec3 kx = camera * jx;
   float area = spread / keep;                          // what is left covers what is left out
-  float xx = area * dot(jx, kx) + .3, xy = area * dot(jy, kx), yy = area * dot(jy, camera * jy) + .3;
+  float xx = area * dot(jx, kx) + .1, xy = area * dot(jy, kx), yy = area * dot(jy, camera * jy) + .1;
   float middle = .5 * (xx + yy), radius = length(vec2(.5 * (xx - yy), xy));
   float major = middle + radius, minor = max(middle - radius, 1e-6);
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1, 0) : vec2(0, 1)) : normalize(vec2(xy, major - xx));

@@ -49,7 +49,7 @@ SHOW = """async ({ address, width, height, focal, principal, worldToCamera, back
   const flip = new THREE.Matrix4().makeScale(1, -1, -1), view = new THREE.Matrix4().set(...worldToCamera);
   new THREE.Matrix4().multiplyMatrices(flip, view).invert().decompose(camera.position, camera.quaternion, camera.scale);
   const cuts = { maxStdDev: Math.sqrt(2 * Math.log(255)), minAlpha: 1 / 255 };
-  const lowPass = { preBlurAmount: 0.3, blurAmount: 0 };
+  const lowPass = { preBlurAmount: 0.1, blurAmount: 0 };
   const spark = new SparkRenderer({ renderer, sortRadial: false, ...cuts, ...lowPass });
   const mesh = new SplatMesh({ url: address });
   if (address.endsWith(".spz")) mesh.quaternion.set(1, 0, 0, 0); // its axes are right, up, back

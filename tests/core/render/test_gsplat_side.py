@@ -38,7 +38,7 @@ def rasterization(
     packed: bool,
     absgrad: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    assert (near_plane, far_plane, eps2d, rasterize_mode, packed, absgrad) == (0.01, 1e10, 0.3, "classic", True, True)
+    assert (near_plane, far_plane, eps2d, rasterize_mode, packed, absgrad) == (0.01, 1e10, 0.1, "classic", True, True)
     k = Ks[0].double().numpy()
     focal, centre = (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2])
     camera = pinhole("gsplat", focal, centre, (width, height), viewmats[0].double().numpy())

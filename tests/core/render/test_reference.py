@@ -29,7 +29,7 @@ def test_one_gaussian_on_the_axis_has_the_closed_form() -> None:
         for v in ([[0, 0, 2.0]], [[3.0, 0, 0, 0]], [[0.1] * 3], [0.8], [[1.0, 0, 0]])
     ]
     raster = rasterise(*one, camera, torch.zeros(3, dtype=torch.float64), backend="reference")
-    variance = (20 * 0.1 / 2) ** 2 + 0.3
+    variance = (20 * 0.1 / 2) ** 2 + 0.1
     for x, y in ((4, 4), (6, 4), (3, 2)):
         sigma = ((x - 4) ** 2 + (y - 4) ** 2) / (2 * variance)
         wanted = 0.8 * math.exp(-sigma)

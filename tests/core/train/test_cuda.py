@@ -114,7 +114,7 @@ def test_frames_train_as_well_as_on_the_cpu(gpu: str) -> None:
     spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2)
     clip = open_synthetic(spec)
     config = TrainConfig(
-        keyframe=KeyframeConfig(steps=20), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0)
+        keyframe=KeyframeConfig(steps=40), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0)
     )
     filmed, scores = list(clip.frames()), list[float]()
     points = true_points(spec)
@@ -127,7 +127,7 @@ def test_frames_train_as_well_as_on_the_cpu(gpu: str) -> None:
         camera = clip.cameras[0]
         image = render(expand(trainer.scene, camera.centre), camera, np.zeros(3, np.float32)).image
         scores.append(psnr(image.clip(0, 1), filmed[-1].images[0].astype(np.float32) / 255))
-    assert scores[1] > scores[0] - 0.5
+    assert scores[1] > scores[0] - 0.2
 
 
 def _agree(found: tuple[Tensor, ...], wanted: tuple[Tensor, ...], there: list[Tensor], here: list[Tensor]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from core.render import tiles
 
-# The image model, gsplat's rules: every backend and the reference follow them.
+# The image model, gsplat's rules but for LOW_PASS: every backend and the reference follow them.
 ALPHA_MIN = np.float32(1 / 255)  # weaker contributions are skipped
 ALPHA_MAX = np.float32(0.999)
 OPACITY_MAX = np.float32(2)  # dropout may scale opacities up to this; stronger ones count as this
@@ -19,7 +19,8 @@ FAR = np.float32(1e10)
 MAX_ASIDE = np.float32(1)  # from the picture's middle to the centre, in widths and heights of the picture
 MAX_SLOPE = np.float32(1)  # tangent of the angle between the view's axis and the centre
 MAX_SPREAD = np.float32(0.5)  # standard deviation along the view's axis, in depths of the centre
-LOW_PASS = np.float32(0.3)  # pixels^2 added to both variances
+# More would draw Gaussians too wide in pictures smaller than those of the training, and too narrow in larger ones.
+LOW_PASS = np.float32(0.1)  # pixels^2 added to both variances
 FIELD_MARGIN = np.float32(0.3)  # Jacobian clamped beyond 1.3 times the half field of view
 COLOUR_MAX = np.float32(1e15)  # larger sums of colours would overflow in gradients
 FINITE = np.float32(1e30)  # sums beyond are taken as overflowed
