@@ -60,6 +60,7 @@ def _recorded(name: str, half: Half, held_out: str, nominal: float) -> ZooScene:
 SCENES = (
     _synthetic("room", "choosing"),
     _synthetic("bright", "choosing"),
+    _synthetic("night", "choosing"),
     _recorded("castle", "choosing", "0005", 1.0),
     _recorded("flame_steak_frame0", "choosing", "cam00", 2.0),
     _synthetic("theatre", "reporting"),

@@ -25,7 +25,7 @@ def contrast(kind: str) -> float:
 
 
 def test_the_kinds_are_known_by_name() -> None:
-    assert set(KINDS) >= {"room", "bright", "theatre", "outdoor"}
+    assert set(KINDS) >= {"room", "bright", "night", "theatre", "outdoor"}
     with pytest.raises(InputError, match="kind must be one of bright"):
         SyntheticSpec(kind="cellar")
 
@@ -80,11 +80,11 @@ def test_only_the_outdoor_place_has_a_sky_and_it_is_infinitely_far() -> None:
     assert np.linalg.norm(rig[1].centre - rig[2].centre) > 1.0
 
 
-def test_the_bright_room_is_plain_and_the_stage_is_dark() -> None:
+def test_the_bright_room_is_plain_and_the_stage_and_the_night_are_dark() -> None:
     assert contrast("bright") < 0.5 * contrast("room")
     brightness = {kind: render_image(small(kind), 0, 0).mean() for kind in KINDS}
     assert brightness["bright"] > 130
-    assert brightness["theatre"] < 60
+    assert brightness["theatre"] < brightness["night"] < 60
     stage = render_image(small("theatre"), 0, 0)
     assert stage.max() > 180  # the performer stands in a spot light
 

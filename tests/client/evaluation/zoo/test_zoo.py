@@ -87,7 +87,7 @@ def test_options_that_mean_nothing_are_refused(fields: dict[str, Any]) -> None:
 
 def test_the_halves_are_as_agreed() -> None:
     halves = {half: {scene.name for scene in SCENES if scene.half == half} for half in ("choosing", "reporting")}
-    assert halves["choosing"] == {"room", "bright", "castle", "flame_steak_frame0"}
+    assert halves["choosing"] == {"room", "bright", "night", "castle", "flame_steak_frame0"}
     assert halves["reporting"] == {"theatre", "outdoor", "stage", "fountain", "caliscope_4cam"}
 
 
