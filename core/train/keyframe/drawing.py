@@ -47,10 +47,11 @@ class ViewLoss:
         """What Gaussians cost whatever they show: volume and opacity.
 
         With few views many Gaussians are not constrained by any picture. A penalty on opacity removes those, as in
-        Kheradmand et al. 2024. Its weight is divided by the number of views: more views constrain the scene better.
+        Kheradmand et al. 2024. Its weight is divided by the number of other cameras (at least 1): the more of them see
+        what one camera sees, the less it is needed.
         """
         config = self.config
-        opacity_weight = config.opacity_weight / len(self.views.usable)
+        opacity_weight = config.opacity_weight / max(len(self.views.usable) - 1, 1)
         return penalty(splats.scales, splats.opacities, config.scale_weight, opacity_weight)
 
     @torch.no_grad()

@@ -30,9 +30,11 @@ def test_each_shown_gaussian_pays_for_its_opacity_and_volume() -> None:
     opacities = torch.tensor([0.5, -0.2, 0.1, 0.9], requires_grad=True)
     scales = torch.tensor([[1.0, 2.0, 3.0], [9.0, 9.0, 9.0], [1.0, 1.0, 1.0], [2.0, 1.0, 1.0]], requires_grad=True)
     config = KeyframeConfig(scale_weight=0.1, opacity_weight=0.4)
-    views = Views(ring(2), torch.zeros(2, 32, 48, 3), [0, 1])
-    penalty = ViewLoss(views, neutral(2), config, "cpu").penalty(splats(opacities, scales))
+    views = Views(ring(3), torch.zeros(3, 32, 48, 3), [0, 1, 2])
+    penalty = ViewLoss(views, neutral(3), config, "cpu").penalty(splats(opacities, scales))
     assert penalty.item() == pytest.approx(0.1 * (6 + 1 + 2) / 3 + 0.4 / 2 * (0.5 + 0.1 + 0.9) / 4)
+    alone = ViewLoss(Views(ring(1), torch.zeros(1, 32, 48, 3), [0]), neutral(1), config, "cpu")
+    assert alone.penalty(splats(opacities, scales)).item() == pytest.approx(0.1 * 3 + 0.4 * 1.5 / 4)
     penalty.backward()  # type: ignore[no-untyped-call]
     torch.testing.assert_close(opacities.grad, torch.tensor([0.05, 0.0, 0.05, 0.05]))
     assert scales.grad is not None
