@@ -20,12 +20,12 @@ from core.errors import InputError, SessionError
 _log = logging.getLogger(__name__)
 
 _LIVE = WatchOptions()
-_MIN_DELAY = 0.5  # seconds between attempts
-_MAX_DELAY = 15.0
+_MIN_DELAY, _MAX_DELAY = 0.5, 15.0  # seconds between attempts
+_GROW_AFTER = 3  # failures; a server that is started again is found soon after it listens
 _REFUSED = {401: "it needs a token", 403: "the token lacks the right", 404: "there is no such stream"}
 
 
-async def watch(url: str, options: WatchOptions = _LIVE, attempts: int = 8) -> AsyncGenerator[Event, None]:
+async def watch(url: str, options: WatchOptions = _LIVE, attempts: int = 11) -> AsyncGenerator[Event, None]:
     """The events of a stream, with reconnection; ends when the server says that the stream is over.
 
     After a break a live viewer joins at the live edge again; a replay continues where it stopped. Where the server has
@@ -97,5 +97,5 @@ def _reason(url: str, error: Exception, repeated: bool) -> str:
 
 
 def back_off(failures: int) -> float:
-    """Seconds to wait after `failures` earlier ones: 0.5 * 2^n, at most 15, times a random number from 0.5 to 1."""
-    return min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(failures, 10)) * random.uniform(0.5, 1.0)
+    """Seconds to wait after `failures` before: 0.5 four times, then doubled up to 15, times 0.5 to 1 at random."""
+    return min(_MAX_DELAY, _MIN_DELAY * 2.0 ** min(max(failures - _GROW_AFTER, 0), 10)) * random.uniform(0.5, 1.0)

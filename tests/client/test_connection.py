@@ -220,9 +220,9 @@ def test_nobody_there_and_wrong_addresses() -> None:
         assert url in str(caught.value)
 
 
-def test_back_off_doubles_to_a_limit_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_back_off_is_short_four_times_then_doubles_to_a_limit_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client.connection.watch, "_MIN_DELAY", 0.5)
-    for failures, longest in ((0, 0.5), (1, 1.0), (3, 4.0), (5, 15.0), (5000, 15.0)):
+    for failures, longest in ((0, 0.5), (3, 0.5), (4, 1.0), (6, 4.0), (9, 15.0), (5000, 15.0)):
         delays = [back_off(failures) for _ in range(50)]
         assert longest / 2 <= min(delays) <= max(delays) <= longest
         assert len(set(delays)) > 10

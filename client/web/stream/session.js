@@ -7,7 +7,7 @@ import { phaseOf } from "./phase.js";
 
 export const PROTOCOL = "streamlod.v1";
 const CLIENT = "streamlod-web/1.0";
-const FIRST_WAIT_MS = 500, MAX_WAIT_MS = 15_000;
+const FIRST_WAIT_MS = 500, MAX_WAIT_MS = 15_000, GROW_AFTER = 3;
 const MIN_STALL_MS = 2500; // without a frame
 const MAX_STALL_MS = 60_000;
 const USUAL_GAPS = 4; // so many times the usual time between two frames is a stall
@@ -229,14 +229,14 @@ export class Session {
   closed(code, reason, now, random) {
     const { status } = this;
     this.open = false;
-    const own = this.refused > 0; // we left because of a packet; at once at first, then more slowly
+    const own = this.refused > 0; // left because of a packet
     if (!own && FINAL[code]) {
       this.verdict = FINAL[code];
       status.detail = reason;
       this.settle();
       return null;
     }
-    const step = Math.min(FIRST_WAIT_MS * 2 ** this.attempts, MAX_WAIT_MS);
+    const step = Math.min(FIRST_WAIT_MS * 2 ** Math.max(this.attempts - GROW_AFTER, 0), MAX_WAIT_MS);
     const wait = own && this.refused === 1 ? 0 : step * (0.75 + 0.5 * random);
     this.attempts++;
     this.link = "broken";
