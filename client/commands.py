@@ -82,6 +82,7 @@ def evaluate(
     report: Path | None = None,
     images: Path | None = None,
     layout: str | None = None,
+    downscale: float | None = None,
 ) -> str:
     """Measure a file against held-out cameras; the report goes to `report` as JSON, beside it a plot over frames."""
     if not test:
@@ -92,7 +93,7 @@ def evaluate(
             bar.set_postfix_str(f"{score.picture.psnr:.2f} dB", refresh=False)
             bar.update()
 
-        figures = evaluate_file(scene, data, test, images, layout, tell)
+        figures = evaluate_file(scene, data, test, images, layout, downscale, tell)
     if report is not None:
         _write_text(report, json.dumps(figures, indent=1))
         _write_text(report.with_suffix(".svg"), frames_plot(scene.stem, figures["per_frame"]))

@@ -51,6 +51,7 @@ def evaluate_file(
     test: tuple[str, ...],
     images: Path | None = None,
     layout: str | None = None,
+    downscale: float | None = None,
     tell: Callable[[DecodedScore], None] = lambda score: None,
 ) -> dict[str, Any]:
     """The report: `per_frame` and `mean`, see the README for its keys.
@@ -58,6 +59,7 @@ def evaluate_file(
     Args:
         test: names of the held-out cameras.
         images: folder for pictures of truth, rendering and difference side by side.
+        downscale: how many times smaller than filmed the pictures are; None for the size of the training.
         tell: called after every frame.
 
     Raises:
@@ -67,7 +69,7 @@ def evaluate_file(
     scores: list[DecodedScore] = []
     movers: MovingPixels | None = None
     spec = read_spec(data) if data.is_dir() else None
-    with closing(_pairs(scene, data, test, layout)) as pairs:
+    with closing(_pairs(scene, data, test, layout, downscale)) as pairs:
         for decoded, index, dataset, truth in pairs:
             if not scores:
                 draw(decoded.scene, dataset.cameras[0])  # so that compiling is not timed
@@ -85,14 +87,17 @@ def evaluate_file(
 
 
 def _pairs(
-    scene: Path, data: Path, test: tuple[str, ...], layout: str | None
+    scene: Path, data: Path, test: tuple[str, ...], layout: str | None, downscale: float | None
 ) -> Generator[tuple[RecordedFrame, int, Dataset, UInt8], None, None]:
     """Decoded frames with the pictures [C,H,W,3] of the same time."""
     decoded = decode_frames(scene)
     current = next(decoded, None)
     if current is None:
         raise InputError(scene, "holds no packet")
-    dataset = _matching_dataset(current.scene.header, data, test, layout)
+    if downscale is None:
+        dataset = _matching_dataset(current.scene.header, data, test, layout)
+    else:
+        dataset = open_dataset(data, layout=layout, downscale=downscale, cameras=test)
     half_frame = 0.5e9 / dataset.fps
     for frame in dataset.frames():
         while current is not None and current.time_ns < frame.time_ns - half_frame:

@@ -65,7 +65,7 @@ def synth(
     frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
     size: Annotated[str, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = "480x270",
     seed: Seed = DEFAULTS["seed"],
-    kind: Annotated[str, typer.Option(help="The place: room, bright, theatre, outdoor or hard.")] = "room",
+    kind: Annotated[str, typer.Option(help="The place: room, bright, night, theatre, outdoor or hard.")] = "room",
     speed: Annotated[float, typer.Option(min=0, help="Pixels a frame of the fastest; 0: the place's own pace.")] = 0.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
 ) -> None:
@@ -102,10 +102,14 @@ def evaluate(
         Path | None, typer.Option(metavar="DIR", help="Write truth, rendering and difference side by side.")
     ] = None,
     layout: Layout = None,
+    downscale: Annotated[
+        float | None,
+        typer.Option(help="How many times smaller than filmed the pictures are; by default as small as in training."),
+    ] = None,
 ) -> None:
     """Decode a file, render the held-out cameras, and measure quality, size and speed."""
     _require_folder(data)
-    _call("client.commands:evaluate", scene, data, names_in(test), json, save_images, layout)
+    _call("client.commands:evaluate", scene, data, names_in(test), json, save_images, layout, downscale)
 
 
 @app.command()

@@ -74,6 +74,23 @@ def test_another_scene_scores_worse(clip: tuple[Path, Path, list[Scene], list[by
     assert wrong["mean"]["train_seconds"] is None
 
 
+def test_pictures_are_measured_at_the_size_of_the_training_or_as_asked(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path
+) -> None:
+    scene, data, _, _ = clip
+    widths, psnr = [], []
+    for downscale in (None, 1.0, 2.0):
+        folder = tmp_path / str(downscale)
+        report = evaluate_file(scene, data, ("cam01",), folder, downscale=downscale)
+        widths.append(cv2.imread(str(folder / "cam01_00000.png")).shape[1])
+        psnr.append(report["mean"]["psnr"])
+    assert widths == [3 * 80, 3 * 160, 3 * 80]
+    assert psnr[1] > psnr[0] + 1  # the data show what the file does, at twice the size
+    assert psnr[0] == psnr[2]
+    with pytest.raises(InputError, match="downscale"):
+        evaluate_file(scene, data, ("cam01",), downscale=0.5)
+
+
 def test_what_cannot_be_evaluated(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:
     scene, data, _, _ = clip
     with pytest.raises(InputError, match="cam07"):
