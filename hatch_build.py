@@ -64,6 +64,8 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
             content = re.sub(rb"\s*([{};])\s*|([:,])\s+", rb"\1\2", content)
         elif path.suffix == ".html":
             content = re.sub(rb"\n\s+", b"\n", content)
+        elif path.suffix == ".wasm":  # its last section: names for debuggers
+            content = re.sub(rb"\0[\x80-\xff]?[\0-\x7f]\x04name.*", b"", content, flags=re.DOTALL)
         name = path.relative_to(folder).as_posix()
         tried = (brotli.compress(content, mode, lgwin=window) for mode in range(3) for window in range(10, 19, 2))
         yield f"{name}.br", min(tried, key=len)

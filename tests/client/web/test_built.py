@@ -47,6 +47,9 @@ def packed(tmp_path_factory: pytest.TempPathFactory, kernel: bytes) -> Path:
     assert b"/**" not in script
     assert gzip.decompress((folder / "ui" / "main.js.gz").read_bytes()) == script
     assert (folder / "decode" / "kernel.wasm").read_bytes() == kernel
+    small = brotli.decompress((folder / "decode" / "kernel.wasm.br").read_bytes())
+    assert kernel.startswith(small)
+    assert b"name" not in small
     assert sum(path.stat().st_size for path in folder.rglob("*.br")) < MAX_BYTES_IN_ALL
     return folder
 
