@@ -42,9 +42,10 @@ class Edge:
                     _LOG.info("%s answers again", self._source.name)
                 fault = self._registry.unready = ""
             except OSError as error:
-                if not fault:
-                    _LOG.warning("%s does not say which streams there are: %s", self._source.name, masked(str(error)))
-                fault = str(error) or "no answer"
+                reason = str(error) or "no answer"
+                if reason != fault:
+                    _LOG.warning("%s does not say which streams there are: %s", self._source.name, masked(reason))
+                fault = reason
             else:
                 with suppress(OSError):  # an origin that does not tell them has none, or those that it told before
                     self._registry.edges = self._registry.settings.edges or await self._source.edges()

@@ -147,10 +147,16 @@ def test_an_edge_checks_tokens_itself_and_shows_the_origin_its_own(
             assert caught.value.rcvd.code == 4401
 
 
-def test_an_edge_that_cannot_reach_its_origin_tells_the_log_where_that_is(
-    port: int, caplog: pytest.LogCaptureFixture
+def test_an_edge_that_cannot_reach_its_origin_tells_the_log_where_that_is_and_each_reason_once(
+    port: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with edge_of(port) as edge, edge.client() as client:
         wait(lambda: f"127.0.0.1:{port}" in caplog.text)
         answer = client.get("/readyz")
         assert (answer.status_code, answer.json()["detail"]) == (503, "the origin has not been reached yet")
+        tokens = tmp_path / "tokens.json"
+        tokens.write_text(json.dumps([{"name": "other", "sha256": "0" * 64, "rights": ["read"]}]))
+        with running(Settings(tokens=tokens), port=port):
+            wait(lambda: "answers 401" in caplog.text)
+            time.sleep(0.5)  # five more polls
+            assert caplog.text.count("answers 401") == 1
