@@ -53,6 +53,7 @@ def _coarser(predict: PredictConfig, factor: float) -> PredictConfig:
         position_steps_per_cell=max(round(predict.position_steps_per_cell / factor), 1),
         latent_rate=predict.latent_rate / factor,
         position_rate=predict.position_rate / factor,
+        group_rate=predict.group_rate / factor,
     )
 
 

@@ -68,6 +68,7 @@ def unquantised(config: TrainConfig) -> TrainConfig:
         position_steps_per_cell=predict.position_steps_per_cell * _FINER,
         latent_rate=predict.latent_rate * _FINER,
         position_rate=predict.position_rate * _FINER,
+        group_rate=predict.group_rate * _FINER,
         rate_weight=0.0,
     )
     return replace(config, predict=finer)

@@ -212,7 +212,13 @@ class PredictConfig:
         0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
     )
     position_rate: float = setting(
-        1.4, "Adam's rate of positions, in steps", reading(1.0, "none given (docs/method.md, reading 12)")
+        0.7, "Adam's rate of positions, in steps", reading(1.0, "none given (docs/method.md, reading 12)")
+    )
+    group_rate: float = setting(
+        1.4,
+        "the same of neighbourhoods: an anchor by itself moves more slowly than with others, so less of its motion is"
+        " noise that must be sent",
+        reading(1.0, "without effect, as every anchor moves by itself"),
     )
     group_cells: float = setting(
         4.0,

@@ -39,6 +39,7 @@ from core.train.pictures.views import Views
 from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from core.train.refresh.config import refresh_config
 from core.train.refresh.pending import PendingRefresh
+from core.train.residual.references import as_filmed, renewed_references
 from core.train.residual.state import State, fresh_state
 from core.train.residual.trainer import ResidualTrainer
 from core.train.residual.update import no_update, residual_of, strongest_changes
@@ -166,7 +167,8 @@ class Trainer:
             with watch.stage("refresh"):
                 field, precision = background.result(state.alive)
                 scene = self._scene_of(field, state.scene.version, precision)
-                self._exposure, self._state = background.exposure, self._fresh(scene, state.references)
+                self._exposure = background.exposure
+                self._state = replace(self._fresh(scene, state.references), filmed=state.filmed)
             count = scene.anchor_count
             report = FrameReport(watch.seconds, background.taken, count, count, 0.0, spans=tuple(watch.spans))
             return TrainedFrame(scene, None, report)
@@ -200,7 +202,8 @@ class Trainer:
         self._pending.take()
         self._first_count = self._first_count or scene.anchor_count
         if keep_references and self._state is not None:
-            self._state = self._fresh(scene, self._state.references, self._state.shown)
+            before = self._state
+            self._state = replace(self._fresh(scene, before.references, before.shown), filmed=before.filmed)
         else:
             self._refit_exposure = self._state is None  # after a crash: exposures do not travel with the scene
             self._state = self._fresh(scene)
@@ -252,7 +255,7 @@ class Trainer:
                 assert partition.dynamic is not None
                 most = plan.most_changes_beside(update.new)
                 update = strongest_changes(update, most, partition.dynamic[partition.trained])
-            # what had no time or no bytes counts as changed again, and goes on where it ended
+            # what had no time or no bytes goes on where it ended
             done = update.complete and (plan is None or not plan.strained)
             residual = residual_of(state.scene, rows.cpu().numpy(), update, frames.index)
             scene = apply(state.scene, residual)
@@ -265,11 +268,10 @@ class Trainer:
                 drawn = torch.from_numpy(np.flatnonzero(after.partition.trained & alive)).to(self._device)
                 shown = trainer.show(after.field, drawn)
             if renewed:
-                reached = views.targets if done else _moved_on(references, state.shown, shown)
-                references = torch.where(masks[..., None], reached, references)
-            for number in unknown:  # trained on for the first time: its static error is nothing that moves
-                references[number] = views.targets[number]
-            self._state = replace(after, references=references, shown=shown)
+                after = renewed_references(after, state, views, masks, shown, done=done)
+            # trained on for the first time: its static error is nothing that moves
+            after = as_filmed(after, views, unknown) if unknown else after
+            self._state = replace(after, shown=shown)
         if self._pending.is_due:
             with watch.stage("refresh"):
                 self._pending.train(state, self._state, views, self._exposure)
@@ -338,12 +340,14 @@ class Trainer:
         if late or (frames.index % self._config.predict.partition_interval and previous.trained.any()):
             return previous, False
         assert state.references is not None
+        assert state.filmed is not None
         seen = Observation(
             field=state.field,
             canonical=state.canonical,
             alive=alive,
             views=views,
             references=state.references,
+            filmed=state.filmed,
             masks=masks,
             previous=previous,
             steady=moves_steadily(state.motion if self._label else None, state.field.position, self._cameras),
@@ -387,7 +391,8 @@ class Trainer:
                 self._refit_exposure = False
             pictures = self._as_filmed(pictures)
             shown, references = _where_known(pictures, shown), _where_known(pictures, references)
-        return replace(state, references=references, shown=shown), unknown
+        filmed = references if state.filmed is None else _where_known(state.filmed, references)
+        return replace(state, references=references, filmed=filmed, shown=shown), unknown
 
     def _as_filmed(self, pictures: Tensor) -> Tensor:
         """`pictures` [C,H,W,3] with the cameras' exposures."""
@@ -420,16 +425,6 @@ def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:
     return torch.stack(
         [other if one[0, 0, 0].isnan() else one.clamp(0, 1) for one, other in zip(pictures, otherwise, strict=True)]
     )
-
-
-def _moved_on(references: Tensor, before: Tensor | None, shown: Tensor) -> Tensor:
-    """[C,H,W,3] `references`, changed as what the state shows has changed from `before` to `shown`.
-
-    So what is still missing of a change counts as changed again, but no static error does. Where nothing is known of
-    `before`, what is shown must do.
-    """
-    missing = torch.full_like(references, torch.nan) if before is None else references - before
-    return _where_known(torch.where(missing.isnan(), shown, shown + missing), references)
 
 
 def _by_change(views: Views, references: Tensor, masks: Tensor) -> list[int]:

@@ -5,7 +5,7 @@
 Every `--set` is a run of its own, with that field of `PredictConfig` changed, or several between commas; all start from
 the same first frame. Each tells the held-out PSNR of every tenth frame, its mean over all but the first, its slope a
 hundred frames, bytes of predicted packets and of a whole stream with its keyframes, and recall and precision of the
-dynamic set. Keyframes come as the service sends them; `--interval` and `--renewal-steps` say when, and how they train.
+dynamic set. Keyframes come as the service sends them; `--interval` and `--refresh-steps` say when, and how they train.
 `--errors` prints where the squared error of the held-out camera lies (1e-5 of the whole picture's): on what moves, on
 what movers have left since the beginning, on what else looks different from the first picture, and elsewhere, beside
 what the same pixels had at the first frame.
@@ -180,7 +180,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--views", type=int, default=5)
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--interval", type=int, default=RefreshRule().max_age, help="most frames between keyframes")
-    parser.add_argument("--renewal-steps", type=int, help="training of a keyframe in mid-stream")
+    parser.add_argument("--refresh-steps", type=int, help="training of a keyframe in mid-stream")
     parser.add_argument("--budget-ms", type=float, help="frame budget, of CPU time, so that other work does not count")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--still", action="store_true", help="nothing moves but the noise")

@@ -206,6 +206,7 @@ def changed(config: TrainConfig, changes: str) -> tuple[TrainConfig, dict[str, i
             position_steps_per_cell=predict.position_steps_per_cell * factor,
             latent_rate=predict.latent_rate * factor,
             position_rate=predict.position_rate * factor,
+            group_rate=predict.group_rate * factor,
             rate_weight=0.0,
         )
     return replace(config, predict=predict), causes

@@ -89,7 +89,7 @@ class Difference:
         moved = torch.zeros_like(seen.masks)
         for number in seen.views.usable:
             if seen.masks[number].any():
-                pictures = seen.references[number].cpu().numpy(), seen.views.targets[number].cpu().numpy()
+                pictures = seen.filmed[number].cpu().numpy(), seen.views.targets[number].cpu().numpy()
                 moved[number] = torch.from_numpy(moved_pixels(*pictures, self.noise_floor)).to(moved.device)
         return moved & seen.masks
 

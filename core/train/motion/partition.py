@@ -51,8 +51,9 @@ class Observation:
         field: the state before; canonical: the keyframe's field, with the same rows.
         alive: [N] bool.
         views: the pictures of the next instant.
-        references: [C,H,W,3] pictures that the state was last trained to show.
-        masks: [C,H,W] bool, pixels that changed against them, see `change_masks`.
+        references: [C,H,W,3] pictures that the new ones are compared with, see `State`.
+        filmed: [C,H,W,3] the same as they were filmed: what the state shows wrongly has not moved.
+        masks: [C,H,W] bool, pixels that changed against the references, see `change_masks`.
         previous: the partition of the frame before.
         steady: [N] bool, anchors that training keeps moving.
         backend: of the rasteriser.
@@ -64,6 +65,7 @@ class Observation:
     alive: Tensor
     views: Views
     references: Tensor
+    filmed: Tensor
     masks: Tensor
     previous: Partition
     steady: Bool

@@ -25,7 +25,10 @@ class State:
     Attributes:
         scene: the decoder's integer state; field: the same, dequantised.
         canonical: the keyframe's field, for the paper's motion cue.
-        references: [C,H,W,3] what the state was trained to show, NaN for cameras not seen yet; None after a resume.
+        references: [C,H,W,3] pictures that new ones are compared with: what was filmed when a change was last
+            accepted, or what the state shows where training of that goes on; NaN for cameras not seen yet; None after
+            a resume.
+        filmed: [C,H,W,3] likewise, but everywhere what was filmed; None for the references.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
         partition: what the latest frame trained.
         change: [N,27] of the latest frame, latents and positions in steps; None for zeros.
@@ -42,6 +45,7 @@ class State:
     change: Tensor | None = None
     start: Tensor | None = None
     motion: Tensor | None = None
+    filmed: Tensor | None = None
 
     @property
     def alive(self) -> Tensor:

@@ -179,9 +179,10 @@ class ResidualTrainer:
             self._drawn[number] = raster.image.detach()
             if growth.uses_gradients:
                 self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
-        rates = dict.fromkeys(("position", "shift", "turn"), config.position_rate * decay)
+        rates = {"latent": config.latent_rate, "position": config.position_rate}
+        rates |= dict.fromkeys(("shift", "turn"), config.group_rate)
         new = {} if self._added is None else self._added.rates(config.position_rate, decay)
-        self._optimiser.step(rates | {"latent": config.latent_rate * decay} | new)
+        self._optimiser.step({name: rate * decay for name, rate in rates.items()} | new)
         return loss.detach()
 
     def _pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:

@@ -44,8 +44,9 @@ def test_unquantised_moves_parameters_as_before() -> None:
     assert fine.latent_rate * fine.feature_step == pytest.approx(
         config.predict.latent_rate * config.predict.feature_step
     )
-    before = config.predict.position_rate / config.predict.position_steps_per_cell
-    assert fine.position_rate / fine.position_steps_per_cell == pytest.approx(before)
+    for rate in ("position_rate", "group_rate"):
+        before = getattr(config.predict, rate) / config.predict.position_steps_per_cell
+        assert getattr(fine, rate) / fine.position_steps_per_cell == pytest.approx(before)
 
 
 def test_each_point_of_the_design_turns_one_knob() -> None:

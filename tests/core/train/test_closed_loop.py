@@ -124,10 +124,19 @@ def test_a_scene_comes_back_after_bad_pictures(
     assert ended > min(begun - 3, spoilt + 3)  # a few frames of a few steps do not heal everything
 
 
+def test_a_change_is_trained_until_that_helps_no_more(clip: Dataset, images: list[UInt8], first: Scene) -> None:
+    """Not for one frame only; and a scene that stands still costs nothing in the end, however wrong it is shown."""
+    results = loop(Trainer(clip.cameras, config(), clip.fps, "cpu"), first, [images[0], *[images[8]] * 12])
+    trained = [result.report.dynamic + result.report.changed for result in results]
+    assert min(trained[1:4]) > 0
+    assert quality(results[-1].scene, clip, images[8]) > quality(results[1].scene, clip, images[8]) + 0.4
+    assert trained[-1] == 0
+
+
 @pytest.mark.parametrize("factor", [100.0, 1e-3])
 def test_rates_far_off_stay_finite(clip: Dataset, images: list[UInt8], first: Scene, factor: float) -> None:
     predict = PredictConfig()
-    rates = {"latent_rate": predict.latent_rate * factor, "position_rate": predict.position_rate * factor}
+    rates = {name: getattr(predict, name) * factor for name in ("latent_rate", "position_rate", "group_rate")}
     loop(Trainer(clip.cameras, config(**rates), clip.fps, "cpu"), first, images[1:4])
 
 
@@ -179,9 +188,10 @@ def test_everything_that_changes_and_nothing_that_does(clip: Dataset, images: li
 def test_a_new_keyframe_changes_nothing_for_training(clip: Dataset, images: list[UInt8], first: Scene) -> None:
     """Rekeying in the middle: what was known stays known, so a still frame after it stays empty."""
     trainer = Trainer(clip.cameras, config(), clip.fps, "cpu")
-    loop(trainer, first, [images[0], images[1]])
+    results = loop(trainer, first, [images[0], *[images[1]] * 12])
+    assert results[-1].report.steps == 0  # training of the change has come to its end
     trainer.resume(as_keyframe(trainer.scene, trainer.scene.version), keep_references=True)
-    assert trainer.predict(frame_set(3, images[1])).report.steps == 0
+    assert trainer.predict(frame_set(14, images[1])).report.steps == 0
 
 
 @pytest.mark.slow
