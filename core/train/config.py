@@ -216,8 +216,8 @@ class PredictConfig:
     )
     group_rate: float = setting(
         1.4,
-        "the same of neighbourhoods: an anchor by itself moves more slowly than with others, so less of its motion is"
-        " noise that must be sent",
+        "Adam's rate of the shift and turn that a neighbourhood shares, in steps; higher than `position_rate`, because"
+        " what single anchors do is mostly noise, which must be sent",
         reading(1.0, "without effect, as every anchor moves by itself"),
     )
     group_cells: float = setting(

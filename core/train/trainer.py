@@ -181,9 +181,8 @@ class Trainer:
             scene = self._scene_of(trainer.field, state.scene.version, trainer.precision)
             self._exposure = trainer.exposure
             references = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
-            references = references.clone()
-            references[views.usable] = views.targets[views.usable]
-            self._state = self._fresh(scene, references)
+            fresh = replace(self._fresh(scene, references), filmed=references if state.filmed is None else state.filmed)
+            self._state = as_filmed(fresh, views, views.usable)
         loss, count = float(torch.stack(losses[-50:]).mean()), scene.anchor_count
         report = FrameReport(watch.seconds, len(losses), count, count, loss, trainer.broken, tuple(watch.spans))
         return TrainedFrame(scene, None, report)
@@ -391,7 +390,8 @@ class Trainer:
                 self._refit_exposure = False
             pictures = self._as_filmed(pictures)
             shown, references = _where_known(pictures, shown), _where_known(pictures, references)
-        filmed = references if state.filmed is None else _where_known(state.filmed, references)
+        filmed = references if state.filmed is None else state.filmed
+        filmed = _where_known(filmed, references) if unknown else filmed
         return replace(state, references=references, filmed=filmed, shown=shown), unknown
 
     def _as_filmed(self, pictures: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from server.edge.supply import StreamSource
 from server.stream.sealing import masked
 
 _LOG = logging.getLogger(__name__)
+_MAX_TOLD = 20  # reasons: a hostile origin may have a new one each time
 
 
 class Edge:
@@ -34,18 +35,19 @@ class Edge:
 
     async def run(self) -> None:
         """Ask the origin for its streams again and again, until cancelled."""
-        fault = ""
+        told = set[str]()  # reasons, since it last answered
         while True:
             try:
                 self._take_over(await self._source.streams())
-                if fault:
+                if told:
                     _LOG.info("%s answers again", self._source.name)
-                fault = self._registry.unready = ""
+                told.clear()
+                self._registry.unready = ""
             except OSError as error:
-                reason = str(error) or "no answer"
-                if reason != fault:
-                    _LOG.warning("%s does not say which streams there are: %s", self._source.name, masked(reason))
-                fault = reason
+                reason = masked(str(error)) or "no answer"
+                if reason not in told and len(told) < _MAX_TOLD:
+                    _LOG.warning("%s does not say which streams there are: %s", self._source.name, reason)
+                    told.add(reason)
             else:
                 with suppress(OSError):  # an origin that does not tell them has none, or those that it told before
                     self._registry.edges = self._registry.settings.edges or await self._source.edges()

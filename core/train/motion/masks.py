@@ -1,11 +1,11 @@
 """What moves: pixels first, then anchors (paper section IV-B; docs/method.md, readings 16 to 18).
 
-Pixels: each camera's picture is compared with its *reference*: the last one filmed there, or what the model shows where
-its training goes on. Only changes above the camera's own noise count, so a still scene yields nothing at all, whatever
-the model's static error; and as a reference is renewed only where a change was accepted, slow drift adds up until it is
-seen. Among the pixels that changed from picture to picture, those *moved* that no change of light explains: where the
-best gain of their neighbourhood, which is what a shadow or a lamp does, leaves as much of the change as would count by
-itself.
+Pixels: each camera's picture is compared with its *reference*: what was filmed when a change was last accepted there,
+or what the model shows where training of that goes on. Only changes above the camera's own noise count, so a still
+scene yields nothing at all, whatever the model's static error; and as a reference is renewed only where a change was
+accepted, slow drift adds up until it is seen. Among the pixels that changed from picture to picture, those *moved* that
+no change of light explains: where the best gain of their neighbourhood, which is what a shadow or a lamp does, leaves
+as much of the change as would count by itself.
 
 Anchors: scores of motion from `core.train.motion.partition`, split in two by a Gaussian mixture on their fourth root.
 (On the logarithm, as one might read the paper, the mixture's wide low component swallows the top: see docs/method.md.)

@@ -22,17 +22,26 @@ _GAIN = 0.1  # of the error
 def renewed_references(after: State, before: State, views: Views, masks: Tensor, shown: Tensor, *, done: bool) -> State:
     """`after` with the pictures that the next ones are compared with: renewed in changed pixels, `masks` [C,H,W].
 
-    There it is the picture that was filmed; but where training was cut short or still gets on, what the state shows
-    now, so that what is missing of the change counts as changed again.
+    There it is the picture that was filmed; but where training still gets on, what the state shows now, so that what is
+    missing of the change counts as changed again. Where training was cut short, the reference changes as what is shown
+    has changed: static error does not count.
 
     Args:
         before: the state before the frame. shown: [C,H,W,3] what the one after it shows, NaN where that is not known.
+        done: nothing was cut short.
     """
+    if not masks.any():
+        return after
     assert after.references is not None
     assert after.filmed is not None
+    known = torch.full_like(shown, torch.nan) if before.shown is None else before.shown.clamp(0, 1)
     now = shown.clamp(0, 1)
-    goes_on = ~stagnant(views.targets, before.shown, now) if done else torch.ones_like(masks)
-    reached = torch.where(goes_on[..., None], torch.where(now.isnan(), after.references, now), views.targets)
+    if done:
+        goes_on = ~(stagnant(views.targets, known, now)[..., None] | now.isnan())
+        reached = torch.where(goes_on, now, views.targets)
+    else:
+        moved = (after.references + now - known).clamp(0, 1)
+        reached = torch.where(moved.isnan(), torch.where(now.isnan(), after.references, now), moved)
     return replace(
         after,
         references=torch.where(masks[..., None], reached, after.references),
@@ -49,15 +58,13 @@ def as_filmed(state: State, views: Views, numbers: list[int]) -> State:
     return replace(state, references=references, filmed=filmed)
 
 
-def stagnant(targets: Tensor, before: Tensor | None, now: Tensor) -> Tensor:
+def stagnant(targets: Tensor, before: Tensor, now: Tensor) -> Tensor:
     """[C,H,W] bool: pixels round which a frame's training took less than a tenth off the absolute error.
 
     Args:
         targets: [C,H,W,3] what it should show. before, now: likewise, what was shown before and after it, NaN where
-            that is not known.
+            that is not known; there nothing is stagnant.
     """
-    if before is None:
-        return torch.zeros(targets.shape[:3], dtype=torch.bool, device=targets.device)
 
     def error(shown: Tensor) -> Tensor:
         difference = (targets - shown).abs().amax(dim=3)[:, None]

@@ -28,7 +28,8 @@ class State:
         references: [C,H,W,3] pictures that new ones are compared with: what was filmed when a change was last
             accepted, or what the state shows where training of that goes on; NaN for cameras not seen yet; None after
             a resume.
-        filmed: [C,H,W,3] likewise, but everywhere what was filmed; None for the references.
+        filmed: [C,H,W,3] what was filmed when a change was last accepted, also where training goes on; None: the same
+            as `references`.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
         partition: what the latest frame trained.
         change: [N,27] of the latest frame, latents and positions in steps; None for zeros.

@@ -50,6 +50,9 @@ def packed(tmp_path_factory: pytest.TempPathFactory, kernel: bytes) -> Path:
     small = brotli.decompress((folder / "decode" / "kernel.wasm.br").read_bytes())
     assert kernel.startswith(small)
     assert b"name" not in small
+    wasmtime = importlib.import_module("wasmtime")
+    exports = {export.name for export in wasmtime.Module(wasmtime.Engine(), small).exports}
+    assert exports == {export.name for export in wasmtime.Module(wasmtime.Engine(), kernel).exports}
     assert sum(path.stat().st_size for path in folder.rglob("*.br")) < MAX_BYTES_IN_ALL
     return folder
 

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from core.train.residual.references import stagnant
+from core.camera import look_at, pinhole
+from core.train.pictures.views import Views
+from core.train.residual.references import as_filmed, renewed_references, stagnant
+from core.train.residual.state import State, fresh_state
+from tests.client.web.scenes import make_scene
 
 TARGET = torch.full((2, 20, 30, 3), 0.5)
 
@@ -40,4 +46,59 @@ def test_what_is_not_known_goes_on() -> None:
     found = stagnant(TARGET, before, shown(0.3))
     assert not found[0].any()
     assert found[1, :, 15:].all()
-    assert not stagnant(TARGET, None, shown(0.3)).any()
+
+
+CAMERA = pinhole(
+    "cam", (30, 30), (15, 10), (30, 20), look_at(np.array([0.0, 0, -3]), np.zeros(3), np.array([0.0, -1, 0]))
+)
+VIEWS = Views((CAMERA, CAMERA), TARGET, [0, 1])
+MASK = torch.zeros(2, 20, 30, dtype=torch.bool)
+MASK[:, :, 10:] = True
+
+
+def state(before: Tensor | None) -> State:
+    """One that shows `before`, was compared with 0.1 and filmed at 0.2."""
+    begun = fresh_state(make_scene(20), "cpu", torch.full_like(TARGET, 0.1), before)
+    return replace(begun, filmed=torch.full_like(TARGET, 0.2))
+
+
+def renewed(before: Tensor | None, now: Tensor, *, done: bool = True) -> tuple[Tensor, Tensor]:
+    after = renewed_references(state(before), state(before), VIEWS, MASK, now, done=done)
+    assert after.references is not None
+    assert after.filmed is not None
+    outside = ~MASK
+    assert (after.references[outside] == 0.1).all()
+    assert (after.filmed[outside] == 0.2).all()
+    assert (after.filmed[MASK] == 0.5).all()
+    return after.references[0, 10, 25], after.references[0, 10, 11]
+
+
+def test_the_reference_is_what_is_shown_while_training_gets_on_and_then_what_was_filmed() -> None:
+    torch.testing.assert_close(renewed(shown(0.3), shown(0.2))[0], torch.tensor([0.5, 0.7, 0.5]))
+    torch.testing.assert_close(renewed(shown(0.3), shown(0.29))[0], torch.tensor([0.5, 0.5, 0.5]))
+
+
+def test_brighter_than_white_is_no_progress() -> None:
+    """Pictures end at 1, and so does what counts of those that are shown."""
+    assert renewed(shown(0.7), shown(0.7))[0][1] == 0.5
+
+
+def test_a_change_that_no_anchor_shows_ends() -> None:
+    nothing = torch.full_like(TARGET, torch.nan)
+    assert renewed(nothing, nothing)[0][1] == 0.5
+    assert renewed(None, nothing)[0][1] == 0.5
+
+
+def test_where_training_was_cut_short_static_error_does_not_count() -> None:
+    """The reference goes as far as what is shown has gone."""
+    right, _ = renewed(shown(0.3), shown(0.2), done=False)
+    torch.testing.assert_close(right, torch.tensor([0.1, 0.0, 0.1]))
+    torch.testing.assert_close(renewed(None, shown(0.2), done=False)[0], torch.tensor([0.5, 0.7, 0.5]))
+
+
+def test_a_camera_that_joins_is_compared_with_what_it_films() -> None:
+    after = as_filmed(state(None), VIEWS, [1])
+    for pictures in (after.references, after.filmed):
+        assert pictures is not None
+        assert (pictures[1] == 0.5).all()
+        assert (pictures[0] < 0.3).all()
