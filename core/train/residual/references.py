@@ -16,15 +16,14 @@ from core.train.pictures.views import Views
 from core.train.residual.state import State
 
 _NEIGHBOURHOOD = 5  # pixels
-_GAIN = 0.1  # of the error
+_GAIN, _GAIN_CUT_SHORT = 0.1, 0.01  # of the error that a frame's training must take off to go on
 
 
 def renewed_references(after: State, before: State, views: Views, masks: Tensor, shown: Tensor, *, done: bool) -> State:
     """`after` with the pictures that the next ones are compared with: renewed in changed pixels, `masks` [C,H,W].
 
     There it is the picture that was filmed; but where training still gets on, what the state shows now, so that what is
-    missing of the change counts as changed again. Where training was cut short, the reference changes as what is shown
-    has changed: static error does not count.
+    missing of the change counts as changed again.
 
     Args:
         before: the state before the frame. shown: [C,H,W,3] what the one after it shows, NaN where that is not known.
@@ -36,12 +35,9 @@ def renewed_references(after: State, before: State, views: Views, masks: Tensor,
     assert after.filmed is not None
     known = torch.full_like(shown, torch.nan) if before.shown is None else before.shown.clamp(0, 1)
     now = shown.clamp(0, 1)
-    if done:
-        goes_on = ~(stagnant(views.targets, known, now)[..., None] | now.isnan())
-        reached = torch.where(goes_on, now, views.targets)
-    else:
-        moved = (after.references + now - known).clamp(0, 1)
-        reached = torch.where(moved.isnan(), torch.where(now.isnan(), after.references, now), moved)
+    ends = stagnant(views.targets, known, now, _GAIN if done else _GAIN_CUT_SHORT)[..., None]
+    reached = torch.where(ends, views.targets, now)
+    reached = torch.where(now.isnan(), views.targets if done else after.references, reached)
     return replace(
         after,
         references=torch.where(masks[..., None], reached, after.references),
@@ -58,8 +54,8 @@ def as_filmed(state: State, views: Views, numbers: list[int]) -> State:
     return replace(state, references=references, filmed=filmed)
 
 
-def stagnant(targets: Tensor, before: Tensor, now: Tensor) -> Tensor:
-    """[C,H,W] bool: pixels round which a frame's training took less than a tenth off the absolute error.
+def stagnant(targets: Tensor, before: Tensor, now: Tensor, least_gain: float) -> Tensor:
+    """[C,H,W] bool: pixels round which a frame's training took less than `least_gain` of the absolute error off.
 
     Args:
         targets: [C,H,W,3] what it should show. before, now: likewise, what was shown before and after it, NaN where
@@ -70,4 +66,4 @@ def stagnant(targets: Tensor, before: Tensor, now: Tensor) -> Tensor:
         difference = (targets - shown).abs().amax(dim=3)[:, None]
         return functional.avg_pool2d(difference, _NEIGHBOURHOOD, 1, _NEIGHBOURHOOD // 2, count_include_pad=False)[:, 0]
 
-    return error(now) > (1 - _GAIN) * error(before)
+    return error(now) > (1 - least_gain) * error(before)
