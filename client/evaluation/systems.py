@@ -113,7 +113,7 @@ class FirstFrames:
 def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:
     """A keyframe whose residuals are to be coded in the steps of `new`; the picture is the same."""
     header, weights = scene.header, scene.weights
-    cell = header.octree.root_cell
+    cell = header.octree.motion_cell
     positions = np.full(header.octree.levels, cell / new.position_steps_per_cell, np.float32)
     feature = np.float32(new.feature_step / old.feature_step) * weights.feature_decoder
     offset = np.float32(new.offset_step / old.offset_step) * weights.offset_decoder

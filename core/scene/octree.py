@@ -14,6 +14,7 @@ import numpy as np
 from core.arrays import Float32, Float64, Int32, Int64, check_array
 
 MAX_LEVELS = 16
+_MOTION_LEVELS = 3  # the level whose cells measure motion, counted from the finest one
 _MORTON_BITS = 21  # a coordinate takes 21 bits of a 63-bit key
 
 
@@ -41,6 +42,15 @@ class Octree:
     def cell(self, level: int) -> float:
         """Width of a cell of `level` in world units: root_cell / 2^level (paper section IV-A)."""
         return self.root_cell / 2.0**level
+
+    @property
+    def motion_cell(self) -> float:
+        """Width of the cells that motion is measured in, in world units: those of the third finest level.
+
+        The cells of level 0 suit what is farthest. In a garden under a sky, a 32nd of them is more than a pixel of what
+        moves near the cameras.
+        """
+        return self.cell(max(self.levels - _MOTION_LEVELS, 0))
 
     def voxel_of(self, positions: Float32 | Float64, level: int) -> Int32:
         """[N,3] int32 nearest grid node of world `positions` [N,3]; `node_of` goes back."""

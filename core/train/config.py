@@ -222,7 +222,7 @@ class PredictConfig:
     )
     group_cells: float = setting(
         4.0,
-        "width of the neighbourhoods whose anchors also move as one, in level-0 cells; 0 for none",
+        "width of the neighbourhoods whose anchors also move as one, in motion cells; 0 for none",
         reading(0.0, "not mentioned: every anchor moves by itself"),
     )
     optimiser: str = setting("adam", "a name in `core.train.optimise.optimisers`", octree_gs("adam", "its optimiser"))
@@ -247,7 +247,7 @@ class PredictConfig:
     offset_step: float = setting(0.2, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
     position_steps_per_cell: int = setting(
         32,
-        "steps in which anchors move, to a level-0 cell",
+        "steps in which anchors move, to a motion cell: one of the third finest level",
         reading(16, "positions are float32 there; ours are integers, which must be sent"),
     )
     rate_weight: float = setting(

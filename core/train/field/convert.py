@@ -45,7 +45,7 @@ def scene_of(
         view_dependent=field.view_dependent,
         reference_distance=field.reference_distance,
         position_steps=np.full(
-            field.octree.levels, field.octree.root_cell / predict.position_steps_per_cell, np.float32
+            field.octree.levels, field.octree.motion_cell / predict.position_steps_per_cell, np.float32
         ),
         feature_steps=_array(precision.feature),
         offset_steps=_array(precision.offset.flatten()),

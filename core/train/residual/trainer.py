@@ -55,7 +55,7 @@ class ResidualTrainer:
         masks: [C,H,W] bool, pixels that changed.
         useful: cameras to train on, the most important first.
         optimiser: of latents and positions.
-        group_cells: width of the neighbourhoods that also move as one, in level-0 cells; 0 for none.
+        group_cells: width of the neighbourhoods that also move as one, in motion cells (`Octree`); 0 for none.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class ResidualTrainer:
         begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
         self._groups: Groups | None = None
         if group_cells > 0:
-            self._groups = neighbourhoods(self._base.position, group_cells * field.octree.root_cell)
+            self._groups = neighbourhoods(self._base.position, group_cells * field.octree.motion_cell)
             begin |= self._groups.at_rest()
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
         self._optimiser = optimiser.start(leaves)

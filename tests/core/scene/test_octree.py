@@ -26,6 +26,11 @@ def test_morton_keys_interleave_bits(voxels: list[tuple[int, int, int]]) -> None
     assert morton_key(array).tolist() == expected
 
 
+@pytest.mark.parametrize(("levels", "width"), [(1, 8.0), (2, 8.0), (3, 8.0), (4, 4.0), (6, 1.0)])
+def test_motion_is_measured_in_cells_of_the_third_finest_level(levels: int, width: float) -> None:
+    assert Octree(np.zeros(3), 8.0, levels).motion_cell == width
+
+
 def test_morton_order_of_a_cube() -> None:
     cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.int32)
     assert morton_key(cube).tolist() == list(range(8))

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from core.camera import look_at, pinhole
+from core.scene.octree import Octree
 from core.train.config import PredictConfig
 from core.train.field.convert import scene_of
 from core.train.field.exposure import neutral
+from core.train.field.field import Field
 from core.train.field.rendered import rendered
 from core.train.motion.partition import Partition
 from core.train.pictures.views import Views
@@ -56,13 +59,27 @@ def test_gradients_are_those_of_autograd() -> None:
 
 
 def test_groups_follow_a_motion_that_single_anchors_lose() -> None:
+    field = random_field(160)
+    assert missing_share(field, 2.0) < 0.85 * missing_share(field, 0.0)
+
+
+def test_what_is_near_is_followed_as_well_where_the_scene_is_deep() -> None:
+    """The same anchors on finer levels of a coarser grid: steps and neighbourhoods are theirs, not those of level 0."""
+    field = random_field(160)
+    octree = Octree(field.octree.origin, 8 * field.octree.root_cell, field.octree.levels + 3)
+    deep = replace(field, octree=octree, level=field.level + 3)
+    assert missing_share(deep, 2.0) == pytest.approx(missing_share(field, 2.0), abs=1e-3)
+
+
+def missing_share(field: Field, group_cells: float) -> float:
+    """Mean distance that is missing after training to follow a shift by two pixels, as a share of that."""
     config = PredictConfig(epochs=20, minimum_steps=0, least_gain=0.0)
     cameras = tuple(
         pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),
                 look_at(np.array([x, -0.4, -3.0]), np.zeros(3), np.array([0.0, -1.0, 0.0])))
         for i, x in enumerate((-1.0, 0.0, 1.0))
     )  # fmt: skip
-    scene = scene_of(random_field(160), config, cameras, 30.0, 0)
+    scene = scene_of(field, config, cameras, 30.0, 0)
     state = fresh_state(scene, "cpu")
     shift = torch.tensor([0.06, 0.0, 0.0])  # two pixels
     moved = replace(state.field, position=state.field.position + shift)
@@ -70,14 +87,9 @@ def test_groups_follow_a_motion_that_single_anchors_lose() -> None:
     views = replace(blank, targets=rendered(moved, state.alive, blank, "cpu"))
     everything = np.ones(len(state.field), np.bool_)
     changed = torch.ones(3, HEIGHT, WIDTH, dtype=torch.bool)
-
-    def missing(group_cells: float) -> float:
-        """Mean distance that is left, as a share of the motion."""
-        trainer = ResidualTrainer(
-            state, Partition(None, everything), views, neutral(3), changed, [0, 1, 2], group_cells=group_cells
-        )
-        update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
-        went = torch.from_numpy(update.position) * scene.header.position_steps[0]
-        return float((went - shift).norm(dim=1).mean() / shift.norm())
-
-    assert missing(2.0) < 0.85 * missing(0.0)
+    trainer = ResidualTrainer(
+        state, Partition(None, everything), views, neutral(3), changed, [0, 1, 2], group_cells=group_cells
+    )
+    update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
+    went = torch.from_numpy(update.position) * scene.header.position_steps[0]
+    return float((went - shift).norm(dim=1).mean() / shift.norm())
