@@ -18,7 +18,7 @@ from codec.container import SlodReader
 from server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
 from server.stream.store import Recording, Segment
 
-_RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
+RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
 GroupFile = Path | list[StreamPacket]  # a recorded group of pictures, or one in memory
 
 
@@ -83,7 +83,7 @@ class Bus:
         prompt = {writer: writing for writer, writing in writings.items() if writer not in late}
         if prompt:
             self._newest |= prompt
-            await asyncio.wait(prompt.values(), timeout=_RECORD_SECONDS)
+            await asyncio.wait(prompt.values(), timeout=RECORD_SECONDS)
 
     def _write(self, packet: StreamPacket) -> dict[str, asyncio.Future[None]]:
         recorded: Future[None] | None = None if self.recording is None else self.recording.append(packet)

@@ -9,6 +9,7 @@ from contextlib import suppress
 from nats.aio.client import Client
 from nats.js import JetStreamContext
 
+from server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES
 from server.settings import JetStreamSettings
 
 _LOG = logging.getLogger(__name__)
@@ -16,6 +17,7 @@ _RECONNECT_SECONDS = 0.25
 _CONNECT_SECONDS = 2
 _PING_SECONDS = 5  # a dead machine answers no ping
 _CLOSE_SECONDS = 1.0
+_MAX_SAID = 100  # faults that the log has of one connection
 
 
 class NatsConnection:
@@ -28,8 +30,14 @@ class NatsConnection:
     def __init__(self, settings: JetStreamSettings) -> None:
         self._settings = settings
         self._closing = False
+        self._said: set[str] = set()
         self.fault = ""
         self.client = Client()
+
+    @property
+    def piece_bytes(self) -> int:
+        """Of a packet in one message, at most."""
+        return min(MAX_PIECE_BYTES, self.client.max_payload - MAX_HEADER_BYTES)
 
     @property
     def jetstream(self) -> JetStreamContext:
@@ -45,14 +53,15 @@ class NatsConnection:
 
         async def say_back() -> None:
             self.fault = ""
+            self._said.clear()
             _LOG.info("NATS answers again")
 
         async def say_fault(error: Exception) -> None:
-            """Once for each fault, since attempts fail several times a second while a server is away."""
-            text = str(error) or type(error).__name__
-            if text != self.fault and not self._closing:
-                self.fault = text
-                _LOG.warning("NATS: %s", text)
+            """Once for each fault: attempts fail several times a second, as does every message that is not allowed."""
+            self.fault = str(error) or type(error).__name__
+            if self.fault not in self._said and len(self._said) < _MAX_SAID and not self._closing:
+                self._said.add(self.fault)
+                _LOG.warning("NATS: %s", self.fault)
 
         credentials = self._settings.credentials
         await self.client.connect(

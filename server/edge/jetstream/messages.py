@@ -10,7 +10,22 @@ from server.protocol.packets import Position, StreamPacket
 
 MAX_PIECE_BYTES = 1 << 19  # NATS takes messages of 1 MiB unless it is configured otherwise
 MAX_HEADER_BYTES = 4096  # of a message
+MSG_ID = "Nats-Msg-Id"  # the header that has a message's id
+Place = tuple[Position, bool]  # of a packet, and whether it is a keyframe, which comes after a residual of its position
 _ID = re.compile(r"([0-9a-f]{16})/(\d{1,10})/(\d{1,10})/([kr])/(\d{1,4})/(\d{1,4})")
+
+
+@dataclass(frozen=True, slots=True)
+class LiveSubjects:
+    """Subjects that no stream of JetStream has.
+
+    Attributes:
+        packets: sent from server to server.
+        wanted: what readers ask: an id, of the packet behind which they want some.
+    """
+
+    packets: str
+    wanted: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +54,11 @@ class Names:
     def subject(self, stream: str, incarnation: str, kind: str) -> str:
         """Subject of keyframes (kind ``k``), of residuals (``r``), or of both (``*``)."""
         return f"{self.prefix}.packets.{stream}.{incarnation}.{kind}"
+
+    def live(self, stream: str, incarnation: str) -> LiveSubjects:
+        """Subjects of packets that are sent directly."""
+        packets = f"{self.prefix}.live.{stream}.{incarnation}"
+        return LiveSubjects(packets, f"{packets}.wanted")
 
 
 @dataclass(frozen=True, slots=True)

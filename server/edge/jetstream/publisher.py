@@ -1,4 +1,7 @@
-"""What this server trains, published: packets in order, one at a time, each until JetStream has acknowledged it."""
+"""What this server trains, published: packets in order, one at a time, each until JetStream has acknowledged it.
+
+What waits long for that is sent to other servers directly, too (`server.edge.jetstream.live`).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,8 @@ from nats.js.errors import BadRequestError, NotFoundError
 from server.edge.ending import end
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, create_stream, directory_config
-from server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES, MessageId, Names, pieces_of
+from server.edge.jetstream.live import LiveSender
+from server.edge.jetstream.messages import MSG_ID, MessageId, Names, pieces_of
 from server.protocol.packets import StreamPacket
 from server.settings import Settings
 from server.stream.stream import Stream
@@ -62,6 +66,8 @@ class Publisher:
         self._has_left = False
         self._queue: deque[_Waiting] = deque()
         self._queued = asyncio.Event()
+        subjects = names.live(stream.id, stream.incarnation)
+        self._live = LiveSender(connection, subjects, stream.incarnation, self._is_ours, self._oldest)
         self._gap = False  # what comes does not follow what was stored, until a keyframe does
         self._may_be_missing = True  # what it needs in JetStream
         self._said_at = -_SAY_SECONDS
@@ -81,24 +87,26 @@ class Publisher:
         self._queue.append(waiting)
         self.waiting_bytes += len(packet.data)
         self._queued.set()
+        self._live.append(packet)
         return waiting.stored
 
     async def run(self) -> None:
         """Publish until cancelled, or the stream was deleted."""
-        sending = asyncio.create_task(self._send())
+        tasks = [asyncio.create_task(work) for work in (self._send(), self._live.run())]
         try:
             while not self.stream.deleted:
                 async with self._telling:
                     if not self._has_left:
                         await self._tell()
                 state, limit = (self.stream.state, self.stream.detail), time.monotonic() + TELL_SECONDS
-                if sending.done():
-                    sending.result()
+                for task in tasks:
+                    if task.done():
+                        task.result()
                 while time.monotonic() < limit and (self.stream.state, self.stream.detail) == state:
                     await asyncio.sleep(_LOOK_SECONDS)
             await self._remove()
         finally:
-            await end(sending)
+            await end(*tasks)
 
     async def finish(self) -> None:
         """Wait for what is queued; then say that this server publishes the stream no more."""
@@ -158,14 +166,16 @@ class Publisher:
                 self._queued.clear()
                 await self._queued.wait()
             waiting = self._queue[0]
-            limit = min(MAX_PIECE_BYTES, self._connection.client.max_payload - MAX_HEADER_BYTES)
-            for found, data in pieces_of(self.stream.incarnation, waiting.packet, limit):
+            for found, data in pieces_of(self.stream.incarnation, waiting.packet, self._connection.piece_bytes):
                 await self._store(found, data)
             if self._queue and self._queue[0] is waiting:  # it was not left out meanwhile
                 self._queue.popleft()
                 self.waiting_bytes -= len(waiting.packet.data)
             if not waiting.stored.done():
                 waiting.stored.set_result(None)
+
+    def _oldest(self) -> StreamPacket | None:
+        return self._queue[0].packet if self._queue else None
 
     async def _store(self, found: MessageId, data: bytes) -> None:
         """Publish one message, as often as it takes; JetStream stores it once."""
@@ -175,7 +185,7 @@ class Publisher:
             await self._is_ours.wait()
             try:
                 await self._connection.jetstream.publish(
-                    subject, data, timeout=_ACK_SECONDS, stream=name, headers={"Nats-Msg-Id": str(found)}
+                    subject, data, timeout=_ACK_SECONDS, stream=name, headers={MSG_ID: str(found)}
                 )
                 return
             except (Error, OSError) as error:
@@ -206,6 +216,7 @@ class Publisher:
         for waiting in self._queue:
             waiting.stored.cancel()
         self._queue.clear()
+        self._live.clear()
         self.waiting_bytes, self._gap = 0, True
 
     def _say(self, text: str) -> None:

@@ -1,4 +1,7 @@
-"""One stream of another server, as JetStream has it: followed from its newest keyframe, its past behind that."""
+"""One stream of another server, as JetStream has it: followed from its newest keyframe, its past behind that.
+
+Packets that JetStream does not take for a while come directly.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,17 @@ import time
 from contextlib import aclosing
 
 from server.edge.ending import end
-from server.edge.jetstream.archive import Archive, ArchiveBus, id_of
+from server.edge.jetstream.archive import Archive, id_of
+from server.edge.jetstream.bus import ArchiveBus
 from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import Directory
+from server.edge.jetstream.directory import SILENT_SECONDS, Directory
+from server.edge.jetstream.live_reading import LiveReader
+from server.edge.jetstream.merging import Merger
 from server.edge.jetstream.messages import Assembler, Names
 from server.edge.jetstream.reading import Selection, follow
 from server.edge.origin import OriginStream
 from server.edge.supply import PacketTaker
 from server.protocol.messages import event
-from server.protocol.packets import Position, stream_packet
 from server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
@@ -45,7 +50,10 @@ class ArchivedStream:
         self._packet_bytes = settings.limits.packet_bytes
         self._archive = Archive(connection, names, stream.id, stream.incarnation, self._packet_bytes)
         self.bus = ArchiveBus(settings.retention.memory_bytes, self._archive)
+        subjects = names.live(stream.id, stream.incarnation)
+        self._live = LiveReader(connection, subjects, stream.incarnation, self._packet_bytes)
         self._lost = False
+        self._live_at = -SILENT_SECONDS  # monotonic time of the newest packet that came directly
 
     async def pull(self, taker: PacketTaker) -> None:
         """See `Supply`."""
@@ -58,12 +66,12 @@ class ArchivedStream:
                 _LOG.debug("stream %s: %s", self._stream.id, error)
                 taker.on_break(_LOST)
                 await asyncio.sleep(_RETRY_SECONDS)
-        archiving, telling, following = tasks = [
-            asyncio.create_task(work) for work in (self._archive.run(), self._tell(taker), self._follow(taker))
-        ]
+        merger = Merger(taker)
+        works = self._archive.run(), self._follow(taker, merger), self._listen(merger), self._tell(taker, merger)
+        tasks = [asyncio.create_task(work) for work in works]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in (archiving, following, telling):
+            for task in tasks:
                 if task.done():
                     task.result()
         finally:
@@ -83,18 +91,17 @@ class ArchivedStream:
             now_ns,
         )
 
-    async def _follow(self, taker: PacketTaker) -> None:
+    async def _follow(self, taker: PacketTaker, merger: Merger) -> None:
         """Hand on every packet from the newest keyframe on; after a gap, from the next keyframe on."""
 
         def on_state(fault: str) -> None:
             self._lost = bool(fault)
             if fault:
                 _LOG.debug("stream %s: %s", self._stream.id, fault)
-                taker.on_break(_LOST)
+                if not self._is_coming():
+                    taker.on_break(_LOST)
 
         assembler = Assembler(self._packet_bytes)
-        held: Position | None = None
-        missed = False
         messages = follow(
             self._connection,
             Selection(self._archive.stream, self._archive.subject),
@@ -105,27 +112,34 @@ class ArchivedStream:
             async for message in messages:
                 found = id_of(message)
                 data = None if found is None else assembler.push(found, message.data)
-                if found is None or data is None:
-                    continue
-                packet = stream_packet(0, found.position.epoch, data)
-                if not packet.is_key and (held is None or not packet.follows(held)):
-                    missed = held is not None
-                    continue
-                if missed:
-                    missed = False
-                    taker.on_event(event("skipped"))
-                taker.on_event(event("epoch", epoch=found.position.epoch))
-                await taker.on_packet(data)
-                held = found.position
+                if found is not None and data is not None:
+                    await merger.take(found.position.epoch, data)
 
-    async def _tell(self, taker: PacketTaker) -> None:
-        """Hand on the stream's state, until it is deleted."""
+    async def _listen(self, merger: Merger) -> None:
+        """Hand on what comes directly, too."""
+        async with aclosing(self._live.packets()) as packets:
+            async for found, data in packets:
+                match await merger.take_live(found.position.epoch, data):
+                    case "taken":
+                        self._live_at = time.monotonic()
+                        self._directory.hear(self._stream.id)
+                    case "gap":
+                        await self._live.ask(merger.held)
+
+    def _is_coming(self) -> bool:
+        """Whether viewers get new pictures all the same."""
+        return time.monotonic() - self._live_at < SILENT_SECONDS
+
+    async def _tell(self, taker: PacketTaker, merger: Merger) -> None:
+        """Hand on the stream's state, until it is deleted; where JetStream gives no packets, ask for them."""
         progress = self._stream.progress
         while (told := self._directory.find(self._stream.id)) is not None:
             state = told.description
-            if not self._lost:
+            if not self._lost or self._is_coming():
                 taker.on_event(event("state", state=state.state, detail=state.detail))
             if state.progress is not None and state.progress != progress:
                 progress = state.progress
                 taker.on_event(event("progress", **progress))
+            if self._lost:
+                await self._live.ask(merger.held)
             await asyncio.sleep(_LOOK_SECONDS)

@@ -16,6 +16,7 @@ from server.edge.jetstream.messages import Assembler, Names, parse_id
 from server.edge.jetstream.reading import Selection, read
 from server.settings import Settings
 from tests.server.conftest import Running, Viewer, viewing
+from tests.server.edge.processes import Node
 
 
 @contextmanager
@@ -56,6 +57,12 @@ def stored(settings: Settings, stream: str = "main") -> list[tuple[str, bytes]]:
             await connection.close()
 
     return asyncio.run(asyncio.wait_for(run(), 20))
+
+
+def waiting_bytes(node: Node, stream: str = "main") -> float:
+    """Of packets that JetStream has not acknowledged yet."""
+    name = f'streamlod_outbox_bytes{{stream="{stream}"}} '
+    return next(float(line[len(name) :]) for line in node.get("/metrics").text.splitlines() if line.startswith(name))
 
 
 def packets_in(messages: list[tuple[str, bytes]]) -> list[bytes]:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Sequence
 from contextlib import aclosing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,8 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 from nats.js.api import StreamConfig
 
 from core.errors import InputError
-from server.edge.jetstream.archive import Archive, ArchiveBus
+from server.edge.jetstream.archive import Archive
+from server.edge.jetstream.bus import ArchiveBus
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import MAX_PIECE_BYTES, Names, pieces_of
 from server.edge.jetstream.reading import Selection, read
@@ -69,6 +71,47 @@ def test_after_a_loss_no_address_holds_another_packet(tmp_path: Path, long_clip:
 
     with nats(tmp_path) as shared:
         asyncio.run(asyncio.wait_for(run(), 30))
+
+
+def test_memory_that_is_ahead_of_jetstream_and_what_is_stored_fit_together(tmp_path: Path, long_clip: Clip) -> None:
+    """Packets that came directly; no group is given away as closed that lacks its end."""
+    clip, key = long_clip.packets, Position(1, 50)
+
+    async def run() -> None:
+        connection = NatsConnection(shared.settings().jetstream)
+        await connection.open()
+        try:
+            await fill(connection, clip[:70])
+            archive = Archive(connection, NAMES, "main", INCARNATION, 1 << 24)
+            await archive.load()
+            bus = ArchiveBus(1 << 24, archive)
+            packets = [stream_packet(number, 1, data) for number, data in enumerate(clip)]
+            for packet in packets[50:120]:
+                bus.publish(packet)
+            assert (bus.oldest, bus.key_before(Position(1, 110))) == (Position(1, 0), Position(1, 100))
+            files = await bus.files([Position(1, 0), key])
+            assert {place.version: _data(group) for place, group in files.items()} == {0: clip[:50], 50: clip[50:100]}
+            assert _data(await bus.read(Position(1, 90), Position(1, 95))) == clip[90:96]
+
+            for packet in packets[200:210]:  # some were missed: what comes before is read from JetStream alone
+                bus.publish(packet)
+            assert _data(await bus.read(Position(1, 60), Position(1, 75))) == clip[60:70]
+            assert _data(await bus.read(Position(1, 200), Position(1, 300))) == clip[200:210]
+            assert bus.key_after(key) is not None  # so that it counts as closed
+            with pytest.raises(OSError, match="still to come"):
+                await bus.files([key])
+            await fill(connection, clip[70:210])
+            await archive.load()
+            assert _data((await bus.files([key]))[key]) == clip[50:100]
+        finally:
+            await connection.close()
+
+    with nats(tmp_path) as shared:
+        asyncio.run(asyncio.wait_for(run(), 30))
+
+
+def _data(packets: Any) -> list[bytes]:
+    return [packet.data for packet in packets]
 
 
 def test_reading_ends_where_what_was_to_come_is_discarded(tmp_path: Path, long_clip: Clip) -> None:

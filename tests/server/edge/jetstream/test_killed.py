@@ -14,8 +14,8 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 
 from server.edge.jetstream.messages import Names
 from tests.server.conftest import Clip
-from tests.server.edge.jetstream.nats_servers import Nats, free_ports, nats, needs_nats
-from tests.server.edge.jetstream.recorder import packets_in, recording, stored
+from tests.server.edge.jetstream.nats_servers import Nats, NatsServer, free_ports, nats, needs_nats
+from tests.server.edge.jetstream.recorder import packets_in, recording, stored, waiting_bytes
 from tests.server.edge.processes import Node, begin, listening, node, wait
 
 pytestmark = needs_nats
@@ -58,8 +58,29 @@ def keeps_coming(packets: list[bytes], count: int = 30, seconds: float = 20) -> 
     return first
 
 
+def keeps_coming_without_jetstream(nodes: Nodes, victim: NatsServer, served: list[bytes]) -> None:
+    """Kill the NATS server that leads, and another one, so that JetStream stores nothing; then start them again.
+
+    The viewer of the node that serves sees more than has been stored.
+    """
+    other = next(server for server in nodes.shared.servers if server is not victim)
+    victim.kill()
+    keeps_coming(served)
+    other.kill()
+    wait(lambda: waiting_bytes(nodes.publishing) > 0)
+    had = len(served)
+    keeps_coming(served, 75)
+    seen_bytes = sum(map(len, served[had:]))
+    assert waiting_bytes(nodes.publishing) > seen_bytes
+    wait(lambda: nodes.serving.stream()["state"] == "live")
+    victim.start()
+    other.start()
+    other.wait()
+
+
 def check_all_came(nodes: Nodes, published: list[bytes], served: list[bytes]) -> None:
     """Both recordings are a part of what is stored, without a hole; the clip's packets recur, so places do, too."""
+    wait(lambda: waiting_bytes(nodes.publishing) == 0)
     messages = stored(nodes.shared.settings())
     assert len({name for name, _ in messages}) == len(messages)
     packets = packets_in(messages)
@@ -82,8 +103,7 @@ def test_a_nats_server_is_killed_and_comes_back(nodes: Nodes) -> None:
             victim.start()
             keeps_coming(served)
         else:
-            keeps_coming(served)
-            victim.start()
+            keeps_coming_without_jetstream(nodes, victim, served)
         victim.wait()
         keeps_coming(served)
         wait(lambda: served[-1] in published[-100:])
@@ -116,6 +136,7 @@ def test_the_node_that_publishes_is_killed_and_comes_back(nodes: Nodes) -> None:
     with recording(nodes.serving.port, served) as viewer:
         keeps_coming(served)
         incarnation, port = nodes.publishing.stream()["incarnation"], nodes.publishing.port
+        wait(lambda: waiting_bytes(nodes.publishing) == 0)  # what is sent directly then need not be stored
         nodes.publishing.kill()
         nodes.publishing = listening(begin(nodes.folder, *nodes.publish, port=port))
         wait(lambda: nodes.publishing.stream()["state"] == "live")

@@ -1,0 +1,91 @@
+"""What is retained of a stream of another server: the newest packets in memory, all others in JetStream."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from core.errors import InputError
+from server.edge.jetstream.archive import Archive
+from server.protocol.packets import PacketWindow, Position, StreamPacket
+from server.stream.bus import Bus, GroupFile, RetainedGroup
+
+
+class ArchiveBus(Bus):
+    """The newest packets in memory, all that JetStream holds behind them.
+
+    Memory may be ahead of JetStream, by packets that came directly; it has no holes.
+
+    Args:
+        memory_bytes: packets kept in memory, and read at once for a download.
+        archive: of the stream.
+    """
+
+    def __init__(self, memory_bytes: int, archive: Archive) -> None:
+        super().__init__(memory_bytes)
+        self._archive, self._memory_bytes = archive, memory_bytes
+
+    def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
+        """See `Bus`. Where packets are missing, memory begins anew; JetStream will have them, if anybody has."""
+        newest = self.window.newest
+        if newest is not None and not _is_next(packet, newest.position):
+            self.window = PacketWindow(self._memory_bytes)
+        super().publish(packet, record=record)
+
+    async def read(self, first: Position, last: Position) -> list[StreamPacket]:
+        """See `Bus`.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        oldest = self.window.oldest
+        if oldest is not None and first >= oldest.position:
+            return self.window.read(first, last)
+        return await self._archive.read(first, last)
+
+    async def groups(self) -> list[RetainedGroup]:
+        """See `Bus`.
+
+        Raises:
+            OSError: NATS does not answer.
+        """
+        return await self._archive.groups()
+
+    async def files(self, firsts: Collection[Position] | None = None) -> dict[Position, GroupFile]:
+        """See `Bus`.
+
+        Raises:
+            InputError: they are too much for memory.
+            OSError: NATS does not answer, or has not all of a group yet.
+        """
+        chosen = await self._archive.groups(firsts)
+        size = sum(group.size_bytes for group in chosen)
+        if size > self._memory_bytes:
+            parts = "groups" if len(chosen) > 1 else "packets"
+            fault = f"has {size} bytes, this server holds {self._memory_bytes}; download its {parts} one by one"
+            raise InputError("the download", fault)
+        read = {group.first: await self._group(group.first) for group in chosen}
+        return {first: packets for first, packets in read.items() if packets}
+
+    async def _group(self, first: Position) -> list[StreamPacket]:
+        """A group of pictures, from memory where that is ahead of JetStream: what is closed has its end."""
+        groups = {packets[0].position: packets for packets in self.window.groups()}
+        if first in groups:
+            return groups[first]
+        if groups and self._archive.keys[-1:] == [first] and first < min(groups):
+            raise OSError("the group's end is still to come")
+        return await self._archive.group(first)
+
+    @property
+    def oldest(self) -> Position | None:
+        """See `Bus`."""
+        places = [self.window.oldest.position] if self.window.oldest else []
+        return min([*places, *self._archive.keys[:1]], default=None)
+
+    def _keys(self) -> list[Position]:
+        return [group[0].position for group in self.window.groups()] + self._archive.keys
+
+
+def _is_next(packet: StreamPacket, newest: Position) -> bool:
+    """Whether nothing is missing between the newest packet and this one."""
+    steps = packet.position.version - newest.version
+    return not packet.is_key or (packet.position.epoch == newest.epoch and 0 <= steps <= 1)

@@ -1,0 +1,72 @@
+"""Packets that another server sends directly, as `server.edge.jetstream.live` says."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator
+from contextlib import aclosing, suppress
+
+from nats.errors import Error
+
+from server.edge.ending import stop_if_cancelled
+from server.edge.jetstream.archive import id_of
+from server.edge.jetstream.connection import NatsConnection
+from server.edge.jetstream.messages import Assembler, LiveSubjects, MessageId, Place
+
+_MAX_MESSAGES = 4096  # that wait to be read
+_RETRY_SECONDS = 0.25
+_ASK_SECONDS = 0.6  # between two requests
+
+
+class LiveReader:
+    """Reads them for one stream.
+
+    Args:
+        connection: to NATS.
+        subjects: of the packets, and to ask for them.
+        incarnation: of the stream.
+        packet_bytes: of a packet, at most.
+    """
+
+    def __init__(self, connection: NatsConnection, subjects: LiveSubjects, incarnation: str, packet_bytes: int) -> None:
+        self._connection, self._subjects = connection, subjects
+        self._incarnation, self._packet_bytes = incarnation, packet_bytes
+        self._asked_at = -_ASK_SECONDS
+
+    async def packets(self) -> AsyncGenerator[tuple[MessageId, bytes], None]:
+        """Packets as they come, each with the id of its last piece, for ever."""
+        while True:
+            stop_if_cancelled()
+            with suppress(Error, OSError):
+                async with aclosing(self._read()) as packets:
+                    async for found, data in packets:
+                        yield found, data
+            await asyncio.sleep(_RETRY_SECONDS)
+
+    async def ask(self, held: Place | None) -> None:
+        """Have the packets behind `held` sent, since some were missed or JetStream gives none."""
+        now = time.monotonic()
+        if now - self._asked_at > _ASK_SECONDS:
+            self._asked_at = now
+            wanted = "" if held is None else str(MessageId(self._incarnation, *held, piece=0, pieces=1))
+            with suppress(Error, OSError):
+                await self._connection.client.publish(self._subjects.wanted, wanted.encode())
+
+    async def _read(self) -> AsyncGenerator[tuple[MessageId, bytes], None]:
+        assembler = Assembler(self._packet_bytes)
+        messages = await self._connection.client.subscribe(
+            self._subjects.packets, pending_msgs_limit=_MAX_MESSAGES, pending_bytes_limit=2 * self._packet_bytes
+        )
+        try:
+            while True:
+                message = await messages.next_msg(timeout=None)
+                found = id_of(message)
+                if found is None or found.incarnation != self._incarnation:
+                    continue
+                data = assembler.push(found, message.data)
+                if data is not None:
+                    yield found, data
+        finally:
+            with suppress(Error, OSError):
+                await messages.unsubscribe()
