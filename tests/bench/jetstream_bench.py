@@ -24,8 +24,11 @@ from tests.bench.edge_bench import hop_delay
 from tests.bench.pictures import longest_gap
 from tests.server.conftest import make_clip
 from tests.server.edge.jetstream.nats_servers import Nats, free_ports, nats
+from tests.server.edge.jetstream.recorder import waiting_bytes
 from tests.server.edge.processes import Node, begin, listening, wait
 
+_ELECTION_SECONDS = 12.0  # in which the NATS servers that are left have a leader again
+_SETTLE_SECONDS = 60.0
 _COUNTS = (100, 400, 1500)  # anchors by level
 
 
@@ -95,13 +98,14 @@ def main() -> None:
         }
         note("delay behind the hop [ms]: p50, p99, packets", hop_delay(pair.nodes, options.seconds)["1 hops"])
         for what in ("NATS leader", "serving node", "publishing node"):
-            gaps = []
+            gaps, seconds = [], _ELECTION_SECONDS if what == "NATS leader" else 3.0
             for _ in range(options.repeats):
-                gaps.append(round(longest_gap(port, faults[what]), 2))
+                gaps.append(round(longest_gap(port, faults[what], seconds), 2))
                 for server in shared.servers:
                     if server.process is None:
                         server.start()
                     server.wait()
+                wait(lambda: waiting_bytes(pair.nodes[0]) == 0, _SETTLE_SECONDS)
             note(f"kill -9 of the {what}: longest time without a picture [s]", gaps)
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n")

@@ -10,12 +10,11 @@ from itertools import pairwise
 from client.connection.watch import watch
 from client.events import NewScene
 
-_SETTLE_SECONDS = 3.0  # of pictures after the fault
 _LIMIT_SECONDS = 60.0
 
 
-def longest_gap(port: int, fault: Callable[[], None]) -> float:
-    """Seconds without a new picture at a viewer, at most, from just before `fault` until pictures come steadily."""
+def longest_gap(port: int, fault: Callable[[], None], settle_seconds: float = 3.0) -> float:
+    """Seconds without a new picture at a viewer, at most, from just before `fault` until so long after it."""
 
     async def run() -> float:
         pictures: list[float] = []
@@ -31,7 +30,7 @@ def longest_gap(port: int, fault: Callable[[], None]) -> float:
         begun = time.monotonic()
         await asyncio.to_thread(fault)
         done = time.monotonic()
-        while not pictures or pictures[-1] < done + _SETTLE_SECONDS:
+        while not pictures or pictures[-1] < done + settle_seconds:
             if time.monotonic() > begun + _LIMIT_SECONDS:
                 raise SystemExit(f"no pictures within {_LIMIT_SECONDS:g} s of the fault")
             await asyncio.sleep(0.01)
