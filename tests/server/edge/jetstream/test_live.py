@@ -41,6 +41,7 @@ class Way:
     waiting: list[StreamPacket]
     received: list[bytes]
     publishing: NatsConnection
+    may_send: asyncio.Event
 
     def append(self, packet: StreamPacket) -> None:
         self.waiting.append(packet)
@@ -63,7 +64,7 @@ async def way(settings: JetStreamSettings) -> AsyncIterator[Way]:
     found = Way(
         LiveSender(ends[0], SUBJECTS, INCARNATION, may_send, oldest),
         LiveReader(ends[1], SUBJECTS, INCARNATION, PACKET_BYTES),
-        waiting, [], ends[0],
+        waiting, [], ends[0], may_send,
     )  # fmt: skip
 
     async def read() -> None:
@@ -168,6 +169,22 @@ def test_of_too_much_only_the_newest_group_is_sent(
             assert pair.received == long_clip.packets[100:120]
 
     monkeypatch.setattr(live, "_MAX_BYTES", sum(map(len, long_clip.packets[:120])) - 1)
+    with nats(tmp_path) as shared:
+        run(test())
+
+
+def test_only_the_server_that_publishes_the_stream_sends(tmp_path: Path, long_clip: Clip) -> None:
+    async def test() -> None:
+        async with way(shared.settings().jetstream) as pair:
+            pair.may_send.clear()
+            for packet in numbered(long_clip)[:10]:
+                pair.append(packet)
+            await pair.reader.ask(None)
+            await asyncio.sleep(RECORD_SECONDS + 0.2)
+            assert pair.received == []
+            pair.may_send.set()
+            await pair.until(lambda: len(pair.received) == 10)
+
     with nats(tmp_path) as shared:
         run(test())
 
