@@ -13,7 +13,7 @@ from server.stream.bus import Bus, GroupFile, RetainedGroup
 class ArchiveBus(Bus):
     """The newest packets in memory, all that JetStream holds behind them.
 
-    Memory may be ahead of JetStream, by packets that came directly; it has no holes.
+    Memory may be behind JetStream, or ahead of it by packets that came directly; it has no holes.
 
     Args:
         memory_bytes: packets kept in memory, and read at once for a download.
@@ -67,7 +67,12 @@ class ArchiveBus(Bus):
         return {first: packets for first, packets in read.items() if packets}
 
     async def _group(self, first: Position) -> list[StreamPacket]:
-        """A group of pictures, from memory where that is ahead of JetStream: what is closed has its end."""
+        """A group of pictures, from memory only where it is JetStream's newest: memory has its end, if it is closed.
+
+        Memory may be behind JetStream as well.
+        """
+        if self._archive.keys[-1:] > [first]:
+            return await self._archive.group(first)
         groups = {packets[0].position: packets for packets in self.window.groups()}
         if first in groups:
             return groups[first]

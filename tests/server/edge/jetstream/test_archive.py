@@ -110,6 +110,29 @@ def test_memory_that_is_ahead_of_jetstream_and_what_is_stored_fit_together(tmp_p
         asyncio.run(asyncio.wait_for(run(), 30))
 
 
+def test_of_a_group_that_memory_has_not_all_of_yet_no_part_is_given_away(tmp_path: Path, long_clip: Clip) -> None:
+    """JetStream has the next keyframe already, so that the group counts as closed."""
+    clip, key = long_clip.packets, Position(1, 50)
+
+    async def run() -> None:
+        connection = NatsConnection(shared.settings().jetstream)
+        await connection.open()
+        try:
+            await fill(connection, clip[:120])
+            archive = Archive(connection, NAMES, "main", INCARNATION, 1 << 24)
+            await archive.load()
+            bus = ArchiveBus(1 << 24, archive)
+            for number in range(50, 98):
+                bus.publish(stream_packet(number, 1, clip[number]))
+            assert bus.key_after(key) is not None
+            assert _data((await bus.files([key]))[key]) == clip[50:100]
+        finally:
+            await connection.close()
+
+    with nats(tmp_path) as shared:
+        asyncio.run(asyncio.wait_for(run(), 30))
+
+
 def _data(packets: Any) -> list[bytes]:
     return [packet.data for packet in packets]
 
