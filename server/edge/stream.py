@@ -150,8 +150,6 @@ class EdgeStream(Stream):
         joining, self._joining = self._joining, False
         if self._has(packet.position, data):
             return
-        if joining and self.newest is not None:  # packets are missing in between; a keyframe begins anew
-            self.bus.window.drop_newest_group()
         before, timer = self.newest, StageTimer()
 
         def announce() -> None:
@@ -164,6 +162,8 @@ class EdgeStream(Stream):
         if self.traces.listeners:
             position = packet.position
             self.traces.tell(FrameStages(self.id, self.incarnation, position, (), timer.stages, is_origin=False))
+        if joining and before is not None:  # packets are missing in between; a keyframe begins anew
+            self.bus.skip()
         retained = self.bus.window.newest  # behind the hub's where a group of pictures was dropped
         self._publish(packet if retained is None else replace(packet, sequence=retained.sequence + 1))
 

@@ -29,6 +29,9 @@ class Position:
         return {"epoch": self.epoch, "version": self.version}
 
 
+Place = tuple[Position, bool]  # of a packet, and whether it is a keyframe, which comes after a residual of its position
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamPacket:
     """One published packet.
@@ -54,6 +57,11 @@ class StreamPacket:
     def is_key(self) -> bool:
         """Whether decoding can begin here."""
         return self.info.kind is PacketKind.KEY
+
+    @property
+    def place(self) -> Place:
+        """Its place among the packets of the stream; in order, and no two have the same."""
+        return self.position, self.is_key
 
     def follows(self, position: Position) -> bool:
         """Whether a decoder at `position` can take this packet."""

@@ -97,6 +97,10 @@ class Bus:
         if self.recording is not None and record:
             self.recording.append(packet)
 
+    def skip(self) -> None:
+        """Packets are missing before the next one, a keyframe: the newest group of pictures gets no end."""
+        self.window.drop_newest_group()
+
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:
         """Packets of positions `first` to `last`, as far as they are retained, in order."""
         oldest = self.window.oldest

@@ -24,12 +24,9 @@ class ArchiveBus(Bus):
         super().__init__(memory_bytes)
         self._archive, self._memory_bytes = archive, memory_bytes
 
-    def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
-        """See `Bus`. Where packets are missing, memory begins anew; JetStream will have them, if anybody has."""
-        newest = self.window.newest
-        if newest is not None and not _is_next(packet, newest.position):
-            self.window = PacketWindow(self._memory_bytes)
-        super().publish(packet, record=record)
+    def skip(self) -> None:
+        """See `Bus`. Memory begins anew; JetStream will have what is missing, if anybody has."""
+        self.window = PacketWindow(self._memory_bytes)
 
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:
         """See `Bus`.
@@ -88,9 +85,3 @@ class ArchiveBus(Bus):
 
     def _keys(self) -> list[Position]:
         return [group[0].position for group in self.window.groups()] + self._archive.keys
-
-
-def _is_next(packet: StreamPacket, newest: Position) -> bool:
-    """Whether nothing is missing between the newest packet and this one."""
-    steps = packet.position.version - newest.version
-    return not packet.is_key or (packet.position.epoch == newest.epoch and 0 <= steps <= 1)

@@ -12,7 +12,8 @@ from nats.errors import Error
 from server.edge.ending import stop_if_cancelled
 from server.edge.jetstream.archive import id_of
 from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.messages import Assembler, LiveSubjects, MessageId, Place
+from server.edge.jetstream.messages import AFTER, Assembler, LivePacket, LiveSubjects, id_at, parse_id
+from server.protocol.packets import Place
 
 _MAX_MESSAGES = 4096  # that wait to be read
 _RETRY_SECONDS = 0.25
@@ -34,14 +35,14 @@ class LiveReader:
         self._incarnation, self._packet_bytes = incarnation, packet_bytes
         self._asked_at = -_ASK_SECONDS
 
-    async def packets(self) -> AsyncGenerator[tuple[MessageId, bytes], None]:
-        """Packets as they come, each with the id of its last piece, for ever."""
+    async def packets(self) -> AsyncGenerator[LivePacket, None]:
+        """Packets as they come, for ever."""
         while True:
             stop_if_cancelled()
             with suppress(Error, OSError):
                 async with aclosing(self._read()) as packets:
-                    async for found, data in packets:
-                        yield found, data
+                    async for packet in packets:
+                        yield packet
             await asyncio.sleep(_RETRY_SECONDS)
 
     async def ask(self, held: Place | None) -> None:
@@ -49,11 +50,11 @@ class LiveReader:
         now = time.monotonic()
         if now - self._asked_at > _ASK_SECONDS:
             self._asked_at = now
-            wanted = "" if held is None else str(MessageId(self._incarnation, *held, piece=0, pieces=1))
+            wanted = id_at(self._incarnation, held).encode()
             with suppress(Error, OSError):
-                await self._connection.client.publish(self._subjects.wanted, wanted.encode())
+                await self._connection.client.publish(self._subjects.wanted, wanted)
 
-    async def _read(self) -> AsyncGenerator[tuple[MessageId, bytes], None]:
+    async def _read(self) -> AsyncGenerator[LivePacket, None]:
         assembler = Assembler(self._packet_bytes)
         messages = await self._connection.client.subscribe(
             self._subjects.packets, pending_msgs_limit=_MAX_MESSAGES, pending_bytes_limit=2 * self._packet_bytes
@@ -66,7 +67,9 @@ class LiveReader:
                     continue
                 data = assembler.push(found, message.data)
                 if data is not None:
-                    yield found, data
+                    assembler = Assembler(self._packet_bytes)  # the packet may be sent again
+                    before = parse_id((message.headers or {}).get(AFTER, ""))
+                    yield LivePacket(found.place, None if before is None else before.place, data)
         finally:
             with suppress(Error, OSError):
                 await messages.unsubscribe()

@@ -6,12 +6,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from server.protocol.packets import Position, StreamPacket
+from server.protocol.packets import Place, Position, StreamPacket
 
 MAX_PIECE_BYTES = 1 << 19  # NATS takes messages of 1 MiB unless it is configured otherwise
 MAX_HEADER_BYTES = 4096  # of a message
 MSG_ID = "Nats-Msg-Id"  # the header that has a message's id
-Place = tuple[Position, bool]  # of a packet, and whether it is a keyframe, which comes after a residual of its position
+AFTER = "Streamlod-After"  # of what is sent directly: an id of the packet before, empty where there is none
 _ID = re.compile(r"([0-9a-f]{16})/(\d{1,10})/(\d{1,10})/([kr])/(\d{1,4})/(\d{1,4})")
 
 
@@ -84,6 +84,11 @@ class MessageId:
         return "k" if self.is_key else "r"
 
     @property
+    def place(self) -> Place:
+        """Of the packet."""
+        return self.position, self.is_key
+
+    @property
     def is_last(self) -> bool:
         """Whether the packet ends here."""
         return self.piece == self.pieces - 1
@@ -93,6 +98,21 @@ class MessageId:
         return f"{self.incarnation}/{place.epoch}/{place.version}/{self.kind}/{self.piece}/{self.pieces}"
 
 
+@dataclass(frozen=True, slots=True)
+class LivePacket:
+    """A packet that was sent directly.
+
+    Attributes:
+        place: of the packet, as the sender says.
+        after: of the packet before it, where the sender knows that.
+        data: the packet.
+    """
+
+    place: Place
+    after: Place | None
+    data: bytes
+
+
 def parse_id(text: str) -> MessageId | None:
     """The id, or None where it is none."""
     match = _ID.fullmatch(text)
@@ -100,6 +120,11 @@ def parse_id(text: str) -> MessageId | None:
         return None
     epoch, version, piece, pieces = (int(match[group]) for group in (2, 3, 5, 6))
     return MessageId(match[1], Position(epoch, version), match[4] == "k", piece, pieces) if piece < pieces else None
+
+
+def id_at(incarnation: str, place: Place | None) -> str:
+    """The id of a packet in one message, empty where there is none; `parse_id` reads it again."""
+    return "" if place is None else str(MessageId(incarnation, *place, piece=0, pieces=1))
 
 
 def pieces_of(incarnation: str, packet: StreamPacket, max_bytes: int) -> Iterator[tuple[MessageId, bytes]]:

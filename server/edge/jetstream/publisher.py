@@ -67,7 +67,7 @@ class Publisher:
         self._queue: deque[_Waiting] = deque()
         self._queued = asyncio.Event()
         subjects = names.live(stream.id, stream.incarnation)
-        self._live = LiveSender(connection, subjects, stream.incarnation, self._is_ours, self._oldest)
+        self._live = LiveSender(connection, subjects, stream.incarnation, self._is_ours)
         self._gap = False  # what comes does not follow what was stored, until a keyframe does
         self._may_be_missing = True  # what it needs in JetStream
         self._said_at = -_SAY_SECONDS
@@ -170,12 +170,10 @@ class Publisher:
                 await self._store(found, data)
             if self._queue and self._queue[0] is waiting:  # it was not left out meanwhile
                 self._queue.popleft()
+                self._live.store()
                 self.waiting_bytes -= len(waiting.packet.data)
             if not waiting.stored.done():
                 waiting.stored.set_result(None)
-
-    def _oldest(self) -> StreamPacket | None:
-        return self._queue[0].packet if self._queue else None
 
     async def _store(self, found: MessageId, data: bytes) -> None:
         """Publish one message, as often as it takes; JetStream stores it once."""

@@ -66,7 +66,8 @@ class ArchivedStream:
                 _LOG.debug("stream %s: %s", self._stream.id, error)
                 taker.on_break(_LOST)
                 await asyncio.sleep(_RETRY_SECONDS)
-        merger = Merger(taker)
+        keys = self._archive.keys
+        merger = Merger(taker, keys[-1].epoch if keys else None)
         works = self._archive.run(), self._follow(taker, merger), self._listen(merger), self._tell(taker, merger)
         tasks = [asyncio.create_task(work) for work in works]
         try:
@@ -118,8 +119,8 @@ class ArchivedStream:
     async def _listen(self, merger: Merger) -> None:
         """Hand on what comes directly, too."""
         async with aclosing(self._live.packets()) as packets:
-            async for found, data in packets:
-                match await merger.take_live(found.position.epoch, data):
+            async for packet in packets:
+                match await merger.take_live(packet):
                     case "taken":
                         self._live_at = time.monotonic()
                         self._directory.hear(self._stream.id)

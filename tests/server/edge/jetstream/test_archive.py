@@ -93,6 +93,7 @@ def test_memory_that_is_ahead_of_jetstream_and_what_is_stored_fit_together(tmp_p
             assert {place.version: _data(group) for place, group in files.items()} == {0: clip[:50], 50: clip[50:100]}
             assert _data(await bus.read(Position(1, 90), Position(1, 95))) == clip[90:96]
 
+            bus.skip()
             for packet in packets[200:210]:  # some were missed: what comes before is read from JetStream alone
                 bus.publish(packet)
             assert _data(await bus.read(Position(1, 60), Position(1, 75))) == clip[60:70]

@@ -8,11 +8,15 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
+
+from nats.aio.client import Client
+from nats.aio.msg import Msg
 
 from server.edge.ending import end
 from server.edge.jetstream import live
@@ -20,7 +24,7 @@ from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.live import LiveSender
 from server.edge.jetstream.live_reading import LiveReader
 from server.edge.jetstream.messages import MSG_ID, Names, pieces_of
-from server.protocol.packets import Position, StreamPacket, stream_packet
+from server.protocol.packets import Place, Position, StreamPacket, stream_packet
 from server.settings import JetStreamSettings
 from server.stream.bus import RECORD_SECONDS
 from tests.server.conftest import Clip
@@ -34,18 +38,28 @@ PACKET_BYTES = 1 << 20
 
 @dataclass(slots=True)
 class Way:
-    """A sender, what waits for JetStream there, and what has come to a reader."""
+    """A sender, and what has come to a reader."""
 
     sender: LiveSender
     reader: LiveReader
-    waiting: list[StreamPacket]
     received: list[bytes]
     publishing: NatsConnection
     may_send: asyncio.Event
 
-    def append(self, packet: StreamPacket) -> None:
-        self.waiting.append(packet)
-        self.sender.append(packet)
+    def append(self, *packets: StreamPacket) -> None:
+        """These wait for JetStream."""
+        for packet in packets:
+            self.sender.append(packet)
+
+    def store(self, *packets: StreamPacket) -> None:
+        """JetStream takes each of these at once."""
+        for packet in packets:
+            self.sender.append(packet)
+            self.sender.store()
+
+    def ask(self, held: Place | None) -> Coroutine[Any, Any, None]:
+        """As a reader that has not asked yet."""
+        return LiveReader(self.publishing, SUBJECTS, INCARNATION, PACKET_BYTES).ask(held)
 
     async def until(self, done: Callable[[], bool]) -> None:
         async with asyncio.timeout(5):
@@ -58,18 +72,17 @@ async def way(settings: JetStreamSettings) -> AsyncIterator[Way]:
     ends = [NatsConnection(settings), NatsConnection(settings)]
     for connection in ends:
         await connection.open()
-    may_send, waiting = asyncio.Event(), list[StreamPacket]()
+    may_send = asyncio.Event()
     may_send.set()
-    oldest: Callable[[], StreamPacket | None] = lambda: waiting[0] if waiting else None  # noqa: E731
     found = Way(
-        LiveSender(ends[0], SUBJECTS, INCARNATION, may_send, oldest),
+        LiveSender(ends[0], SUBJECTS, INCARNATION, may_send),
         LiveReader(ends[1], SUBJECTS, INCARNATION, PACKET_BYTES),
-        waiting, [], ends[0], may_send,
+        [], ends[0], may_send,
     )  # fmt: skip
 
     async def read() -> None:
-        async for _, data in found.reader.packets():
-            found.received.append(data)
+        async for packet in found.reader.packets():
+            found.received.append(packet.data)
 
     tasks: list[asyncio.Task[None]] = [asyncio.create_task(work) for work in (found.sender.run(), read())]
     await asyncio.sleep(0.1)
@@ -92,20 +105,18 @@ def numbered(clip: Clip) -> list[StreamPacket]:
     return [stream_packet(number, 1, data) for number, data in enumerate(clip.packets)]
 
 
-def test_packets_are_sent_once_they_have_waited_too_long(tmp_path: Path, long_clip: Clip) -> None:
+def test_packets_are_sent_once_they_have_waited_too_long(
+    tmp_path: Path, long_clip: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async def test() -> None:
         async with way(shared.settings().jetstream) as pair:
-            packets = numbered(long_clip)
-            for packet in packets[:10]:  # each is stored at once
-                pair.append(packet)
-                pair.waiting.clear()
+            packets = [replace(packet, arrived=0.0) for packet in numbered(long_clip)]  # they took long to decode
+            pair.store(*packets[:10])
             await asyncio.sleep(RECORD_SECONDS + 0.2)
             assert pair.received == []
 
             begun = time.monotonic()
-            packets[10:] = [replace(packet, arrived=begun) for packet in packets[10:]]
-            for packet in packets[10:15]:
-                pair.append(packet)
+            pair.append(*packets[10:15])
             await pair.until(lambda: bool(pair.received))
             assert time.monotonic() - begun >= RECORD_SECONDS
             await pair.until(lambda: len(pair.received) == 15)
@@ -113,12 +124,32 @@ def test_packets_are_sent_once_they_have_waited_too_long(tmp_path: Path, long_cl
 
             pair.append(packets[15])
             await pair.until(lambda: len(pair.received) == 16)
-            pair.waiting.clear()
-            pair.append(replace(packets[16], arrived=time.monotonic()))
-            pair.waiting.clear()
-            await asyncio.sleep(RECORD_SECONDS + 0.2)
-            assert len(pair.received) == 16
+            for _ in range(6):
+                pair.sender.store()
+            monkeypatch.setattr(live, "_RECENT_SECONDS", -1.0)  # what is stored from now on has reached everybody
+            pair.store(*packets[16:20])
+            pair.append(*packets[20:22])
+            await pair.until(lambda: len(pair.received) == 18)
+            assert pair.received[16:] == long_clip.packets[20:22]
 
+    with nats(tmp_path) as shared:
+        run(test())
+
+
+def test_the_time_in_which_nothing_could_be_stored_does_not_count(
+    tmp_path: Path, long_clip: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def test() -> None:
+        async with way(shared.settings().jetstream) as pair:
+            pair.may_send.clear()
+            pair.append(*numbered(long_clip)[:10])
+            await asyncio.sleep(0.1)
+            monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + 100))
+            pair.may_send.set()
+            await asyncio.sleep(0.3)
+            assert pair.received == []
+
+    monkeypatch.setattr(live, "RECORD_SECONDS", 20.0)
     with nats(tmp_path) as shared:
         run(test())
 
@@ -129,31 +160,23 @@ def test_a_reader_gets_what_it_asks_for(tmp_path: Path, long_clip: Clip, monkeyp
     async def test() -> None:
         async with way(shared.settings().jetstream) as pair:
             packets, data = numbered(long_clip), long_clip.packets
-
-            def store(first: int, last: int) -> None:
-                for packet in packets[first:last]:
-                    pair.append(packet)
-                    pair.waiting.clear()
-
-            store(0, 60)
-            await pair.reader.ask((Position(1, 50), False))  # the keyframe there has not come
+            pair.store(*packets[:60])
+            await pair.ask((Position(1, 50), False))  # the keyframe there has not come
             await pair.until(lambda: len(pair.received) == 10)
-            store(60, 70)
+            pair.store(*packets[60:70])
             await pair.until(lambda: len(pair.received) == 20)
             assert pair.received == data[50:70]
-            await asyncio.sleep(0.7)  # a reader asks no more often
-            await pair.reader.ask((Position(1, 69), False))
-            await asyncio.sleep(0.7)
-            assert pair.received == data[50:70]
-            await pair.reader.ask(None)
+            await pair.ask((Position(1, 69), False))  # it has everything
+            await pair.ask(None)  # sent once more, from a keyframe on
             await pair.until(lambda: len(pair.received) == 90)
             assert pair.received[20:] == data[:70]
-            await asyncio.sleep(live._WANTED_SECONDS + 0.1)
-            store(70, 80)
+            pair.sender._wanted_until = 0.0
+            pair.store(*packets[70:80])
             await asyncio.sleep(0.2)
             assert len(pair.received) == 90
 
-    monkeypatch.setattr(live, "_WANTED_SECONDS", 1.0)
+    monkeypatch.setattr(live, "_WANTED_SECONDS", 20.0)
+    monkeypatch.setattr(live, "_AGAIN_SECONDS", 0.0)
     with nats(tmp_path) as shared:
         run(test())
 
@@ -163,8 +186,7 @@ def test_of_too_much_only_the_newest_group_is_sent(
 ) -> None:
     async def test() -> None:
         async with way(shared.settings().jetstream) as pair:
-            for packet in numbered(long_clip)[:120]:
-                pair.append(packet)
+            pair.append(*numbered(long_clip)[:120])
             await pair.until(lambda: len(pair.received) == 20)
             assert pair.received == long_clip.packets[100:120]
 
@@ -177,8 +199,7 @@ def test_only_the_server_that_publishes_the_stream_sends(tmp_path: Path, long_cl
     async def test() -> None:
         async with way(shared.settings().jetstream) as pair:
             pair.may_send.clear()
-            for packet in numbered(long_clip)[:10]:
-                pair.append(packet)
+            pair.append(*numbered(long_clip)[:10])
             await pair.reader.ask(None)
             await asyncio.sleep(RECORD_SECONDS + 0.2)
             assert pair.received == []
@@ -193,14 +214,107 @@ def test_what_was_left_out_of_jetstream_is_not_sent(tmp_path: Path, long_clip: C
     async def test() -> None:
         async with way(shared.settings().jetstream) as pair:
             packets = numbered(long_clip)
-            for packet in packets[:10]:
-                pair.append(packet)
-            pair.waiting.clear()
+            pair.append(*packets[:10])
             pair.sender.clear()
-            for packet in packets[50:60]:
-                pair.append(packet)
+            pair.append(*packets[50:60])
             await pair.until(lambda: len(pair.received) == 10)
             assert pair.received == long_clip.packets[50:60]
+
+    with nats(tmp_path) as shared:
+        run(test())
+
+
+def test_a_reader_that_wants_nothing_keeps_nothing_from_others(
+    tmp_path: Path, long_clip: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def test() -> None:
+        async with way(shared.settings().jetstream) as pair:
+            pair.append(*numbered(long_clip)[:40])
+            await pair.until(lambda: len(pair.received) == 40)
+            await pair.ask((Position(1, 39), False))
+            await pair.ask((Position(1, 20), False))
+            await pair.until(lambda: len(pair.received) == 59)
+            assert pair.received[40:] == long_clip.packets[21:40]
+            await pair.ask((Position(1, 20), False))
+            await asyncio.sleep(0.1)
+            assert len(pair.received) == 59  # not again so soon
+
+    monkeypatch.setattr(live, "_AGAIN_SECONDS", 20.0)
+    with nats(tmp_path) as shared:
+        run(test())
+
+
+def test_who_holds_something_old_gets_what_begins_with_a_keyframe(
+    tmp_path: Path, long_clip: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = Position(0, 900), False
+
+    async def test() -> None:
+        async with way(shared.settings().jetstream) as pair:
+            packets, data = numbered(long_clip), long_clip.packets
+            monkeypatch.setattr(live, "_RECENT_SECONDS", -1.0)
+            pair.store(*packets[:20])
+            monkeypatch.setattr(live, "_RECENT_SECONDS", 20.0)
+            pair.store(*packets[20:40])
+            await pair.ask(old)  # residuals only
+            await pair.ask((Position(1, 19), False))  # they follow what this one holds
+            await pair.until(lambda: len(pair.received) == 20)
+            assert pair.received == data[20:40]
+            pair.store(*packets[40:60])
+            await pair.until(lambda: len(pair.received) == 40)
+            await pair.ask(old)
+            await pair.until(lambda: len(pair.received) == 50)
+            assert pair.received[20:] == data[40:60] + data[50:60]
+            monkeypatch.setattr(live, "_MAX_BYTES", sum(map(len, data[50:60])))
+            await pair.ask((Position(1, 19), False))  # of too much only the newest group
+            await pair.until(lambda: len(pair.received) == 60)
+            assert pair.received[50:] == data[50:60]
+            monkeypatch.setattr(live, "_MAX_BYTES", len(data[50]))
+            await pair.ask((Position(1, 19), False))
+            await asyncio.sleep(0.1)
+            assert len(pair.received) == 60
+
+    monkeypatch.setattr(live, "_AGAIN_SECONDS", -1.0)
+    with nats(tmp_path) as shared:
+        run(test())
+
+
+def test_what_happens_while_packets_are_being_sent_counts(
+    tmp_path: Path, long_clip: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader asks, and later all packets are left out."""
+
+    async def test() -> None:
+        async with way(shared.settings().jetstream) as pair:
+            client, sent = pair.publishing.client, list[bytes]()
+
+            async def publish(subject: str, data: bytes, headers: dict[str, str]) -> None:
+                await Client.publish(client, subject, data, headers=headers)
+                sent.append(data)
+                if len(sent) == 8:
+                    await pair.sender._answer(Msg(client, data=b""))
+                if len(sent) == 15:
+                    pair.sender.clear()
+
+            monkeypatch.setattr(client, "publish", publish)
+            pair.append(*numbered(long_clip)[:12])
+            await pair.until(lambda: len(pair.received) == 15)
+            await asyncio.sleep(0.1)
+            assert pair.received == sent == long_clip.packets[:8] + long_clip.packets[:7]
+
+    with nats(tmp_path) as shared:
+        run(test())
+
+
+def test_a_packet_that_is_sent_twice_comes_twice(tmp_path: Path, long_clip: Clip) -> None:
+    async def test() -> None:
+        async with way(shared.settings().jetstream) as pair:
+            packet = numbered(long_clip)[0]
+            ((found, data),) = pieces_of(INCARNATION, packet, 1 << 20)
+            for _ in range(2):
+                await pair.publishing.client.publish(SUBJECTS.packets, data, headers={MSG_ID: str(found)})
+            await pair.until(lambda: len(pair.received) == 2)
+            assert pair.received == [packet.data, packet.data]
 
     with nats(tmp_path) as shared:
         run(test())

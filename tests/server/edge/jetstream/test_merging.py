@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 
@@ -19,11 +20,11 @@ from server.edge.jetstream import merging
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.directory import Directory
 from server.edge.jetstream.merging import Merger
-from server.edge.jetstream.messages import Names
+from server.edge.jetstream.messages import LivePacket, Names
 from server.edge.jetstream.supply import ArchivedStream
 from server.edge.origin import OriginStream
 from server.edge.stream import EdgeStream
-from server.protocol.packets import Position
+from server.protocol.packets import Position, stream_packet
 from server.settings import Settings
 from server.stream.feed import Feed
 from server.stream.traces import Traces
@@ -44,6 +45,16 @@ def edge_stream() -> EdgeStream:
 
 def taken(stream: EdgeStream) -> list[bytes]:
     return [packet.data for packet in stream.hub.window.packets]
+
+
+def retained(stream: EdgeStream) -> list[list[bytes]]:
+    return [[packet.data for packet in group] for group in stream.bus.window.groups()]
+
+
+def direct(packets: list[bytes], number: int, epoch: int = 1) -> LivePacket:
+    """One of these as it is sent directly."""
+    place, *before = (stream_packet(0, epoch, packets[at]).place for at in (number, number - 1) if at >= 0)
+    return LivePacket(place, before[0] if before else None, packets[number])
 
 
 def renewed() -> tuple[list[bytes], Scene]:
@@ -69,11 +80,11 @@ def test_each_is_handed_on_once_and_in_order(long_clip: Clip, seed: int) -> None
     chance, packets, stream = random.Random(seed), long_clip.packets[:150], edge_stream()
 
     async def run() -> None:
-        merger, stored, live = Merger(stream), 0, 0
+        merger, stored, live = Merger(stream, 1), 0, 0
         while stored < len(packets):
             if live < len(packets) and (live <= stored or chance.random() < 0.6):
                 if chance.random() < 0.9:
-                    await merger.take_live(1, packets[live])
+                    await merger.take_live(direct(packets, live))
                 live = max(0, live - 10) if chance.random() < 0.05 else live + 1
             else:
                 await merger.take(1, packets[stored])
@@ -81,7 +92,7 @@ def test_each_is_handed_on_once_and_in_order(long_clip: Clip, seed: int) -> None
 
     asyncio.run(run())
     assert taken(stream) == packets
-    assert [packet.data for packet in stream.bus.window.packets] == packets
+    assert retained(stream) == [packets[:50], packets[50:100], packets[100:]]
 
 
 def test_a_keyframe_at_the_position_of_the_residual_before_it_is_a_packet_of_its_own() -> None:
@@ -89,17 +100,17 @@ def test_a_keyframe_at_the_position_of_the_residual_before_it_is_a_packet_of_its
     stream = edge_stream()
 
     async def run() -> None:
-        merger = Merger(stream)
+        merger = Merger(stream, 1)
         for data in packets[:2]:
             await merger.take(1, data)
-        assert await merger.take_live(1, packets[2]) == "taken"
-        assert await merger.take_live(1, packets[4]) == "gap"  # the keyframe was missed, which only decoding shows
+        assert await merger.take_live(direct(packets, 2)) == "taken"
+        assert await merger.take_live(direct(packets, 4)) == "gap"  # the keyframe was missed, which only decoding shows
         await merger.take(1, packets[2])
-        assert await merger.take_live(1, packets[3]) == "taken"
-        assert await merger.take_live(1, packets[2]) == "known"
+        assert await merger.take_live(direct(packets, 3)) == "taken"
+        assert await merger.take_live(direct(packets, 2)) == "known"
         await merger.take(1, packets[3])
         await merger.take(1, packets[4])
-        assert await merger.take_live(1, packets[4]) == "known"
+        assert await merger.take_live(direct(packets, 4)) == "known"
 
     asyncio.run(run())
     assert taken(stream) == packets
@@ -112,13 +123,13 @@ def test_a_damaged_one_that_came_directly_does_no_harm(long_clip: Clip, at: int)
     packets, stream = long_clip.packets, edge_stream()
 
     async def run() -> None:
-        merger = Merger(stream)
+        merger = Merger(stream, 1)
         await merger.take(1, packets[0])
         for number in range(1, 53):  # over the keyframe at 50
             damaged = bytearray(packets[number])
             damaged[at] ^= 0x55
-            assert await merger.take_live(1, bytes(damaged)) == "gap"
-            assert await merger.take_live(1, packets[number][:-5]) == "gap"
+            assert await merger.take_live(replace(direct(packets, number), data=bytes(damaged))) == "gap"
+            assert await merger.take_live(replace(direct(packets, number), data=packets[number][:-5])) == "gap"
             assert taken(stream) == packets[:number]
             await merger.take(1, packets[number])
         with pytest.raises(BitstreamError):
@@ -132,23 +143,23 @@ def test_over_a_gap_it_waits_and_then_goes_on_with_a_keyframe(long_clip: Clip, m
     packets, stream = long_clip.packets, edge_stream()
 
     async def run() -> None:
-        merger = Merger(stream)
+        merger = Merger(stream, 1)
         for data in packets[:60]:
             await merger.take(1, data)
         for number in (62, 100):
-            assert await merger.take_live(1, packets[number]) == "gap"
-        assert await merger.take_live(1, packets[60]) == "taken"
+            assert await merger.take_live(direct(packets, number)) == "gap"
+        assert await merger.take_live(direct(packets, 60)) == "taken"
         monkeypatch.setattr(merging, "_MISSED_SECONDS", 0.0)
         for number in (62, 99):
-            assert await merger.take_live(1, packets[number]) == "gap"
+            assert await merger.take_live(direct(packets, number)) == "gap"
         for number in (100, 101):
-            assert await merger.take_live(1, packets[number]) == "taken"
+            assert await merger.take_live(direct(packets, number)) == "taken"
         for data in packets[60:103]:  # JetStream has what was missed, too late for viewers at the live edge
             await merger.take(1, data)
 
     asyncio.run(run())
     assert taken(stream) == packets[:61] + packets[100:103]
-    assert [packet.data for packet in stream.bus.window.packets] == packets[100:103]  # the past has no holes
+    assert retained(stream) == [packets[100:103]]  # the past has no holes
 
 
 def test_the_next_epoch_follows_what_was_never_stored(long_clip: Clip) -> None:
@@ -156,16 +167,93 @@ def test_the_next_epoch_follows_what_was_never_stored(long_clip: Clip) -> None:
     packets, stream = long_clip.packets, edge_stream()
 
     async def run() -> None:
-        merger = Merger(stream)
+        merger = Merger(stream, 1)
         for data in packets[:20]:
             await merger.take(1, data)
-        for data in packets[20:25]:
-            assert await merger.take_live(1, data) == "taken"
+        for number in range(20, 25):
+            assert await merger.take_live(direct(packets, number)) == "taken"
         for data in packets[50:53]:
             await merger.take(2, data)
-        assert await merger.take_live(1, packets[25]) == "known"
+        assert await merger.take_live(direct(packets, 25)) == "known"
 
     asyncio.run(run())
     assert taken(stream) == packets[:25] + packets[50:53]
     assert stream.newest == Position(2, 52)
-    assert [packet.data for packet in stream.bus.window.packets] == packets[50:53]
+    assert retained(stream) == [packets[50:53]]
+
+
+def test_what_was_missed_before_a_keyframe_of_the_same_position_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    packets, _ = renewed()
+
+    async def run(stream: EdgeStream, outcome: str) -> None:
+        merger = Merger(stream, 1)
+        for data in packets[:2]:
+            await merger.take(1, data)
+        assert await merger.take_live(direct(packets, 3)) == outcome
+        for data in packets[2:]:
+            await merger.take(1, data)
+
+    stream = edge_stream()
+    asyncio.run(run(stream, "gap"))
+    assert retained(stream) == [packets[:3], packets[3:]]
+    monkeypatch.setattr(merging, "_MISSED_SECONDS", 0.0)
+    late = edge_stream()
+    asyncio.run(run(late, "taken"))
+    assert retained(late) == [packets[3:]]
+
+
+def test_the_next_epoch_waits_for_what_was_missed_of_the_one_before(
+    long_clip: Clip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packets, stream = long_clip.packets, edge_stream()
+
+    async def run() -> None:
+        merger = Merger(stream, 1)
+        for data in packets[:20]:
+            await merger.take(1, data)
+        first = replace(direct(packets, 50, 2), after=direct(packets, 21).place)
+        assert await merger.take_live(first) == "gap"
+        assert await merger.take_live(replace(first, after=None)) == "gap"
+        for number in (20, 21):
+            assert await merger.take_live(direct(packets, number)) == "taken"
+        assert await merger.take_live(first) == "taken"
+        assert retained(stream) == [packets[:22], packets[50:51]]
+        monkeypatch.setattr(merging, "_MISSED_SECONDS", 0.0)
+        assert await merger.take_live(replace(direct(packets, 100, 3), after=direct(packets, 51, 2).place)) == "taken"
+
+    asyncio.run(run())
+    assert retained(stream) == [packets[100:101]]
+
+
+def test_what_jetstream_does_not_have_is_not_waited_for(long_clip: Clip) -> None:
+    packets, stream = long_clip.packets, edge_stream()
+
+    async def run() -> None:
+        merger = Merger(stream, 1)
+        for data in [*packets[:10], *packets[11:13], *packets[50:52]]:
+            await merger.take(1, data)
+
+    asyncio.run(run())
+    assert taken(stream) == packets[:10] + packets[50:52]
+    assert retained(stream) == [packets[50:52]]
+
+
+def test_what_is_of_no_epoch_that_can_come_now_does_no_harm(long_clip: Clip) -> None:
+    packets, stream = long_clip.packets, edge_stream()
+
+    async def run() -> None:
+        merger = Merger(stream, 1)
+        for epoch in (0, 3, 4_000_000_000, 9_999_999_999):
+            assert await merger.take_live(direct(packets, 0, epoch)) == "gap"
+        for number in range(3):
+            await merger.take(1, packets[number])
+            for epoch in (3, 4_000_000_000, 9_999_999_999):
+                other = replace(direct(packets, 50, epoch), after=merger.held)
+                assert await merger.take_live(other) == "gap"
+        other = replace(direct(packets, 50), place=direct(packets, 3).place, after=merger.held)
+        assert await merger.take_live(other) == "gap"
+        for number in range(3, 60):
+            await merger.take(1, packets[number])
+
+    asyncio.run(run())
+    assert taken(stream) == packets[:60]
