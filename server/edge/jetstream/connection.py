@@ -7,9 +7,10 @@ import logging
 from contextlib import suppress
 
 from nats.aio.client import Client
+from nats.errors import SlowConsumerError
 from nats.js import JetStreamContext
 
-from server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES
+from server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES, Names
 from server.settings import JetStreamSettings
 
 _LOG = logging.getLogger(__name__)
@@ -31,6 +32,7 @@ class NatsConnection:
         self._settings = settings
         self._closing = False
         self._said: set[str] = set()
+        self._live = Names(settings.prefix).live_prefix.lower()
         self.fault = ""
         self.client = Client()
 
@@ -58,10 +60,12 @@ class NatsConnection:
 
         async def say_fault(error: Exception) -> None:
             """Once for each fault: attempts fail several times a second, as does every message that is not allowed."""
-            self.fault = str(error) or type(error).__name__
-            if self.fault not in self._said and len(self._said) < _MAX_SAID and not self._closing:
-                self._said.add(self.fault)
-                _LOG.warning("NATS: %s", self.fault)
+            fault = str(error) or type(error).__name__
+            if not isinstance(error, SlowConsumerError) and self._live not in fault.lower():  # JetStream goes on
+                self.fault = fault
+            if fault not in self._said and len(self._said) < _MAX_SAID and not self._closing:
+                self._said.add(fault)
+                _LOG.warning("NATS: %s", fault)
 
         credentials = self._settings.credentials
         await self.client.connect(

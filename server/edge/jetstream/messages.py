@@ -55,9 +55,14 @@ class Names:
         """Subject of keyframes (kind ``k``), of residuals (``r``), or of both (``*``)."""
         return f"{self.prefix}.packets.{stream}.{incarnation}.{kind}"
 
+    @property
+    def live_prefix(self) -> str:
+        """With which subjects of packets that are sent directly begin, those of all streams."""
+        return f"{self.prefix}.live."
+
     def live(self, stream: str, incarnation: str) -> LiveSubjects:
         """Subjects of packets that are sent directly."""
-        packets = f"{self.prefix}.live.{stream}.{incarnation}"
+        packets = f"{self.live_prefix}{stream}.{incarnation}"
         return LiveSubjects(packets, f"{packets}.wanted")
 
 

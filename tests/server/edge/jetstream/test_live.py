@@ -32,7 +32,7 @@ from tests.server.edge.jetstream.nats_servers import nats, needs_nats
 
 pytestmark = needs_nats
 INCARNATION, OTHER = "0123456789abcdef", "fedcba9876543210"
-SUBJECTS = Names("test").live("main", INCARNATION)
+SUBJECTS = Names("streamlod").live("main", INCARNATION)
 PACKET_BYTES = 1 << 20
 
 
@@ -359,10 +359,13 @@ def test_a_user_who_may_not_loses_this_way_only(
             assert pair.received == []
             await pair.publishing.jetstream.add_stream(name="other", subjects=["other"])
             assert (await pair.publishing.jetstream.publish("other", b"")).seq == 1
+            assert pair.publishing.fault == ""
+            await pair.publishing.client.publish("denied", b"")
+            await pair.until(lambda: "denied" in pair.publishing.fault)
 
-    deny = '{deny: ["test.live.>"]}'
+    deny = '{deny: ["streamlod.live.>", "denied"]}'
     user = f"{{user: server, password: none, permissions: {{publish: {deny}, subscribe: {deny}}}}}"
     with nats(tmp_path, more=f"authorization {{users: [{user}]}}\nno_auth_user: server\n") as shared:
         run(test())
-    refused = [line for line in caplog.messages if "ermissions" in line]
+    refused = [line for line in caplog.messages if "ermissions" in line and "denied" not in line]
     assert len(refused) == len(set(refused)) == 4  # to publish and to listen, at either end
