@@ -8,12 +8,14 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, contextmanager, suppress
 
+from nats.aio.msg import Msg
 from websockets.exceptions import ConnectionClosed
 
 from server.edge.jetstream.archive import id_of
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.messages import Assembler, Names, parse_id
 from server.edge.jetstream.reading import Selection, read
+from server.protocol.packets import Position
 from server.settings import Settings
 from tests.server.conftest import Running, Viewer, viewing
 from tests.server.edge.processes import Node
@@ -45,14 +47,23 @@ def recording(port: int, packets: list[bytes]) -> Iterator[Viewer]:
 
 def stored(settings: Settings, stream: str = "main") -> list[tuple[str, bytes]]:
     """Every message of a stream's packets in JetStream: its id and its body, in order."""
+    return [(str(id_of(message)), message.data) for message in _messages(settings, stream)]
 
-    async def run() -> list[tuple[str, bytes]]:
+
+def stored_at(settings: Settings, stream: str = "main") -> dict[Position, float]:
+    """Unix time at which JetStream took the packet of each position."""
+    found = [(id_of(message), message.metadata.timestamp.timestamp()) for message in _messages(settings, stream)]
+    return {place.position: seconds for place, seconds in found if place is not None}
+
+
+def _messages(settings: Settings, stream: str) -> list[Msg]:
+    async def run() -> list[Msg]:
         names, connection = Names(settings.jetstream.prefix), NatsConnection(settings.jetstream)
         await connection.open()
         selection = Selection(names.packets(stream), names.subject(stream, "*", "*"))
         try:
             async with aclosing(read(connection, selection, 1, None)) as messages:
-                return [(str(id_of(message)), message.data) async for message in messages]
+                return [message async for message in messages]
         finally:
             await connection.close()
 

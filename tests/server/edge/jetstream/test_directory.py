@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import time
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
-from server.edge.jetstream import directory as module
 from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import MAX_REFUSED, Directory
+from server.edge.jetstream.directory import MAX_REFUSED, SILENT_SECONDS, Directory
 from server.edge.jetstream.messages import Names
 from server.settings import Settings
 
@@ -34,14 +33,14 @@ def test_each_stream_is_told_of_once_and_only_so_many_are_kept_in_mind(caplog: p
     assert not directory.streams()
 
 
-def test_a_publisher_that_is_heard_otherwise_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_publisher_that_is_heard_otherwise_is_not_silent() -> None:
     settings = Settings()
     directory = Directory(NatsConnection(settings.jetstream), Names("streamlod"), settings)
-    told = {"id": "main", "incarnation": "0123456789abcdef", "source": "data", "state": "live"}
-    body = json.dumps(told | {"created_at": datetime.now(UTC).isoformat()}).encode()
+    description = {"id": "main", "incarnation": "0123456789abcdef", "source": "data", "state": "live"}
+    body = json.dumps(description | {"created_at": datetime.now(UTC).isoformat()}).encode()
     directory._take("main", body, is_new=True)
-    monkeypatch.setattr(module, "SILENT_SECONDS", 0.05)
-    time.sleep(0.1)
+    told = directory._told["main"]
+    directory._told["main"] = replace(told, told_at=told.told_at - SILENT_SECONDS - 1)
     assert [stream.state for stream in directory.streams()] == ["degraded"]
     directory.hear("main")
     directory.hear("other")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +13,10 @@ import pytest
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
 from server.edge.jetstream.messages import Names
+from server.protocol.packets import Position
 from tests.server.conftest import Clip
 from tests.server.edge.jetstream.nats_servers import Nats, NatsServer, free_ports, nats, needs_nats
-from tests.server.edge.jetstream.recorder import packets_in, recording, stored, waiting_bytes
+from tests.server.edge.jetstream.recorder import packets_in, recording, stored, stored_at, waiting_bytes
 from tests.server.edge.processes import Node, begin, listening, node, wait
 
 pytestmark = needs_nats
@@ -58,24 +59,39 @@ def keeps_coming(packets: list[bytes], count: int = 30, seconds: float = 20) -> 
     return first
 
 
-def keeps_coming_without_jetstream(nodes: Nodes, victim: NatsServer, served: list[bytes]) -> None:
+def newest(server: Node) -> Position:
+    """Of a stream, at this server."""
+    told = server.stream()
+    return Position(told["epoch"], told["version"])
+
+
+def keeps_coming_without_jetstream(nodes: Nodes, victim: NatsServer, served: list[bytes]) -> Callable[[], None]:
     """Kill the NATS server that leads, and another one, so that JetStream stores nothing; then start them again.
 
-    The viewer of the node that serves sees more than has been stored.
+    Returns:
+        checks, when all is stored, that what was served meanwhile was stored later.
     """
     other = next(server for server in nodes.shared.servers if server is not victim)
     victim.kill()
     keeps_coming(served)
     other.kill()
     wait(lambda: waiting_bytes(nodes.publishing) > 0)
-    had = len(served)
+    keeps_coming(served)  # what was on its way to JetStream has passed
+    first = newest(nodes.serving)
     keeps_coming(served, 75)
-    seen_bytes = sum(map(len, served[had:]))
-    assert waiting_bytes(nodes.publishing) > seen_bytes
+    last = newest(nodes.serving)
     wait(lambda: nodes.serving.stream()["state"] == "live")
+    restarted = time.time()
     victim.start()
     other.start()
     other.wait()
+
+    def check() -> None:
+        times = [seconds for place, seconds in stored_at(nodes.shared.settings()).items() if first < place <= last]
+        assert len(times) >= 75
+        assert min(times) >= restarted
+
+    return check
 
 
 def check_all_came(nodes: Nodes, published: list[bytes], served: list[bytes]) -> None:
@@ -93,6 +109,7 @@ def test_a_nats_server_is_killed_and_comes_back(nodes: Nodes) -> None:
     """Of three servers it is the one that leads the stream; what the viewers of the two nodes got is compared."""
     published: list[bytes] = []
     served: list[bytes] = []
+    check: Callable[[], None] = lambda: None  # noqa: E731
     with recording(nodes.publishing.port, published), recording(nodes.serving.port, served):
         keeps_coming(served)
         shared = nodes.shared
@@ -103,11 +120,12 @@ def test_a_nats_server_is_killed_and_comes_back(nodes: Nodes) -> None:
             victim.start()
             keeps_coming(served)
         else:
-            keeps_coming_without_jetstream(nodes, victim, served)
+            check = keeps_coming_without_jetstream(nodes, victim, served)
         victim.wait()
         keeps_coming(served)
         wait(lambda: served[-1] in published[-100:])
     check_all_came(nodes, published, served)
+    check()
     wait(lambda: nodes.serving.stream()["state"] == "live")
 
 
