@@ -252,3 +252,24 @@ def test_nats_loses_its_disk(tmp_path: Path, long_clip: Clip) -> None:
         after = other.stream()
         assert (after["epoch"], after["version"]) > (before["epoch"], before["version"])
         assert after["incarnation"] == server.stream()["incarnation"]
+
+
+def test_the_permissions_of_the_documents_are_enough(
+    tmp_path: Path, clip: Clip, caplog: pytest.LogCaptureFixture
+) -> None:
+    allowed = '{publish: ["streamlod.>", "$JS.API.>"], subscribe: ["streamlod.live.>", "_INBOX.>"]}'
+    user = f"{{user: server, password: none, permissions: {allowed}}}"
+    with nats(tmp_path, more=f"authorization {{users: [{user}]}}\nno_auth_user: server\n") as closed:
+        spec = StreamSpec(play=clip.path, loop=False)
+        with running(closed.settings(), spec) as server, running(closed.settings()) as other:
+            server.wait(lambda stream: stream["state"] == "ended")
+            serves(other)
+            with viewing(other, max_queue=None) as viewer, other.client() as client:
+                viewer.hello().until("caught_up")
+                assert viewer.until_version(len(clip.packets) - 1).version == len(clip.packets) - 1
+                manifest = client.get("/v1/streams/main/manifest").json()
+                assert client.get(manifest["gops"][0]["path"]).status_code == 200
+            with server.client() as client:
+                assert client.delete("/v1/streams/main").status_code == 204
+            wait(lambda: "main" not in other.registry.streams)
+    assert not [line for line in caplog.messages if "ermission" in line]
