@@ -170,7 +170,7 @@ class Publisher:
                 await self._store(found, data)
             if self._queue and self._queue[0] is waiting:  # it was not left out meanwhile
                 self._queue.popleft()
-                self._live.store()
+                self._live.packets.store()
                 self.waiting_bytes -= len(waiting.packet.data)
             if not waiting.stored.done():
                 waiting.stored.set_result(None)
@@ -214,7 +214,7 @@ class Publisher:
         for waiting in self._queue:
             waiting.stored.cancel()
         self._queue.clear()
-        self._live.clear()
+        self._live.packets.clear()
         self.waiting_bytes, self._gap = 0, True
 
     def _say(self, text: str) -> None:

@@ -19,7 +19,7 @@ from nats.aio.client import Client
 from nats.aio.msg import Msg
 
 from server.edge.ending import end
-from server.edge.jetstream import live
+from server.edge.jetstream import live, live_packets
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.live import LiveSender
 from server.edge.jetstream.live_reading import LiveReader
@@ -55,7 +55,7 @@ class Way:
         """JetStream takes each of these at once."""
         for packet in packets:
             self.sender.append(packet)
-            self.sender.store()
+            self.sender.packets.store()
 
     def ask(self, held: Place | None) -> Coroutine[Any, Any, None]:
         """As a reader that has not asked yet."""
@@ -125,8 +125,10 @@ def test_packets_are_sent_once_they_have_waited_too_long(
             pair.append(packets[15])
             await pair.until(lambda: len(pair.received) == 16)
             for _ in range(6):
-                pair.sender.store()
-            monkeypatch.setattr(live, "_RECENT_SECONDS", -1.0)  # what is stored from now on has reached everybody
+                pair.sender.packets.store()
+            monkeypatch.setattr(
+                live_packets, "_RECENT_SECONDS", -1.0
+            )  # what is stored from now on has reached everybody
             pair.store(*packets[16:20])
             pair.append(*packets[20:22])
             await pair.until(lambda: len(pair.received) == 18)
@@ -190,7 +192,7 @@ def test_of_too_much_only_the_newest_group_is_sent(
             await pair.until(lambda: len(pair.received) == 20)
             assert pair.received == long_clip.packets[100:120]
 
-    monkeypatch.setattr(live, "_MAX_BYTES", sum(map(len, long_clip.packets[:120])) - 1)
+    monkeypatch.setattr(live_packets, "_MAX_BYTES", sum(map(len, long_clip.packets[:120])) - 1)
     with nats(tmp_path) as shared:
         run(test())
 
@@ -215,7 +217,7 @@ def test_what_was_left_out_of_jetstream_is_not_sent(tmp_path: Path, long_clip: C
         async with way(shared.settings().jetstream) as pair:
             packets = numbered(long_clip)
             pair.append(*packets[:10])
-            pair.sender.clear()
+            pair.sender.packets.clear()
             pair.append(*packets[50:60])
             await pair.until(lambda: len(pair.received) == 10)
             assert pair.received == long_clip.packets[50:60]
@@ -252,9 +254,9 @@ def test_who_holds_something_old_gets_what_begins_with_a_keyframe(
     async def test() -> None:
         async with way(shared.settings().jetstream) as pair:
             packets, data = numbered(long_clip), long_clip.packets
-            monkeypatch.setattr(live, "_RECENT_SECONDS", -1.0)
+            monkeypatch.setattr(live_packets, "_RECENT_SECONDS", -1.0)
             pair.store(*packets[:20])
-            monkeypatch.setattr(live, "_RECENT_SECONDS", 20.0)
+            monkeypatch.setattr(live_packets, "_RECENT_SECONDS", 20.0)
             pair.store(*packets[20:40])
             await pair.ask(old)  # residuals only
             await pair.ask((Position(1, 19), False))  # they follow what this one holds
@@ -265,11 +267,11 @@ def test_who_holds_something_old_gets_what_begins_with_a_keyframe(
             await pair.ask(old)
             await pair.until(lambda: len(pair.received) == 50)
             assert pair.received[20:] == data[40:60] + data[50:60]
-            monkeypatch.setattr(live, "_MAX_BYTES", sum(map(len, data[50:60])))
+            monkeypatch.setattr(live_packets, "_MAX_BYTES", sum(map(len, data[50:60])))
             await pair.ask((Position(1, 19), False))  # of too much only the newest group
             await pair.until(lambda: len(pair.received) == 60)
             assert pair.received[50:] == data[50:60]
-            monkeypatch.setattr(live, "_MAX_BYTES", len(data[50]))
+            monkeypatch.setattr(live_packets, "_MAX_BYTES", len(data[50]))
             await pair.ask((Position(1, 19), False))
             await asyncio.sleep(0.1)
             assert len(pair.received) == 60
@@ -294,7 +296,7 @@ def test_what_happens_while_packets_are_being_sent_counts(
                 if len(sent) == 8:
                     await pair.sender._answer(Msg(client, data=b""))
                 if len(sent) == 15:
-                    pair.sender.clear()
+                    pair.sender.packets.clear()
 
             monkeypatch.setattr(client, "publish", publish)
             pair.append(*numbered(long_clip)[:12])
