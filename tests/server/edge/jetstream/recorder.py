@@ -62,8 +62,10 @@ def _messages(settings: Settings, stream: str) -> list[Msg]:
         await connection.open()
         selection = Selection(names.packets(stream), names.subject(stream, "*", "*"))
         try:
-            async with aclosing(read(connection, selection, 1, None)) as messages:
-                return [message async for message in messages]
+            while True:
+                with suppress(OSError):  # servers that have come back agree on a leader first
+                    async with aclosing(read(connection, selection, 1, None)) as messages:
+                        return [message async for message in messages]
         finally:
             await connection.close()
 
