@@ -11,13 +11,13 @@ anchors that show what has moved so far, and tells what that gains or costs.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 import torch
 
 from client.evaluation.measure.scores import draw
-from client.evaluation.measure.truth import dynamic_precision_recall
+from client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
 from codec.encoder import encode_residual
 from core.arrays import Bool
 from core.metrics import psnr
@@ -66,10 +66,7 @@ class Watched:
 class Counts:
     """Sums over the frames of a clip, in anchors; pictures in dB, packets in bytes."""
 
-    found: int = 0
-    moving: int = 0
-    right: int = 0
-    dynamic: int = 0
+    scores: list[MotionScore] = field(default_factory=list)
     trained: int = 0
     still: int = 0
     always_still: int = 0
@@ -78,11 +75,13 @@ class Counts:
 
     def told(self) -> str:
         """One line."""
-        recall, precision = self.found / max(self.moving, 1), self.right / max(self.dynamic, 1)
+        counts = (sum(count) for count in zip(*map(astuple, self.scores), strict=True))
+        whole = MotionScore(*counts) if self.scores else MotionScore(0, 0, 0, 0)
         still, always_still = (count / max(self.trained, 1) for count in (self.still, self.always_still))
         return (
-            f"recall {recall:.2f}, precision {precision:.2f}, {self.trained / len(self.sizes):.0f} trained, of them "
-            f"{still:.2f} show nothing that moves, {always_still:.2f} nothing that moved so far; picture "
+            f"recall {whole.recall:.2f}, precision {whole.precision:.2f}, "
+            f"{self.trained / len(self.sizes):.0f} trained, of them {still:.2f} show nothing that moves, "
+            f"{always_still:.2f} nothing that moved so far; picture "
             f"{np.mean(self.pictures[-_LAST:]):.2f} dB in the last {_LAST} frames, {np.mean(self.sizes):.0f} bytes"
         )
 
@@ -133,9 +132,7 @@ def follow(clip: Clip, config: TrainConfig, first: Scene, truth: bool) -> Counts
         counts.sizes.append(len(encode_residual(before, result.residual, time_ns=0)))
         counts.pictures.append(psnr(draw(result.scene, clip.held_out), test.images[0]))
         if result.dynamic is not None:
-            score = dynamic_precision_recall(clip.spec, before, result.dynamic, frame.index, clip.cameras)
-            counts.found, counts.moving = counts.found + score.found, counts.moving + score.moving
-            counts.right, counts.dynamic = counts.right + score.right, counts.dynamic + score.dynamic
+            counts.scores.append(dynamic_precision_recall(clip.spec, before, result.dynamic, frame.index, clip.cameras))
     return counts
 
 

@@ -64,9 +64,9 @@ class ArchiveBus(Bus):
         return {first: packets for first, packets in read.items() if packets}
 
     async def _group(self, first: Position) -> list[StreamPacket]:
-        """A group of pictures, from memory only where it is JetStream's newest: memory has its end, if it is closed.
+        """A group of pictures: JetStream's newest from memory, which has its end if it is closed.
 
-        Memory may be behind JetStream as well.
+        All others come from JetStream, as memory may lack their ends.
         """
         if self._archive.keys[-1:] > [first]:
             return await self._archive.group(first)

@@ -86,8 +86,8 @@ class LiveSender:
     async def _send(self) -> None:
         """Send all behind the newest that was sent, whatever is appended, cleared or asked for meanwhile."""
         self._sent = self.packets.limited(self._sent)
-        while behind := self.packets.behind(self._sent):
-            packet, headers = behind[0].packet, {AFTER: id_at(self._incarnation, behind[0].after)}
+        while outgoing := self.packets.following(self._sent):
+            packet, headers = outgoing.packet, {AFTER: id_at(self._incarnation, outgoing.after)}
             self._sent = packet.sequence
             for found, data in pieces_of(self._incarnation, packet, self._connection.piece_bytes):
                 with suppress(Error, OSError):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections import deque
+from bisect import bisect_right
 from dataclasses import dataclass
-from itertools import takewhile
 
 from server.protocol.packets import Place, StreamPacket
 
@@ -34,7 +33,7 @@ class LivePackets:
     """They are in order, and places among them are told by sequence: what is behind one is to be sent."""
 
     def __init__(self) -> None:
-        self._packets: deque[Outgoing] = deque()
+        self._packets: list[Outgoing] = []
         self._stored = 0  # how many of these are stored
         self._newest: Place | None = None
 
@@ -48,9 +47,11 @@ class LivePackets:
         now = time.monotonic()
         self._packets[self._stored].stored_at = now
         self._stored += 1
-        while self._stored and now - self._packets[0].stored_at > _RECENT_SECONDS:
-            self._packets.popleft()
-            self._stored -= 1
+        old = 0
+        while old < self._stored and now - self._packets[old].stored_at > _RECENT_SECONDS:
+            old += 1
+        del self._packets[:old]
+        self._stored -= old
 
     def clear(self) -> None:
         """Forget all packets: those that wait are left out, and who has some of them is to begin anew."""
@@ -69,8 +70,12 @@ class LivePackets:
 
     def behind(self, sequence: int) -> list[Outgoing]:
         """All packets after this one."""
-        found = list(takewhile(lambda outgoing: outgoing.packet.sequence > sequence, reversed(self._packets)))
-        return found[::-1]
+        return self._packets[self._place_behind(sequence) :]
+
+    def following(self, sequence: int) -> Outgoing | None:
+        """The first packet after this one."""
+        at = self._place_behind(sequence)
+        return self._packets[at] if at < len(self._packets) else None
 
     def limited(self, sequence: int) -> int:
         """Where to begin instead so that it is not too much: before the newest keyframe, if there is one."""
@@ -90,6 +95,9 @@ class LivePackets:
             found = found or [packet.sequence - 1 for packet in packets if packet.is_key]
         begin = self.limited(found[0]) if found else None
         return None if begin is None or _size(self.behind(begin)) > _MAX_BYTES else begin
+
+    def _place_behind(self, sequence: int) -> int:
+        return bisect_right(self._packets, sequence, key=lambda outgoing: outgoing.packet.sequence)
 
 
 def _size(packets: list[Outgoing]) -> int:
