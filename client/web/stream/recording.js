@@ -52,6 +52,7 @@ export class Recording {
     session.status.window = { oldest, newest };
     session.settle();
     this.#moveTo(0);
+    this.handlers.status();
   }
 
   /** @param {unknown} error */
@@ -106,7 +107,7 @@ export class Recording {
       this.held = { keyframe: entry.keyframe, version: entry.toVersion };
       this.session.status.bytes += entry.size;
     }
-    if (this.shown < 0) this.#moveTo(index);
+    if (this.shown < 0 && this.at === index) this.#moveTo(index); // time begins now, unless a seek came while the first keyframe did
     this.shown = index;
     this.session.status.position = { epoch: 1, version };
     this.handlers.status();

@@ -131,6 +131,23 @@ def test_a_file_over_a_slow_link_shows_coarse_levels_first(page: Any, clip: Clip
         assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[1].levels]
 
 
+def test_a_seek_while_the_first_keyframe_comes_is_kept(page: Any, clip: Clip, packed: Path, tmp_path: Path) -> None:
+    """Who has gone elsewhere before all levels of the first keyframe are there is not led back to the beginning."""
+    with SlodWriter(tmp_path / "clip.slod") as writer:
+        writer.append(padded(clip.key(), {0: 20_000, 1: 80_000, 2: 500_000}))
+        for version in range(3):
+            writer.append(clip.residual(version, version + 1))
+    link = SlowLink(create_app(clip, Behaviour(), tmp_path, page=packed), 60_000)
+    with serving(link) as url:
+        page.goto(f"{url}/?src=files/clip.slod&quality=high")
+        shows(page, "s.version === 0 && s.splats > 0")
+        page.evaluate("streamlod.pause(); streamlod.seek(2)")
+        assert page.evaluate("streamlod.state.version") == 0
+        page.evaluate("streamlod.inspect()")  # after this the worker has heard of the seek
+        link.rate = 1e9
+        shows(page, "s.version === 2 && s.phase === 'paused'")
+
+
 def test_codings_as_asked_for(packed: Path, clip: Clip) -> None:
     """br before gzip before plain; types stay; a copy that is still good is not sent again."""
     with serving(create_app(clip, Behaviour(), page=packed)) as url, httpx.Client(base_url=url) as client:
