@@ -107,7 +107,7 @@ export class Recording {
       this.held = { keyframe: entry.keyframe, version: entry.toVersion };
       this.session.status.bytes += entry.size;
     }
-    if (this.shown < 0 && this.at === index) this.#moveTo(index); // time begins now, unless a seek came while the first keyframe did
+    if (this.shown < 0) this.#moveTo(this.at); // time begins now, where a seek may have led while the keyframe came
     this.shown = index;
     this.session.status.position = { epoch: 1, version };
     this.handlers.status();
