@@ -144,7 +144,7 @@ def test_a_seek_while_the_first_keyframe_comes_is_kept(
     with serving(link) as url:
         page.goto(f"{url}/?src=files/clip.slod&quality=high")
         shows(page, "s.version === 0 && s.splats > 0")
-        page.evaluate("window.seen = []; streamlod.on('picture', (picture) => seen.push(picture.version))")
+        page.evaluate("window.seen = []; streamlod.on('picture', (picture) => seen.push(picture.version)); 0")
         page.evaluate(f"{'' if playing else 'streamlod.pause();'} streamlod.seek(2)")
         page.wait_for_timeout(1000)  # longer than the rest of the recording
         link.rate = 1e9
