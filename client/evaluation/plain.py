@@ -68,7 +68,7 @@ class PlainConfig:
     densify_from: float = 0.05
     densify_until: float = 0.65
     prune: float = 0.01
-    opacity_weight: float = 0.01
+    opacity_weight: float = 0.02
     random_background: bool = False
     half_size_until: float = 0.2
     average_from: float = 0.8

@@ -15,7 +15,7 @@ from scipy.ndimage import minimum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from core.arrays import Bool, Float32, Float64
+from core.arrays import Bool, Float32, Float64, Int64
 from core.frames import PointCloud
 from core.initialise.sweep import DepthMap
 from core.initialise.views import WorkingViews, inside, project
@@ -118,15 +118,24 @@ def in_large_pieces(depth: Float32, good: Bool, trust: Trust) -> Bool:
     """[H,W] which of the `good` pixels belong to a connected piece of surface that is large enough."""
     if not good.any():
         return good
+    piece = pieces(depth, good, trust.tolerance)
+    size = np.minimum((depth / np.median(depth[good])) ** 2, 1.0).ravel() * good.ravel()
+    large = np.bincount(piece, weights=size) >= trust.smallest_piece * depth.size
+    return np.asarray(good & large[piece].reshape(depth.shape))
+
+
+def pieces(depth: Float32, good: Bool, tolerance: float) -> Int64:
+    """[H*W] number of the piece of surface that each of the `good` pixels [H,W] belongs to; others are by themselves.
+
+    Args:
+        tolerance: relative difference of depths [H,W] of neighbouring pixels of one surface.
+    """
     number = np.arange(depth.size).reshape(depth.shape)
     pairs = []
     for before, after in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         joined = good[before] & good[after]
-        joined &= np.abs(depth[before] - depth[after]) < trust.tolerance * depth[after]
+        joined &= np.abs(depth[before] - depth[after]) < tolerance * depth[after]
         pairs.append(np.stack([number[before][joined], number[after][joined]]))
     one, other = np.concatenate(pairs, axis=1)
     graph = coo_matrix((np.ones(len(one), np.bool_), (one, other)), (depth.size, depth.size))
-    _, piece = connected_components(graph, directed=False)
-    size = np.minimum((depth / np.median(depth[good])) ** 2, 1.0).ravel() * good.ravel()
-    large = np.bincount(piece, weights=size) >= trust.smallest_piece * depth.size
-    return np.asarray(good & large[piece].reshape(depth.shape))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)

@@ -10,14 +10,15 @@ that fits better, or a random change of its own. Neighbours wait for one another
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import Float32, Float64
+from core.camera import Camera
 from core.initialise.patch_kernel import SAMPLES, UNSEEN, Pairs, improve, plane_costs, window_weights
 from core.initialise.sweep import DepthMap, neighbours, pair_geometry
-from core.initialise.views import WorkingViews
+from core.initialise.views import WorkingViews, pixel_centres
 
 _CHANGE = 0.1  # of the depth, tried in the first pass; half of it in each pass after it
 _COUNTED = 2  # sources whose costs are averaged (patch_kernel.py)
@@ -32,16 +33,40 @@ class Search:
         passes: of the first round, in which the pictures alone decide.
         rounds: after it, in which views are asked to agree; passes_a_round: of each.
         agreement: weight in them of two pixels between a view's surface and another's.
-        flat_pixels, flat_cost: a depth is ambiguous where so many pixels of parallax to either side do not cost so much
-            more: windows without texture match everywhere.
+        beside_pixels: of parallax, to either side of a depth that is asked how much better it is than those beside it.
     """
 
     passes: int = 4
     rounds: int = 2
     passes_a_round: int = 2
     agreement: float = 0.3
-    flat_pixels: float = 2.0
-    flat_cost: float = 0.02
+    beside_pixels: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlantedMap(DepthMap):
+    """Depth by slanted windows; `cost` is that of the pictures alone.
+
+    Attributes:
+        planes: [H,W,3] float64 inverse depth, and by how much it grows a pixel to the right and a pixel down.
+        margin: [H,W] float32, how much more a depth beside a pixel's own costs, the cheaper one of the two sides: about
+            none where a window has no texture, since it matches everywhere; below none where no depth can be told.
+    """
+
+    planes: Float64
+    margin: Float32
+
+    def normals(self) -> Float64:
+        """[H*W,3] unit normals of the planes in the world, away from the camera, row by row."""
+        centres, planes = pixel_centres(self.camera), self.planes.reshape(-1, 3)
+        at_corner = planes[:, 0] - (centres * planes[:, 1:]).sum(axis=1)  # inverse depth, were the plane seen there
+        normals = np.column_stack([planes[:, 1:], at_corner]) @ self.camera.intrinsics
+        world = normals @ self.camera.world_to_camera[:3, :3]
+        return np.asarray(world / np.linalg.norm(world, axis=1, keepdims=True), np.float64)
+
+    def certain(self, least_margin: float) -> DepthMap:
+        """The same depths, which cost `UNSEEN` where the margin is less than `least_margin`."""
+        return DepthMap(self.camera, self.depth, np.where(self.margin < least_margin, np.float32(UNSEEN), self.cost))
 
 
 def slanted(
@@ -50,8 +75,8 @@ def slanted(
     bounds: tuple[float, float],
     search: Search = Search(),
     progress: Callable[[float], None] = lambda _: None,
-) -> list[DepthMap]:
-    """`maps` of `views` with better depths, which cost `UNSEEN` where they are ambiguous.
+) -> list[SlantedMap]:
+    """`maps` of `views` with better depths.
 
     Args:
         bounds: (near, far) depth in world units.
@@ -75,11 +100,7 @@ def slanted(
             progress((round_number + (index + 1) / len(planes)) / (1 + search.rounds))
     held = [plane[..., 0] for plane in planes]
     return [
-        replace(
-            depth_map,
-            depth=np.asarray(1 / held[index], np.float32),
-            cost=_certain_cost(_pairs(views, index, weights[index], held), planes[index], limits[1], search),
-        )
+        _judged(depth_map.camera, _pairs(views, index, weights[index], held), planes[index], limits[1], search)
         for index, depth_map in enumerate(maps)
     ]
 
@@ -109,21 +130,20 @@ def _pairs(views: WorkingViews, index: int, weights: Float32, held: list[Float64
     return Pairs(views.images[index], weights, views.images[sources], rays, shifts, back_rays, back_shifts, inverse)
 
 
-def _certain_cost(pairs: Pairs, planes: Float64, nearest: float, search: Search) -> Float32:
-    """[H,W] what `planes` cost by the pictures alone, `UNSEEN` where depths beside them cost no more.
+def _judged(camera: Camera, pairs: Pairs, planes: Float64, nearest: float, search: Search) -> SlantedMap:
+    """`planes` with what they and those beside them cost by the pictures alone.
 
     Args:
         nearest: largest inverse depth of the search.
     """
-    shift = np.sort(np.linalg.norm(pairs.shifts, axis=1))[:_COUNTED][-1]
-    if shift * nearest < search.flat_pixels:  # cameras in one place: no depth moves anything in the picture
-        return np.full(planes.shape[:2], UNSEEN, np.float32)
-    step = search.flat_pixels / shift
     cost, beside = (np.empty(planes.shape[:2], np.float32) for _ in range(2))
-    plane_costs(pairs, 0.0, planes, cost)
     margin = np.full(cost.shape, np.inf, np.float32)
-    for side in (-step, step):
-        moved = planes + np.array([side, 0.0, 0.0])
-        plane_costs(pairs, 0.0, moved, beside)
-        margin = np.minimum(margin, beside - cost)
-    return np.where(margin < search.flat_cost, np.float32(UNSEEN), cost)
+    plane_costs(pairs, 0.0, planes, cost)
+    shift = np.sort(np.linalg.norm(pairs.shifts, axis=1))[:_COUNTED][-1]
+    if shift * nearest < search.beside_pixels:  # cameras in one place: no depth moves anything in the picture
+        margin[:] = -UNSEEN
+    else:
+        for side in (-search.beside_pixels, search.beside_pixels):
+            plane_costs(pairs, 0.0, planes + np.array([side / shift, 0.0, 0.0]), beside)
+            margin = np.minimum(margin, beside - cost)
+    return SlantedMap(camera, np.asarray(1 / planes[..., 0], np.float32), cost, planes, margin)

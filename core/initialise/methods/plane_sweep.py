@@ -1,15 +1,17 @@
-"""Points of depth maps that a plane sweep finds and several views confirm."""
+"""Points of depth maps that a plane sweep begins, slanted windows refine, and several views confirm."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from core.errors import InputError
 from core.frames import PointCloud
 from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed, rig_width
+from core.initialise.confidence import usual_confidence
 from core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
 from core.initialise.equalise import equalised, with_equal_means
+from core.initialise.evidence import Matches, evidence
 from core.initialise.method import PointSources
 from core.initialise.patches import Search, slanted
 from core.initialise.sweep import plane_count, sweep_views
@@ -28,6 +30,8 @@ class PlaneSweep:
         search: for slanted windows.
         trust: which pixels of the sweep are believed, where slanted windows come to the same depth.
         trust_slanted: which pixels of slanted windows are believed in any case.
+        least_margin: by which a depth of slanted windows must be better than those beside it for that.
+        least_confidence: what pixels of slanted windows need to become points; beliefs are evidence among others.
     """
 
     rows: int = 160
@@ -37,6 +41,8 @@ class PlaneSweep:
     trust_slanted: Trust = field(
         default_factory=lambda: Trust(tolerance=0.02, cost_by_one=0.8, cost_by_more=1.0, smallest_piece=0.004)
     )
+    least_margin: float = 0.02
+    least_confidence: float = 0.65
 
     def find(self, sources: PointSources) -> PointCloud:
         """Points by plane sweep and cross-view consistency.
@@ -50,6 +56,25 @@ class PlaneSweep:
         self, views: WorkingViews, depth_bounds: tuple[float, float] | None, progress: Callable[[float], None]
     ) -> PointCloud:
         """`find`, of pictures of the working size."""
+        matches = self.matches(views, depth_bounds, progress)
+        confidence = usual_confidence()
+        good = [
+            (confidence(seen) > self.least_confidence).reshape(depth_map.depth.shape)
+            for seen, depth_map in zip(evidence(matches), matches.maps, strict=True)
+        ]
+        return points_of(views, matches.maps, good)
+
+    def matches(
+        self,
+        views: WorkingViews,
+        depth_bounds: tuple[float, float] | None,
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> Matches:
+        """Depths of all pixels of `views`, right or wrong, and which of them the tests of `consistency.py` let pass.
+
+        Raises:
+            InputError: as `find`.
+        """
         if len(views) < 2:
             raise InputError("plane sweep", "needs pictures of at least two cameras; use a points file or random")
         rig_width(views.cameras)  # must not be zero
@@ -64,13 +89,10 @@ class PlaneSweep:
         maps = slanted(
             even, facing, bounds, self.search, lambda done: progress(_SWEEP_SHARE + (1 - _SWEEP_SHARE) * done)
         )
-        good = [
-            alone | either
-            for alone, either in zip(
-                trusted_pixels(maps, self.trust_slanted), confirmed(maps, facing, self.trust), strict=True
-            )
-        ]
-        return points_of(replace(even, images=views.images), maps, good)
+        certain = [depth_map.certain(self.least_margin) for depth_map in maps]
+        alone, either = trusted_pixels(certain, self.trust_slanted), confirmed(certain, facing, self.trust)
+        trusted = [one | other for one, other in zip(alone, either, strict=True)]
+        return Matches(even, maps, facing, trusted)
 
 
 METHODS = {"sweep": PlaneSweep()}

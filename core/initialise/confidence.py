@@ -1,0 +1,49 @@
+"""How likely a pixel's depth is right: a small network over the evidence for it (after Haeusler et al. 2013).
+
+One rule for each cue costs too much: what is near, plain or seen at a slant fails one of them and is right by all
+others. `python -m tests.bench.confidence_training` fits the weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+from core.arrays import Float32
+
+_FILE = "confidence.npz"
+_FAR = 4.0  # standard deviations; farther off the usual says no more
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Confidence:
+    """Two hidden layers of tanh.
+
+    Attributes:
+        mean, deviation: [F] of each cue.
+        weights: [F,N], [N,N], [N,1]; biases: [N], [N], [1].
+    """
+
+    mean: Float32
+    deviation: Float32
+    weights: tuple[Float32, Float32, Float32]
+    biases: tuple[Float32, Float32, Float32]
+
+    def __call__(self, evidence: Float32) -> Float32:
+        """[P] from 0 to 1, of the evidence [P,F] for P pixels."""
+        values = np.clip((evidence - self.mean) / self.deviation, -_FAR, _FAR)
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            values = np.tanh(values @ weight + bias)
+        return np.asarray(1 / (1 + np.exp(-(values @ self.weights[-1] + self.biases[-1])[:, 0])), np.float32)
+
+
+@cache
+def usual_confidence() -> Confidence:
+    """The network that comes with the program."""
+    with (files("core.initialise") / _FILE).open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        weights = arrays["weight0"], arrays["weight1"], arrays["weight2"]
+        biases = arrays["bias0"], arrays["bias1"], arrays["bias2"]
+        return Confidence(arrays["mean"], arrays["deviation"], weights, biases)

@@ -1,0 +1,167 @@
+"""What speaks for and against the depth of a pixel: how it matches, and what other views and its neighbours say.
+
+All of it is free of units, so that a room and a stadium look alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import minimum_filter, uniform_filter
+
+from core.arrays import Bool, Float32, Float64
+from core.initialise.consistency import pieces
+from core.initialise.patches import SlantedMap
+from core.initialise.sweep import DepthMap, neighbours
+from core.initialise.views import WorkingViews, inside, project
+
+CUES = (
+    "cost", "margin", "cost of the sweep", "difference to the sweep",
+    "least difference to a view", "angle of the normals there", "cost there", "margin there",
+    "views that agree", "and their normals", "views that see it", "views that look through", "at trusted pixels",
+    "neighbours with agreement", "second bend", "third bend", "trusted neighbours", "size of the piece",
+    "depth", "texture", "slant", "parallax",
+)  # fmt: skip
+_SAME = 0.02  # relative difference of depths that agree
+_MOST = 0.2  # relative difference beyond which it does not matter how much
+_LIKE = 0.9  # cosine of normals that agree
+_MANY = 4.0  # views; more say no more
+_STEP = 3  # pixels to the neighbours that a plane is compared with
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """What is known of V views of one size.
+
+    Attributes:
+        views: V cameras and their pictures.
+        maps: V depth maps of slanted windows; facing: V of windows that face the camera.
+        trusted: V times [H,W], pixels that pass the tests of `consistency.py`.
+    """
+
+    views: WorkingViews
+    maps: Sequence[SlantedMap]
+    facing: Sequence[DepthMap]
+    trusted: Sequence[Bool]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Witness:
+    """What one other view says of N points: each [N].
+
+    Attributes:
+        sees: the point lies in its picture.
+        difference: relative, of its depth there; infinite where it does not see the point.
+        cosine: of the two normals. cost, margin: of the pixel there.
+        through: it sees only farther things there. through_trusted: and trusted pixels say so.
+    """
+
+    sees: Bool
+    difference: Float64
+    cosine: Float64
+    cost: Float64
+    margin: Float64
+    through: Bool
+    through_trusted: Bool
+
+
+def evidence(matches: Matches) -> list[Float32]:
+    """For each view [H*W, len(CUES)], row by row."""
+    normals = [depth_map.normals() for depth_map in matches.maps]
+    usual = float(np.median(np.concatenate([m.depth[good] for m, good in _any_trusted(matches)])))
+    return [_of_view(matches, index, normals, usual) for index in range(len(matches.maps))]
+
+
+def _any_trusted(matches: Matches) -> list[tuple[SlantedMap, Bool]]:
+    """Depth maps with their trusted pixels, with all pixels where none is trusted."""
+    pairs = list(zip(matches.maps, matches.trusted, strict=True))
+    return pairs if any(good.any() for _, good in pairs) else [(m, np.ones_like(good)) for m, good in pairs]
+
+
+def _of_view(matches: Matches, index: int, normals: list[Float64], usual: float) -> Float32:
+    mine, facing = matches.maps[index], matches.facing[index]
+    shape, points = mine.depth.shape, mine.points()
+    others = [other for other in range(len(matches.maps)) if other != index]
+    witnesses = [_witness(matches, other, points, normals[index], normals[other]) for other in others]
+    difference = np.stack([witness.difference for witness in witnesses])
+    best = difference.argmin(axis=0)[None]
+
+    def there(name: str) -> Float64:
+        found = np.stack([getattr(witness, name) for witness in witnesses])
+        return np.asarray(np.take_along_axis(found, best, axis=0)[0], np.float64)
+
+    def count(truth: Sequence[Bool]) -> Float64:
+        return np.asarray(np.minimum(np.sum(truth, axis=0), _MANY), np.float64)
+
+    agree: Bool = np.asarray((difference < _SAME).any(axis=0)).reshape(shape)
+    away = points - mine.camera.centre
+    bend = _bends(mine.planes)
+    cues = (
+        mine.cost, np.clip(mine.margin, -0.5, 1), facing.cost, np.minimum(np.abs(mine.depth / facing.depth - 1), _MOST),
+        np.minimum(difference.min(axis=0), _MOST), there("cosine"), there("cost"), np.clip(there("margin"), -0.5, 1),
+        count([w.difference < _SAME for w in witnesses]),
+        count([(w.difference < _SAME) & (w.cosine > _LIKE) for w in witnesses]),
+        count([w.sees for w in witnesses]), count([w.through for w in witnesses]),
+        count([w.through_trusted for w in witnesses]),
+        uniform_filter(agree.astype(np.float32), 7), bend[1], bend[2],
+        uniform_filter(matches.trusted[index].astype(np.float32), 15), _piece_share(mine.depth, agree),
+        np.log(mine.depth / usual), _texture(matches.views.images[index]),
+        np.abs((normals[index] * away).sum(axis=1)) / np.linalg.norm(away, axis=1),
+        np.log(_parallax(matches.views, index) / mine.depth),
+    )  # fmt: skip
+    return np.stack([np.asarray(cue, np.float32).ravel() for cue in cues], axis=1)
+
+
+def _witness(matches: Matches, other: int, points: Float64, mine: Float64, theirs: Float64) -> _Witness:
+    """What view `other`, with normals `theirs` [H*W,3], says of `points` [N,3] with normals `mine` [N,3]."""
+    depth_map, trusted = matches.maps[other], matches.trusted[other]
+    pixels, depth = project(depth_map.camera, points)
+    sees = inside(depth_map.camera, pixels, depth)
+    column, row = np.where(sees[:, None], pixels, 0).astype(np.int64).T
+    safe = np.where(sees, depth, 1.0)
+    nearest = minimum_filter(depth_map.depth, 3)[row, column]
+    sure = minimum_filter(np.where(trusted, depth_map.depth, np.float32(np.inf)), 3)[row, column]
+    return _Witness(
+        sees=sees,
+        difference=np.where(sees, np.abs(depth_map.depth[row, column] / safe - 1), np.inf),
+        cosine=np.where(sees, (mine * theirs[row * depth_map.depth.shape[1] + column]).sum(axis=1), -1.0),
+        cost=np.where(sees, depth_map.cost[row, column], 3.0),
+        margin=np.where(sees, depth_map.margin[row, column], -1.0),
+        through=sees & (depth < nearest * (1 - 2 * _SAME)),
+        through_trusted=sees & np.isfinite(sure) & (depth < sure * (1 - 2 * _SAME)),
+    )
+
+
+def _bends(planes: Float64) -> Float64:
+    """[4,H,W] in ascending order: by how much each of four neighbours lies off the pixel's own plane, relatively."""
+    found = []
+    for down, right in ((0, _STEP), (0, -_STEP), (_STEP, 0), (-_STEP, 0)):
+        pad = ((max(-down, 0), max(down, 0)), (max(-right, 0), max(right, 0)))
+        height, width = planes.shape[:2]
+        beside = np.pad(planes[..., 0], pad, mode="edge")[max(down, 0) :, max(right, 0) :][:height, :width]
+        expected = planes[..., 0] + planes[..., 1] * right + planes[..., 2] * down
+        found.append(np.minimum(np.abs(expected / beside - 1), _MOST))
+    return np.sort(np.stack(found), axis=0)
+
+
+def _piece_share(depth: Float32, agree: Bool) -> Float64:
+    """[H*W] natural logarithm of the share of the picture that a pixel's connected piece of agreeing pixels covers."""
+    piece = pieces(depth, agree, _SAME)
+    size = np.bincount(piece, weights=agree.ravel())
+    return np.log((1 + size[piece]) / depth.size)
+
+
+def _texture(image: Float32) -> Float32:
+    """[H,W] how much a picture [H,W,3] changes within some pixels."""
+    detail = image - cv2.GaussianBlur(image, (0, 0), 2)
+    return np.asarray(np.sqrt(cv2.GaussianBlur((detail**2).mean(axis=2), (0, 0), 2)), np.float32)
+
+
+def _parallax(views: WorkingViews, index: int) -> float:
+    """Pixels by which a point one unit away moves to the view that is second nearest."""
+    camera = views.cameras[index]
+    other = views.cameras[neighbours(views, index)[:2][-1]]
+    return float(np.linalg.norm(other.centre - camera.centre) * camera.intrinsics[1, 1]) + 1e-9

@@ -1,0 +1,120 @@
+"""What speaks for a depth, and what the network makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from core.arrays import Float32
+from core.camera import look_at, pinhole
+from core.initialise.confidence import Confidence, usual_confidence
+from core.initialise.evidence import CUES, Matches, evidence
+from core.initialise.methods.plane_sweep import PlaneSweep
+from core.initialise.patches import SlantedMap
+from core.initialise.views import WorkingViews, working_views
+from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+
+SIDE = 24
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def wall_map(x: float, depth: float) -> SlantedMap:
+    """A camera at (x, -1, 0) that looks along y and sees a wall across, `depth` before it."""
+    eye = np.array([x, -1.0, 0.0])
+    camera = pinhole(f"{x}", (SIDE, SIDE), (12, 12), (SIDE, SIDE), look_at(eye, eye + np.array([0.0, 1.0, 0.0]), UP))
+    planes = np.zeros((SIDE, SIDE, 3))
+    planes[..., 0] = 1 / depth
+    full = np.full((SIDE, SIDE), depth, np.float32)
+    return SlantedMap(camera, full, np.full_like(full, 0.1), planes, np.full_like(full, 0.3))
+
+
+def matches_of(*maps: SlantedMap) -> Matches:
+    images = np.full((len(maps), SIDE, SIDE, 3), 0.5, np.float32)
+    trusted = [np.ones((SIDE, SIDE), np.bool_) for _ in maps]
+    return Matches(WorkingViews(tuple(one.camera for one in maps), images), maps, maps, trusted)
+
+
+def middle(matches: Matches) -> dict[str, float]:
+    """The cues of the first view's middle pixel."""
+    values = evidence(matches)[0].reshape(SIDE, SIDE, len(CUES))[SIDE // 2, SIDE // 2]
+    return dict(zip(CUES, values.tolist(), strict=True))
+
+
+def test_views_of_one_wall_speak_for_each_other() -> None:
+    cues = middle(matches_of(wall_map(0, 2.0), wall_map(0.1, 2.0), wall_map(-0.1, 2.0)))
+    assert cues["least difference to a view"] == pytest.approx(0, abs=1e-6)
+    assert cues["angle of the normals there"] == pytest.approx(1)
+    assert (cues["views that agree"], cues["and their normals"], cues["views that see it"]) == (2, 2, 2)
+    assert (cues["views that look through"], cues["at trusted pixels"]) == (0, 0)
+    assert (cues["second bend"], cues["texture"], cues["depth"]) == (0, 0, 0)
+    assert (cues["slant"], cues["neighbours with agreement"]) == (pytest.approx(1), 1)
+    assert cues["parallax"] == pytest.approx(np.log(0.1 * SIDE / 2.0))
+
+
+def test_views_that_look_through_speak_against_it_and_trusted_ones_twice() -> None:
+    matches = matches_of(wall_map(0, 1.0), wall_map(0.1, 2.0), wall_map(-0.1, 2.0))
+    cues = middle(matches)
+    assert (cues["views that agree"], cues["views that look through"], cues["at trusted pixels"]) == (0, 2, 2)
+    assert cues["least difference to a view"] == pytest.approx(0.2)  # as much as counts
+    unsure = replace(matches, trusted=[matches.trusted[0], *(np.zeros((SIDE, SIDE), np.bool_) for _ in range(2))])
+    assert middle(unsure)["at trusted pixels"] == 0
+
+
+def test_a_slanted_neighbour_has_another_normal() -> None:
+    tilted = wall_map(0.1, 2.0)
+    planes = tilted.planes.copy()
+    planes[..., 1] = 0.02  # a pixel to the right; the middle keeps its depth
+    cues = middle(matches_of(wall_map(0, 2.0), replace(tilted, planes=planes)))
+    assert cues["views that agree"] == 1
+    assert cues["and their normals"] == 0
+
+
+def test_nothing_trusted_is_evidence_as_well() -> None:
+    matches = matches_of(wall_map(0, 2.0), wall_map(0.1, 2.0))
+    nothing = replace(matches, trusted=[np.zeros((SIDE, SIDE), np.bool_)] * 2)
+    assert all(np.isfinite(values).all() for values in evidence(nothing))
+
+
+def reference(network: Confidence, cues: Float32) -> float:
+    """One pixel, number by number."""
+    values = [
+        min(max((float(c) - float(m)) / float(d), -4.0), 4.0)
+        for c, m, d in zip(cues, network.mean, network.deviation, strict=True)
+    ]
+    for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        sums = [
+            float(bias[n]) + sum(v * float(w) for v, w in zip(values, weight[:, n], strict=True))
+            for n in range(len(bias))
+        ]
+        values = [float(np.tanh(s)) for s in sums] if layer < 2 else sums
+    return 1 / (1 + float(np.exp(-values[0])))
+
+
+def test_the_network_is_that_of_the_reference_and_bears_the_extremes() -> None:
+    network = usual_confidence()
+    shapes = [len(CUES), *(len(bias) for bias in network.biases)]
+    assert [weight.shape for weight in network.weights] == list(pairwise(shapes))
+    cues = np.random.default_rng(0).normal(0, 3, (20, len(CUES))).astype(np.float32)
+    np.testing.assert_allclose(network(cues), [reference(network, row) for row in cues], atol=1e-5)
+    extreme = network(np.array([[np.inf] * len(CUES), [-np.inf] * len(CUES), [3e38] * len(CUES)], np.float32))
+    assert ((extreme >= 0) & (extreme <= 1)).all()
+
+
+@pytest.mark.long
+def test_it_believes_more_than_the_tests_alone_and_is_as_often_right() -> None:
+    """A room whose textures it has not learnt from, three cameras far apart."""
+    spec = SyntheticSpec(kind="bright", cameras=3, frames=1, width=160, height=90, seed=5)
+    dataset = open_synthetic(spec)
+    views = working_views(next(iter(dataset.frames())), dataset.cameras, 90)
+    matches = PlaneSweep().matches(views, dataset.depth_bounds)
+    network = usual_confidence()
+    believed = np.concatenate([network(values) for values in evidence(matches)]) > PlaneSweep().least_confidence
+    trusted = np.concatenate([good.ravel() for good in matches.trusted])
+    truth = [render_frame(spec, 0, number).depth for number in range(3)]
+    pairs = zip(matches.maps, truth, strict=True)
+    right = np.concatenate([(np.abs(one.depth / true - 1) < 0.03).ravel() for one, true in pairs])
+    assert believed.mean() > 1.15 * trusted.mean()
+    assert right[believed].mean() > 0.9
