@@ -1,7 +1,7 @@
 """How likely a pixel's depth is right: a small network over the evidence for it (after Haeusler et al. 2013).
 
-One rule for each cue costs too much: what is near, plain or seen at a slant fails one of them and is right by all
-others. `python -m tests.bench.confidence_training` fits the weights.
+A pixel that must pass a test for every cue is often lost although it is right: what is near, plain or seen at a slant
+mostly fails one of them. `python -m tests.bench.confidence_training` fits the weights.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from core.arrays import Float32
 
 _FILE = "confidence.npz"
-_FAR = 4.0  # standard deviations; farther off the usual says no more
+FAR = 4.0  # standard deviations; farther off the usual says no more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,9 +32,13 @@ class Confidence:
     weights: tuple[Float32, Float32, Float32]
     biases: tuple[Float32, Float32, Float32]
 
+    def normalised(self, evidence: Float32) -> Float32:
+        """[P,F] in standard deviations from the mean."""
+        return np.asarray(np.clip((evidence - self.mean) / self.deviation, -FAR, FAR), np.float32)
+
     def __call__(self, evidence: Float32) -> Float32:
         """[P] from 0 to 1, of the evidence [P,F] for P pixels."""
-        values = np.clip((evidence - self.mean) / self.deviation, -_FAR, _FAR)
+        values = self.normalised(evidence)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             values = np.tanh(values @ weight + bias)
         return np.asarray(1 / (1 + np.exp(-(values @ self.weights[-1] + self.biases[-1])[:, 0])), np.float32)

@@ -33,7 +33,7 @@ class Search:
         passes: of the first round, in which the pictures alone decide.
         rounds: after it, in which views are asked to agree; passes_a_round: of each.
         agreement: weight in them of two pixels between a view's surface and another's.
-        beside_pixels: of parallax, to either side of a depth that is asked how much better it is than those beside it.
+        beside_pixels: pixels of parallax at which a depth is compared with a nearer and a farther one.
     """
 
     passes: int = 4

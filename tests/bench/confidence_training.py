@@ -22,9 +22,10 @@ import torch
 from client.evaluation.zoo.scenes import SCENES, ZooScene
 from core.arrays import Bool, Float32, Int64
 from core.data import Dataset, linspace_split
-from core.initialise.confidence import Confidence
+from core.initialise.confidence import FAR, Confidence
 from core.initialise.consistency import votes
-from core.initialise.evidence import Matches, evidence
+from core.initialise.evidence import CUES, Matches, evidence
+from core.initialise.methods.learned import LearnedSweep
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.views import working_views
 from core.synthetic import SyntheticSpec, open_synthetic, render_frame
@@ -33,7 +34,6 @@ _VIEWS = (3, 4, 5, 6, 8)
 _DOWNSCALE = 2.0
 _OTHER = {"seed": 1, "exposure_spread": 0.3}  # a second version of each synthetic kind
 _RIGHT = 0.03  # relative error of a depth that is right
-_LEAST = 0.65  # confidence; as of `PlaneSweep`
 _PIXELS, _UNITS, _BATCH, _STEPS, _RATE = 8000, 24, 4096, 2500, 1e-2  # pixels: of each lesson, at most
 
 
@@ -111,7 +111,7 @@ def fitted(taught: list[Lesson], seed: int = 0) -> Confidence:
     samples = [lesson.sampled(generator) for lesson in taught]
     cues, right = np.concatenate([sample[0] for sample in samples]), np.concatenate([sample[1] for sample in samples])
     mean, deviation = cues.mean(axis=0), cues.std(axis=0) + 1e-6
-    known = torch.from_numpy(np.clip((cues - mean) / deviation, -4, 4))
+    known = torch.from_numpy(np.clip((cues - mean) / deviation, -FAR, FAR))
     wanted = torch.from_numpy(right.astype(np.float32))
     layers = [torch.nn.Linear(cues.shape[1], _UNITS), torch.nn.Linear(_UNITS, _UNITS), torch.nn.Linear(_UNITS, 1)]
     network = torch.nn.Sequential(layers[0], torch.nn.Tanh(), layers[1], torch.nn.Tanh(), layers[2])
@@ -141,7 +141,7 @@ def main() -> None:
     for scene in dict.fromkeys(lesson.scene for lesson in known):
         confidence = fitted([lesson for lesson in known if lesson.scene != scene])
         for lesson in (lesson for lesson in known if lesson.scene == scene):
-            believed = confidence(lesson.evidence) > _LEAST
+            believed = confidence(lesson.evidence) > LearnedSweep().least_confidence
             (now, right), (then, before) = (
                 (chosen.mean(), lesson.right[chosen].mean()) for chosen in (believed, lesson.trusted)
             )
@@ -154,7 +154,7 @@ def main() -> None:
         found = fitted(known)
         layers = {f"weight{n}": weight for n, weight in enumerate(found.weights)}
         layers |= {f"bias{n}": bias for n, bias in enumerate(found.biases)}
-        np.savez(options.out, mean=found.mean, deviation=found.deviation, **layers)
+        np.savez(options.out, cues=np.array(CUES), mean=found.mean, deviation=found.deviation, **layers)
 
 
 if __name__ == "__main__":

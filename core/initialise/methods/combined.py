@@ -30,15 +30,15 @@ class Both:
 
 @dataclass(frozen=True, slots=True)
 class Automatic:
-    """The data set's points with those of a sweep, and random ones where pictures give too few.
+    """The data set's points with those that pictures give, and random ones where pictures give too few.
 
     Attributes:
-        sweep, last_resort: the methods.
+        sweep: finds points in the pictures of two cameras or more. last_resort: where that gives too few.
         few: points; fewer are no start.
     """
 
-    sweep: PlaneSweep = field(default_factory=PlaneSweep)
-    last_resort: RandomPoints = field(default_factory=RandomPoints)
+    sweep: Method = field(default_factory=PlaneSweep)
+    last_resort: Method = field(default_factory=RandomPoints)
     few: int = 500
 
     def find(self, sources: PointSources) -> PointCloud:

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from core.errors import InputError
 from core.frames import PointCloud
 from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed, rig_width
-from core.initialise.confidence import usual_confidence
 from core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
 from core.initialise.equalise import equalised, with_equal_means
-from core.initialise.evidence import Matches, evidence
+from core.initialise.evidence import Matches
 from core.initialise.method import PointSources
 from core.initialise.patches import Search, slanted
 from core.initialise.sweep import plane_count, sweep_views
@@ -31,7 +30,6 @@ class PlaneSweep:
         trust: which pixels of the sweep are believed, where slanted windows come to the same depth.
         trust_slanted: which pixels of slanted windows are believed in any case.
         least_margin: by which a depth of slanted windows must be better than those beside it for that.
-        least_confidence: what pixels of slanted windows need to become points; beliefs are evidence among others.
     """
 
     rows: int = 160
@@ -42,7 +40,6 @@ class PlaneSweep:
         default_factory=lambda: Trust(tolerance=0.02, cost_by_one=0.8, cost_by_more=1.0, smallest_piece=0.004)
     )
     least_margin: float = 0.02
-    least_confidence: float = 0.65
 
     def find(self, sources: PointSources) -> PointCloud:
         """Points by plane sweep and cross-view consistency.
@@ -57,12 +54,7 @@ class PlaneSweep:
     ) -> PointCloud:
         """`find`, of pictures of the working size."""
         matches = self.matches(views, depth_bounds, progress)
-        confidence = usual_confidence()
-        good = [
-            (confidence(seen) > self.least_confidence).reshape(depth_map.depth.shape)
-            for seen, depth_map in zip(evidence(matches), matches.maps, strict=True)
-        ]
-        return points_of(views, matches.maps, good)
+        return points_of(views, matches.maps, matches.trusted)
 
     def matches(
         self,
