@@ -45,9 +45,13 @@ def contrasts(page: Any, backdrop: str) -> dict[str, float]:
       document.getElementById("canvas").style.visibility = "hidden";
       document.getElementById("stage").style.background = colour;
     }""", backdrop)  # fmt: skip
-    screen = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    for _ in range(20):  # texts move when the status changes: they must be where they were while the screen was taken
+        before = page.evaluate(COLOURS, TEXTS)
+        screen = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+        if (texts := page.evaluate(COLOURS, TEXTS)) == before:
+            break
     found = {}
-    for name, box, ink in page.evaluate(COLOURS, TEXTS):
+    for name, box, ink in texts:
         area = screen.crop(box)
         ground = max(area.getcolors(area.width * area.height))[1]  # most of it
         dark, bright = sorted((luminance(ground), luminance(tuple(ink))))

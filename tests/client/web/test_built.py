@@ -25,6 +25,7 @@ from tests.client.web.test_browser import INSPECT, shows
 pytestmark = pytest.mark.browser
 
 ROOT = WEB.parents[1]
+FRAMES = 40
 MAX_BYTES = 52_000  # of all that a live viewer loads
 MAX_BYTES_IN_ALL = 60_000  # with what plays files, thin viewers, headsets and other pages load
 
@@ -138,7 +139,7 @@ def test_a_seek_while_the_first_keyframe_comes_is_kept(
     """Who has gone elsewhere before all of the first keyframe is there is not led back, nor carried on meanwhile."""
     with SlodWriter(tmp_path / "clip.slod") as writer:
         writer.append(padded(clip.key(), {0: 20_000, 1: 80_000, 2: 500_000}))
-        for version in range(20):
+        for version in range(FRAMES - 1):
             writer.append(clip.residual(version, version + 1))
     link = SlowLink(create_app(clip, Behaviour(), tmp_path, page=packed), 60_000)
     with serving(link) as url:
@@ -146,10 +147,11 @@ def test_a_seek_while_the_first_keyframe_comes_is_kept(
         shows(page, "s.version === 0 && s.splats > 0")
         page.evaluate("window.seen = []; streamlod.on('picture', (picture) => seen.push(picture.version)); 0")
         page.evaluate(f"{'' if playing else 'streamlod.pause();'} streamlod.seek(2)")
-        page.wait_for_timeout(1000)  # longer than the rest of the recording
+        page.wait_for_timeout(2000)  # longer than the recording
         link.rate = 1e9
-        shows(page, f"s.version === {20 if playing else 2}")
-        assert next(version for version in page.evaluate("seen") if version > 0) == 2
+        shows(page, f"s.version === {FRAMES - 1 if playing else 2}")
+        first = next(version for version in page.evaluate("seen") if version > 0)
+        assert first == 2 or (playing and 2 < first < FRAMES - 1)  # a busy machine leaves some out
 
 
 def test_codings_as_asked_for(packed: Path, clip: Clip) -> None:
