@@ -33,6 +33,8 @@ _LIKE = 0.9  # cosine of normals that agree
 _WITNESSES = 7  # nearest views, as many as the network has learnt from: by chance, one of many agrees with anything
 _MANY = 4.0  # views; more say no more
 _STEP = 3  # pixels to the neighbours that a plane is compared with
+_UNSEEN_COST, _UNSEEN_COSINE = 3.0, -1.0  # where a view does not see the point: as bad as can be, or worse
+_MARGINS = -0.5, 1.0  # beyond them a margin says no more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,13 +54,28 @@ class Matches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Surfaces:
+    """What a view holds, for others to ask.
+
+    Attributes:
+        depth_map: of the view. normals: [H*W,3] of its planes.
+        nearest: [H,W] least depth of 3x3 pixels. nearest_trusted: of those trusted, infinite where none is.
+    """
+
+    depth_map: SlantedMap
+    normals: Float64
+    nearest: Float32
+    nearest_trusted: Float32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Witness:
     """What one other view says of N points: each [N].
 
     Attributes:
         sees: the point lies in its picture.
         difference: relative, of its depth there; infinite where it does not see the point.
-        cosine: of the two normals. cost, margin: of the pixel there.
+        cosine: of the two normals. cost: of the pixel there. margin: of that pixel, within `_MARGINS`.
         through: it sees only farther things there. through_trusted: and trusted pixels say so.
     """
 
@@ -73,9 +90,14 @@ class _Witness:
 
 def evidence(matches: Matches) -> list[Float32]:
     """For each view [H*W, len(CUES)], row by row."""
-    normals = [depth_map.normals() for depth_map in matches.maps]
+    surfaces = [_surfaces(*pair) for pair in zip(matches.maps, matches.trusted, strict=True)]
     usual = float(np.median(np.concatenate([m.depth[good] for m, good in _any_trusted(matches)])))
-    return [_of_view(matches, index, normals, usual) for index in range(len(matches.maps))]
+    return [_of_view(matches, index, surfaces, usual) for index in range(len(matches.maps))]
+
+
+def _surfaces(depth_map: SlantedMap, trusted: Bool) -> _Surfaces:
+    sure = np.where(trusted, depth_map.depth, np.float32(np.inf))
+    return _Surfaces(depth_map, depth_map.normals(), minimum_filter(depth_map.depth, 3), minimum_filter(sure, 3))
 
 
 def _any_trusted(matches: Matches) -> list[tuple[SlantedMap, Bool]]:
@@ -84,11 +106,10 @@ def _any_trusted(matches: Matches) -> list[tuple[SlantedMap, Bool]]:
     return pairs if any(good.any() for _, good in pairs) else [(m, np.ones_like(good)) for m, good in pairs]
 
 
-def _of_view(matches: Matches, index: int, normals: list[Float64], usual: float) -> Float32:
-    mine, facing = matches.maps[index], matches.facing[index]
+def _of_view(matches: Matches, index: int, surfaces: Sequence[_Surfaces], usual: float) -> Float32:
+    mine, facing, normals = matches.maps[index], matches.facing[index], surfaces[index].normals
     shape, points = mine.depth.shape, mine.points()
-    others = _nearest(matches.views, index)
-    witnesses = [_witness(matches, other, points, normals[index], normals[other]) for other in others]
+    witnesses = [_witness(surfaces[other], points, normals) for other in _nearest(matches.views, index)]
     difference = np.stack([witness.difference for witness in witnesses])
     best = difference.argmin(axis=0)[None]
 
@@ -103,8 +124,9 @@ def _of_view(matches: Matches, index: int, normals: list[Float64], usual: float)
     away = points - mine.camera.centre
     residual = _plane_residuals(mine.planes)
     cues = (
-        mine.cost, np.clip(mine.margin, -0.5, 1), facing.cost, np.minimum(np.abs(mine.depth / facing.depth - 1), _MOST),
-        np.minimum(difference.min(axis=0), _MOST), there("cosine"), there("cost"), np.clip(there("margin"), -0.5, 1),
+        mine.cost, np.clip(mine.margin, *_MARGINS),
+        facing.cost, np.minimum(np.abs(mine.depth / facing.depth - 1), _MOST),
+        np.minimum(difference.min(axis=0), _MOST), there("cosine"), there("cost"), there("margin"),
         count([w.difference < _SAME for w in witnesses]),
         count([(w.difference < _SAME) & (w.cosine > _LIKE) for w in witnesses]),
         count([w.sees for w in witnesses]), count([w.through for w in witnesses]),
@@ -112,7 +134,7 @@ def _of_view(matches: Matches, index: int, normals: list[Float64], usual: float)
         uniform_filter(agree.astype(np.float32), 7), residual[1], residual[2],
         uniform_filter(matches.trusted[index].astype(np.float32), 15), _piece_share(mine.depth, agree),
         np.log(mine.depth / usual), _texture(matches.views.images[index]),
-        np.abs((normals[index] * away).sum(axis=1)) / np.linalg.norm(away, axis=1),
+        np.abs((normals * away).sum(axis=1)) / np.linalg.norm(away, axis=1),
         np.log(_parallax(matches.views, index) / mine.depth),
     )  # fmt: skip
     return np.stack([np.asarray(cue, np.float32).ravel() for cue in cues], axis=1)
@@ -125,21 +147,21 @@ def _nearest(views: WorkingViews, index: int) -> list[int]:
     return [int(other) for other in order if other != index][:_WITNESSES]
 
 
-def _witness(matches: Matches, other: int, points: Float64, mine: Float64, theirs: Float64) -> _Witness:
-    """What view `other`, with normals `theirs` [H*W,3], says of `points` [N,3] with normals `mine` [N,3]."""
-    depth_map, trusted = matches.maps[other], matches.trusted[other]
+def _witness(other: _Surfaces, points: Float64, normals: Float64) -> _Witness:
+    """What view `other` says of `points` [N,3] with `normals` [N,3]."""
+    depth_map = other.depth_map
     pixels, depth = project(depth_map.camera, points)
     sees = inside(depth_map.camera, pixels, depth)
     column, row = np.where(sees[:, None], pixels, 0).astype(np.int64).T
     safe = np.where(sees, depth, 1.0)
-    nearest = minimum_filter(depth_map.depth, 3)[row, column]
-    sure = minimum_filter(np.where(trusted, depth_map.depth, np.float32(np.inf)), 3)[row, column]
+    theirs = other.normals.reshape(*depth_map.depth.shape, 3)[row, column]
+    nearest, sure = other.nearest[row, column], other.nearest_trusted[row, column]
     return _Witness(
         sees=sees,
         difference=np.where(sees, np.abs(depth_map.depth[row, column] / safe - 1), np.inf),
-        cosine=np.where(sees, (mine * theirs[row * depth_map.depth.shape[1] + column]).sum(axis=1), -1.0),
-        cost=np.where(sees, depth_map.cost[row, column], 3.0),
-        margin=np.where(sees, depth_map.margin[row, column], -1.0),
+        cosine=np.where(sees, (normals * theirs).sum(axis=1), _UNSEEN_COSINE),
+        cost=np.where(sees, depth_map.cost[row, column], _UNSEEN_COST),
+        margin=np.clip(np.where(sees, depth_map.margin[row, column], _MARGINS[0]), *_MARGINS),
         through=sees & (depth < nearest * (1 - 2 * _SAME)),
         through_trusted=sees & np.isfinite(sure) & (depth < sure * (1 - 2 * _SAME)),
     )
