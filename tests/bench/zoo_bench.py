@@ -2,6 +2,7 @@
 
     streamlod bench zoo --out ZOO [--data DATA] [--scenes bright castle] [--views 3 4 6 12] [--seeds 2]
         [--systems ours plain paper] [--preset balanced] [--downscale 2] [--frames 6]
+        [--points learned]
 
 Goes on where it was stopped: cells that `ZOO/cells.jsonl` holds are not measured again. Recordings are looked for under
 --data or STREAMLOD_DATA; those that are not there are skipped. ZOO/zoo.md is the report, ZOO/pictures hold truth, ours
@@ -30,6 +31,7 @@ def main() -> None:
     parser.add_argument("--preset", default=default.preset)
     parser.add_argument("--downscale", type=float, default=default.downscale)
     parser.add_argument("--frames", type=int, default=default.frames)
+    parser.add_argument("--points", default=default.points)
     options = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     chosen = ZooOptions(
@@ -40,6 +42,7 @@ def main() -> None:
         options.preset,
         options.downscale,
         options.frames,
+        options.points,
     )
     print(run_zoo(options.data, options.out, chosen))
 

@@ -78,12 +78,22 @@ def open_footage(
     return footage_of(whole, split, frames=frames, testing=testing)
 
 
-def footage_of(whole: Dataset, split: Split, *, frames: int | None, testing: Dataset | None = None) -> Footage:
-    """As `open_footage`, of a data set that is open already; `testing` holds the held-out cameras at another size."""
+def footage_of(
+    whole: Dataset, split: Split, *, frames: int | None, testing: Dataset | None = None, points: str = "auto"
+) -> Footage:
+    """As `open_footage`, of a data set that is open already.
+
+    Args:
+        testing: the held-out cameras at another size. points: the way to first points.
+    """
     training, testing = whole.select(split.train), testing or whole.select(split.test)
     count = whole.frame_count if frames is None else min(frames, whole.frame_count)
     first = next(iter(training.frames(0, 1)))
-    points = first_points(
-        first, training.cameras, depth_bounds=training.depth_bounds, dataset_points=training.points(), seed=0
+    found = first_points(
+        first,
+        training.cameras,
+        depth_bounds=training.depth_bounds,
+        method=points,
+        dataset_points=training.points(),
     )
-    return Footage(split, training, testing, count, points)
+    return Footage(split, training, testing, count, found)

@@ -13,7 +13,7 @@ from typing import Any
 from core.errors import InputError
 
 _log = logging.getLogger(__name__)
-SCHEMA = 2
+SCHEMA = 3
 _PACKAGES = ("core", "codec", "client/evaluation")  # whose source affects a cell's figures
 
 
@@ -34,6 +34,7 @@ class CellKey:
         system: ``ours``, ``plain`` or ``paper``. preset: of ``ours``; plain Gaussians get the CPU time that it took.
         downscale: how many times smaller pictures are than the scene's nominal size.
         frames: measured, the first one included.
+        points: the way to first points, the same for all systems.
     """
 
     scene: str
@@ -43,6 +44,7 @@ class CellKey:
     preset: str
     downscale: float
     frames: int
+    points: str
 
 
 class Cells:

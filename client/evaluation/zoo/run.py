@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from client.recorder import write_png
 from core.data import Dataset, linspace_split
 from core.errors import InputError
 from core.files import write_text
+from core.initialise import METHODS
 
 _log = logging.getLogger(__name__)
 SYSTEMS = ("ours", "plain", "paper")
@@ -36,6 +37,7 @@ class ZooOptions:
         systems: of `SYSTEMS`; plain needs ours, whose CPU time it gets.
         preset: of ours. downscale: of the pictures, from nominal. frames: the first and later ones, where there is
             video.
+        points: the way to first points, of `core.initialise.METHODS`, for all systems.
     """
 
     scenes: tuple[str, ...] = tuple(scene.name for scene in SCENES)
@@ -45,10 +47,15 @@ class ZooOptions:
     preset: str = "balanced"
     downscale: float = 1.0
     frames: int = 6
+    points: str = "auto"
 
     def __post_init__(self) -> None:
         known = tuple(scene.name for scene in SCENES)
-        for what, wanted, allowed in (("scenes", self.scenes, known), ("systems", self.systems, SYSTEMS)):
+        for what, wanted, allowed in (
+            ("scenes", self.scenes, known),
+            ("systems", self.systems, SYSTEMS),
+            ("points", (self.points,), METHODS),
+        ):
             unknown = sorted(set(wanted) - set(allowed))
             if unknown:
                 raise InputError(f"--{what}", f"{', '.join(unknown)}: unknown; choose of {', '.join(allowed)}")
@@ -97,7 +104,7 @@ def _measured(
     frames = min(options.frames, whole.frame_count)
     for views in view_counts(options.views, whole.names):
         keys = [
-            CellKey(scene.name, views, seed, system, options.preset, options.downscale, frames)
+            CellKey(scene.name, views, seed, system, options.preset, options.downscale, frames, options.points)
             for seed in range(options.seeds)
             for system in SYSTEMS
             if system in options.systems
@@ -105,7 +112,7 @@ def _measured(
         if all(key in cells for key in keys):
             continue
         split = linspace_split(whole.names, views, (scene.held_out,))
-        footage = footage_of(whole, split, frames=frames)
+        footage = footage_of(whole, split, frames=frames, points=options.points)
         contest = Contest(footage, perception, scene.spec(options.downscale))
         for key in (key for key in keys if key not in cells):
             if key.system == "plain":
@@ -118,7 +125,7 @@ def _measured(
 
 
 def _with_system(key: CellKey, system: str) -> CellKey:
-    return CellKey(key.scene, key.views, key.seed, system, key.preset, key.downscale, key.frames)
+    return replace(key, system=system)
 
 
 def _picture(key: CellKey, shown: str) -> str:

@@ -58,21 +58,20 @@ class SceneRow:
 
 def zoo_report(cells: Cells, missing: Sequence[str] = ()) -> str:
     """Markdown of all `cells`, a section for each preset and size; `missing` scenes were not there."""
-    groups: dict[tuple[str, float], list[tuple[CellKey, dict[str, Any]]]] = defaultdict(list)
+    groups: dict[tuple[str, float, str], list[tuple[CellKey, dict[str, Any]]]] = defaultdict(list)
     for key, figures in cells.items():
-        groups[key.preset, key.downscale].append((key, figures))
+        groups[key.preset, key.downscale, key.points].append((key, figures))
     parts = ["# Zoo", ""]
     if missing:
         parts += [f"Not under the data root, so not measured: {', '.join(missing)}.", ""]
-    for (preset, downscale), found in groups.items():
-        parts += _section(preset, downscale, _lines(found))
+    for (preset, downscale, points), found in groups.items():
+        title = f"## Preset {preset}, pictures {downscale:g} times smaller than nominal, first points {points}"
+        parts += [title, "", *_section(_lines(found))]
     return "\n".join(parts)
 
 
-def _section(preset: str, downscale: float, lines: Sequence[SceneRow]) -> list[str]:
+def _section(lines: Sequence[SceneRow]) -> list[str]:
     parts = [
-        f"## Preset {preset}, pictures {downscale:g} times smaller than nominal",
-        "",
         "Held-out camera, first frame, means over seeds; plain is trained for the CPU seconds that ours took.",
         "",
     ]

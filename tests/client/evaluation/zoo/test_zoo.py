@@ -78,7 +78,15 @@ def test_plain_alone_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "fields", [{"scenes": ("cellar",)}, {"systems": ("theirs",)}, {"views": (1,)}, {"seeds": 0}, {"downscale": 0.5}]
+    "fields",
+    [
+        {"scenes": ("cellar",)},
+        {"systems": ("theirs",)},
+        {"views": (1,)},
+        {"seeds": 0},
+        {"downscale": 0.5},
+        {"points": "guessed"},
+    ],
 )
 def test_options_that_mean_nothing_are_refused(fields: dict[str, Any]) -> None:
     with pytest.raises(InputError):
@@ -98,7 +106,7 @@ def test_no_more_views_than_cameras_remain() -> None:
 
 
 def key(system: str, scene: str = "bright", seed: int = 0) -> CellKey:
-    return CellKey(scene, 3, seed, system, "live", 2.0, 1)
+    return CellKey(scene, 3, seed, system, "live", 2.0, 1, "auto")
 
 
 def cell(psnr: float, cpu: float = 10.0) -> dict[str, Any]:
