@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import minimum_filter, uniform_filter
+from scipy.ndimage import uniform_filter
 
 from core.arrays import Bool, Float32, Float64
 from core.initialise.consistency import pieces
 from core.initialise.patches import SlantedMap
 from core.initialise.sweep import DepthMap, neighbours
-from core.initialise.views import WorkingViews, inside, project
+from core.initialise.views import WorkingViews
+from core.initialise.witness import MARGINS, SAME, Surfaces, nearest, surfaces, witness
 
 CUES = (
     "cost", "margin", "cost of the sweep", "difference to the sweep",
@@ -27,14 +28,10 @@ CUES = (
     "third plane residual", "trusted neighbours", "size of the piece", "depth", "texture",
     "cosine of the viewing angle", "parallax",
 )  # fmt: skip
-_SAME = 0.02  # relative difference of depths that agree
 _MOST = 0.2  # relative difference beyond which it does not matter how much
 _LIKE = 0.9  # cosine of normals that agree
-_WITNESSES = 7  # nearest views, as many as the network has learnt from: by chance, one of many agrees with anything
 _MANY = 4.0  # views; more say no more
 _STEP = 3  # pixels to the neighbours that a plane is compared with
-_UNSEEN_COST, _UNSEEN_COSINE = 3.0, -1.0  # where a view does not see the point: as bad as can be, or worse
-_MARGINS = -0.5, 1.0  # beyond them a margin says no more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,51 +50,11 @@ class Matches:
     trusted: Sequence[Bool]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Surfaces:
-    """What a view holds, for others to ask.
-
-    Attributes:
-        depth_map: of the view. normals: [H*W,3] of its planes.
-        nearest: [H,W] least depth of 3x3 pixels. nearest_trusted: of those trusted, infinite where none is.
-    """
-
-    depth_map: SlantedMap
-    normals: Float64
-    nearest: Float32
-    nearest_trusted: Float32
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Witness:
-    """What one other view says of N points: each [N].
-
-    Attributes:
-        sees: the point lies in its picture.
-        difference: relative, of its depth there; infinite where it does not see the point.
-        cosine: of the two normals. cost: of the pixel there. margin: of that pixel, within `_MARGINS`.
-        through: it sees only farther things there. through_trusted: and trusted pixels say so.
-    """
-
-    sees: Bool
-    difference: Float64
-    cosine: Float64
-    cost: Float64
-    margin: Float64
-    through: Bool
-    through_trusted: Bool
-
-
 def evidence(matches: Matches) -> list[Float32]:
     """For each view [H*W, len(CUES)], row by row."""
-    surfaces = [_surfaces(*pair) for pair in zip(matches.maps, matches.trusted, strict=True)]
+    held = [surfaces(*pair) for pair in zip(matches.maps, matches.trusted, strict=True)]
     usual = float(np.median(np.concatenate([m.depth[good] for m, good in _any_trusted(matches)])))
-    return [_of_view(matches, index, surfaces, usual) for index in range(len(matches.maps))]
-
-
-def _surfaces(depth_map: SlantedMap, trusted: Bool) -> _Surfaces:
-    sure = np.where(trusted, depth_map.depth, np.float32(np.inf))
-    return _Surfaces(depth_map, depth_map.normals(), minimum_filter(depth_map.depth, 3), minimum_filter(sure, 3))
+    return [_of_view(matches, index, held, usual) for index in range(len(matches.maps))]
 
 
 def _any_trusted(matches: Matches) -> list[tuple[SlantedMap, Bool]]:
@@ -106,10 +63,10 @@ def _any_trusted(matches: Matches) -> list[tuple[SlantedMap, Bool]]:
     return pairs if any(good.any() for _, good in pairs) else [(m, np.ones_like(good)) for m, good in pairs]
 
 
-def _of_view(matches: Matches, index: int, surfaces: Sequence[_Surfaces], usual: float) -> Float32:
-    mine, facing, normals = matches.maps[index], matches.facing[index], surfaces[index].normals
+def _of_view(matches: Matches, index: int, held: Sequence[Surfaces], usual: float) -> Float32:
+    mine, facing, normals = matches.maps[index], matches.facing[index], held[index].normals
     shape, points = mine.depth.shape, mine.points()
-    witnesses = [_witness(surfaces[other], points, normals) for other in _nearest(matches.views, index)]
+    witnesses = [witness(held[other], points, normals) for other in nearest(matches.views, index)]
     difference = np.stack([witness.difference for witness in witnesses])
     best = difference.argmin(axis=0)[None]
 
@@ -120,15 +77,15 @@ def _of_view(matches: Matches, index: int, surfaces: Sequence[_Surfaces], usual:
     def count(truth: Sequence[Bool]) -> Float64:
         return np.asarray(np.minimum(np.sum(truth, axis=0), _MANY), np.float64)
 
-    agree: Bool = np.asarray((difference < _SAME).any(axis=0)).reshape(shape)
+    agree: Bool = np.asarray((difference < SAME).any(axis=0)).reshape(shape)
     away = points - mine.camera.centre
     residual = _plane_residuals(mine.planes)
     cues = (
-        mine.cost, np.clip(mine.margin, *_MARGINS),
+        mine.cost, np.clip(mine.margin, *MARGINS),
         facing.cost, np.minimum(np.abs(mine.depth / facing.depth - 1), _MOST),
         np.minimum(difference.min(axis=0), _MOST), there("cosine"), there("cost"), there("margin"),
-        count([w.difference < _SAME for w in witnesses]),
-        count([(w.difference < _SAME) & (w.cosine > _LIKE) for w in witnesses]),
+        count([w.difference < SAME for w in witnesses]),
+        count([(w.difference < SAME) & (w.cosine > _LIKE) for w in witnesses]),
         count([w.sees for w in witnesses]), count([w.through for w in witnesses]),
         count([w.through_trusted for w in witnesses]),
         uniform_filter(agree.astype(np.float32), 7), residual[1], residual[2],
@@ -138,33 +95,6 @@ def _of_view(matches: Matches, index: int, surfaces: Sequence[_Surfaces], usual:
         np.log(_parallax(matches.views, index) / mine.depth),
     )  # fmt: skip
     return np.stack([np.asarray(cue, np.float32).ravel() for cue in cues], axis=1)
-
-
-def _nearest(views: WorkingViews, index: int) -> list[int]:
-    """The views that are asked about view `index`."""
-    centres = np.stack([camera.centre for camera in views.cameras])
-    order = np.argsort(np.linalg.norm(centres - centres[index], axis=1), kind="stable")
-    return [int(other) for other in order if other != index][:_WITNESSES]
-
-
-def _witness(other: _Surfaces, points: Float64, normals: Float64) -> _Witness:
-    """What view `other` says of `points` [N,3] with `normals` [N,3]."""
-    depth_map = other.depth_map
-    pixels, depth = project(depth_map.camera, points)
-    sees = inside(depth_map.camera, pixels, depth)
-    column, row = np.where(sees[:, None], pixels, 0).astype(np.int64).T
-    safe = np.where(sees, depth, 1.0)
-    theirs = other.normals.reshape(*depth_map.depth.shape, 3)[row, column]
-    nearest, sure = other.nearest[row, column], other.nearest_trusted[row, column]
-    return _Witness(
-        sees=sees,
-        difference=np.where(sees, np.abs(depth_map.depth[row, column] / safe - 1), np.inf),
-        cosine=np.where(sees, (normals * theirs).sum(axis=1), _UNSEEN_COSINE),
-        cost=np.where(sees, depth_map.cost[row, column], _UNSEEN_COST),
-        margin=np.clip(np.where(sees, depth_map.margin[row, column], _MARGINS[0]), *_MARGINS),
-        through=sees & (depth < nearest * (1 - 2 * _SAME)),
-        through_trusted=sees & np.isfinite(sure) & (depth < sure * (1 - 2 * _SAME)),
-    )
 
 
 def _plane_residuals(planes: Float64) -> Float64:
@@ -181,7 +111,7 @@ def _plane_residuals(planes: Float64) -> Float64:
 
 def _piece_share(depth: Float32, agree: Bool) -> Float64:
     """[H*W] natural logarithm of the share of the picture that a pixel's connected piece of agreeing pixels covers."""
-    piece = pieces(depth, agree, _SAME)
+    piece = pieces(depth, agree, SAME)
     size = np.bincount(piece, weights=agree.ravel())
     return np.log((1 + size[piece]) / depth.size)
 

@@ -1,0 +1,85 @@
+"""What other views say of the points of one: whether they see them, hold them, or look through them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+
+from core.arrays import Bool, Float32, Float64
+from core.initialise.patches import SlantedMap
+from core.initialise.views import WorkingViews, inside, project
+
+SAME = 0.02  # relative difference of depths that agree
+MARGINS = -0.5, 1.0  # beyond them a margin says no more
+_WITNESSES = 7  # nearest views, as many as the network has learnt from: by chance, one of many agrees with anything
+_UNSEEN_COST, _UNSEEN_COSINE = 3.0, -1.0  # where a view does not see the point: as bad as can be, or worse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surfaces:
+    """What a view holds, for others to ask.
+
+    Attributes:
+        depth_map: of the view. normals: [H*W,3] of its planes.
+        nearest: [H,W] least depth of 3x3 pixels. nearest_trusted: of those trusted, infinite where none is.
+    """
+
+    depth_map: SlantedMap
+    normals: Float64
+    nearest: Float32
+    nearest_trusted: Float32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Witness:
+    """What one other view says of N points: each [N].
+
+    Attributes:
+        sees: the point lies in its picture.
+        difference: relative, of its depth there; infinite where it does not see the point.
+        cosine: of the two normals. cost: of the pixel there. margin: of that pixel, within `MARGINS`.
+        through: it sees only farther things there. through_trusted: and trusted pixels say so.
+    """
+
+    sees: Bool
+    difference: Float64
+    cosine: Float64
+    cost: Float64
+    margin: Float64
+    through: Bool
+    through_trusted: Bool
+
+
+def surfaces(depth_map: SlantedMap, trusted: Bool) -> Surfaces:
+    """What a view holds, of which the pixels `trusted` [H,W] pass the tests."""
+    sure = np.where(trusted, depth_map.depth, np.float32(np.inf))
+    return Surfaces(depth_map, depth_map.normals(), minimum_filter(depth_map.depth, 3), minimum_filter(sure, 3))
+
+
+def nearest(views: WorkingViews, index: int) -> list[int]:
+    """The views that are asked about view `index`."""
+    centres = np.stack([camera.centre for camera in views.cameras])
+    order = np.argsort(np.linalg.norm(centres - centres[index], axis=1), kind="stable")
+    return [int(other) for other in order if other != index][:_WITNESSES]
+
+
+def witness(other: Surfaces, points: Float64, normals: Float64) -> Witness:
+    """What view `other` says of `points` [N,3] with `normals` [N,3]."""
+    depth_map = other.depth_map
+    pixels, depth = project(depth_map.camera, points)
+    sees = inside(depth_map.camera, pixels, depth)
+    column, row = np.where(sees[:, None], pixels, 0).astype(np.int64).T
+    safe = np.where(sees, depth, 1.0)
+    theirs = other.normals.reshape(*depth_map.depth.shape, 3)[row, column]
+    nearest, sure = other.nearest[row, column], other.nearest_trusted[row, column]
+    return Witness(
+        sees=sees,
+        difference=np.where(sees, np.abs(depth_map.depth[row, column] / safe - 1), np.inf),
+        cosine=np.where(sees, (normals * theirs).sum(axis=1), _UNSEEN_COSINE),
+        cost=np.where(sees, depth_map.cost[row, column], _UNSEEN_COST),
+        margin=np.clip(np.where(sees, depth_map.margin[row, column], MARGINS[0]), *MARGINS),
+        through=sees & (depth < nearest * (1 - 2 * SAME)),
+        through_trusted=sees & np.isfinite(sure) & (depth < sure * (1 - 2 * SAME)),
+    )
