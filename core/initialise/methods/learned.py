@@ -1,20 +1,27 @@
-"""Points of the depths that a network believes: many more than pass every test, where few cameras film a room."""
+"""Points of depths that pass every test, and where these leave gaps, of depths that a network believes.
+
+The tests lose most of what is near, plain or seen at a slant; few cameras see the gap from another side.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from core.arrays import Bool
 from core.frames import PointCloud
 from core.initialise.confidence import usual_confidence
-from core.initialise.consistency import points_of
+from core.initialise.consistency import points_of, votes
 from core.initialise.evidence import Matches, evidence
+from core.initialise.gaps import in_gaps
 from core.initialise.method import PointSources
-from core.initialise.methods.combined import Automatic
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.patch_kernel import UNSEEN
 
 _FEWEST = 3  # views that the network has learnt from
+_TOLERANCE = 0.02  # relative, of depths that agree
+_ROUNDS = 2  # what only confirms others must be confirmed itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +29,8 @@ class LearnedSweep:
     """The depths of a plane sweep and slanted windows, of which a network says how likely they are right.
 
     Attributes:
-        sweep: finds them; its tests are cues among others, and decide where there are only two views.
-        least_confidence: smallest probability with which a pixel becomes a point.
+        sweep: finds them; what passes its tests is believed, and nothing else where there are only two views.
+        least_confidence: smallest probability with which a pixel in a gap becomes a point.
     """
 
     sweep: PlaneSweep = field(default_factory=PlaneSweep)
@@ -43,11 +50,28 @@ class LearnedSweep:
         """V times [H,W], pixels whose depth is taken for right."""
         if len(matches.views) < _FEWEST:
             return list(matches.trusted)
-        confidence = usual_confidence()
-        return [
+        confidence, gaps = usual_confidence(), in_gaps(matches.maps, matches.trusted)
+        likely = [
             (confidence(cues) > self.least_confidence).reshape(depth_map.depth.shape) & (depth_map.margin > -UNSEEN)
             for cues, depth_map in zip(evidence(matches), matches.maps, strict=True)
         ]
+        believed = [good | (sure & gap) for good, sure, gap in zip(matches.trusted, likely, gaps, strict=True)]
+        for _ in range(_ROUNDS):
+            believed = _confirmed(matches, believed)
+        return believed
 
 
-METHODS = {"learned": Automatic(sweep=LearnedSweep())}
+def _confirmed(matches: Matches, believed: list[Bool]) -> list[Bool]:
+    """Of the `believed` pixels those that pass the tests or more views confirm than look through, by such pixels."""
+    sure = [
+        replace(depth_map, depth=np.where(good, depth_map.depth, np.float32(np.inf)))
+        for depth_map, good in zip(matches.maps, believed, strict=True)
+    ]
+    found = []
+    for index, (depth_map, good, trusted) in enumerate(zip(matches.maps, believed, matches.trusted, strict=True)):
+        agreeing, through = votes(depth_map.points(), index, sure, _TOLERANCE)
+        found.append(trusted | (good & (agreeing > through).reshape(good.shape)))
+    return found
+
+
+METHODS = {"learned": LearnedSweep()}

@@ -13,12 +13,15 @@ from core.arrays import Float32
 from core.camera import look_at, pinhole
 from core.initialise.confidence import Confidence, usual_confidence
 from core.initialise.evidence import CUES, Matches, evidence
+from core.initialise.gaps import in_gaps
 from core.initialise.methods.learned import LearnedSweep
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.patch_kernel import UNSEEN
 from core.initialise.patches import SlantedMap
 from core.initialise.views import WorkingViews, working_views
 from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from tests.core.initialise.test_patches import BOUNDS, floor_picture
+from tests.core.initialise.test_patches import camera as floor_camera
 
 SIDE = 24
 UP = np.array([0.0, 0.0, 1.0])
@@ -97,11 +100,49 @@ def test_only_the_nearest_views_are_asked() -> None:
     np.testing.assert_array_equal(evidence(matches_of(*walls, *far))[0], evidence(matches_of(*walls))[0])
 
 
+def untrusted(matches: Matches) -> Matches:
+    return replace(matches, trusted=[np.zeros_like(good) for good in matches.trusted])
+
+
 def test_depths_that_cannot_be_told_are_never_believed() -> None:
+    sweep = LearnedSweep(least_confidence=0.0)
     maps = [wall_map(x, 2.0) for x in (0, 0.1, -0.1)]
-    assert np.stack(LearnedSweep(least_confidence=0.0).believed(matches_of(*maps))).all()
+    assert np.stack(sweep.believed(untrusted(matches_of(*maps)))).mean() > 0.9
     hopeless = [replace(one, margin=np.full_like(one.margin, -UNSEEN)) for one in maps]
-    assert not np.stack(LearnedSweep(least_confidence=0.0).believed(matches_of(*hopeless))).any()
+    assert not np.stack(sweep.believed(untrusted(matches_of(*hopeless)))).any()
+
+
+def test_what_passes_the_tests_stays_whatever_the_network_says() -> None:
+    matches = matches_of(*(wall_map(x, 2.0) for x in (0, 0.1, -0.1)))
+    assert np.stack(LearnedSweep(least_confidence=1.0).believed(matches)).all()
+
+
+def test_a_depth_needs_another_view_that_agrees_and_fewer_that_look_through() -> None:
+    sweep = LearnedSweep(least_confidence=0.0)
+    alone = untrusted(matches_of(wall_map(0, 1.0), wall_map(0.1, 2.0), wall_map(-0.1, 2.0)))
+    near, *far = sweep.believed(alone)
+    assert not near[8:16, 8:16].any()
+    assert all(one[8:16, 8:16].all() for one in far)
+    twice = untrusted(matches_of(wall_map(0, 1.0), wall_map(0.1, 1.0), wall_map(-0.1, 2.0)))
+    assert not np.stack(sweep.believed(twice))[:, 8:16, 8:16].any()  # one for it, one against
+
+
+@pytest.mark.parametrize(("depth", "gap"), [(2.0, False), (1.0, False), (2.06, False), (2.2, True)])
+def test_trusted_surfaces_leave_a_gap_behind_them_alone(depth: float, gap: bool) -> None:
+    maps = [wall_map(0, depth), wall_map(0.1, 2.0), wall_map(-0.1, 2.0)]
+    nothing, all_of_it = np.zeros((SIDE, SIDE), np.bool_), np.ones((SIDE, SIDE), np.bool_)
+    assert (in_gaps(maps, [nothing, all_of_it, all_of_it])[0][8:16, 8:16] == gap).all()
+    assert (in_gaps(maps, [nothing, nothing, all_of_it])[0][8:16, 8:16] == gap).all()
+    assert in_gaps(maps, [all_of_it, nothing, nothing])[0].all()  # its own view is not asked
+
+
+def test_noise_on_a_plain_floor_is_not_believed() -> None:
+    """By chance some depth agrees with some view at every pixel."""
+    generator, cameras = np.random.default_rng(0), tuple(floor_camera(x) for x in np.linspace(-0.5, 0.5, 8))
+    pictures = np.stack([floor_picture(camera, 0.02) for camera in cameras])
+    noisy = np.clip(pictures + generator.normal(0, 0.01, pictures.shape), 0, 1).astype(np.float32)
+    matches = PlaneSweep().matches(WorkingViews(cameras, noisy), BOUNDS)
+    assert np.stack(LearnedSweep().believed(matches)).mean() < 0.01
 
 
 def test_the_weights_belong_to_these_cues() -> None:
