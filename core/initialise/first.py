@@ -37,7 +37,7 @@ def first_points(
         cameras: [C] pinholes, in the order of the pictures and of their size.
         depth_bounds: (near, far) in world units, or None to estimate them.
         method: one of `METHODS`, the path of a ``.ply`` or ``.npz`` file of points, or a method itself. ``auto`` takes
-            the plane sweep together with the data set's points, and random points where the pictures give too few.
+            depths of the pictures together with the data set's points, and random points where these give too few.
         dataset_points: what the data set itself has, for ``colmap`` and ``auto``.
         seed: of random points.
         progress: called with the fraction done, from 0 to 1.

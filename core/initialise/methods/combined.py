@@ -10,6 +10,7 @@ import numpy as np
 from core.frames import PointCloud
 from core.initialise.method import Method, PointSources
 from core.initialise.methods.dataset import DatasetPoints
+from core.initialise.methods.learned import LearnedSweep
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.methods.random import RandomPoints
 
@@ -37,7 +38,7 @@ class Automatic:
         few: points; fewer are no start.
     """
 
-    sweep: Method = field(default_factory=PlaneSweep)
+    sweep: Method = field(default_factory=LearnedSweep)
     last_resort: Method = field(default_factory=RandomPoints)
     few: int = 500
 
