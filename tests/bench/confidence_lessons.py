@@ -26,8 +26,8 @@ from client.evaluation.zoo.scenes import SCENES, ZooScene
 from core.arrays import Bool, Float32, Float64
 from core.camera import Camera
 from core.data import Dataset, linspace_split
+from core.initialise.confidence.evidence import Matches, evidence
 from core.initialise.consistency import votes
-from core.initialise.evidence import Matches, evidence
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.sweep import DepthMap
 from core.initialise.views import WorkingViews, working_views

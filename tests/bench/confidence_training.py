@@ -1,7 +1,7 @@
-"""Fits the network that says which depths of first points to believe (core/initialise/confidence.py).
+"""Fits the network that says which depths of first points to believe (core/initialise/confidence/network.py).
 
     python -m tests.bench.confidence_lessons --data DATA --out LESSONS
-    python -m tests.bench.confidence_training --lessons LESSONS [--out core/initialise/confidence.npz]
+    python -m tests.bench.confidence_training --lessons LESSONS [--out core/initialise/confidence/network.npz]
 
 First each scene is left out in turn, and what the others teach is asked of it; then the network of all scenes is
 written.
@@ -16,8 +16,8 @@ import numpy as np
 import torch
 
 from core.arrays import Bool, Float32
-from core.initialise.confidence import FAR, Confidence
-from core.initialise.evidence import CUES
+from core.initialise.confidence.evidence import CUES
+from core.initialise.confidence.network import FAR, Confidence
 from core.initialise.methods.learned import LearnedSweep
 from tests.bench.confidence_lessons import Lesson, read_lessons
 

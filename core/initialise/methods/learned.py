@@ -11,10 +11,10 @@ import numpy as np
 
 from core.arrays import Bool
 from core.frames import PointCloud
-from core.initialise.confidence import usual_confidence
+from core.initialise.confidence.evidence import Matches, evidence
+from core.initialise.confidence.gaps import in_gaps
+from core.initialise.confidence.network import usual_confidence
 from core.initialise.consistency import points_of, votes
-from core.initialise.evidence import Matches, evidence
-from core.initialise.gaps import in_gaps
 from core.initialise.method import PointSources
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.patch_kernel import UNSEEN

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from core.errors import InputError
 from core.frames import PointCloud
 from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed, rig_width
+from core.initialise.confidence.evidence import Matches
 from core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
 from core.initialise.equalise import equalised, with_equal_means
-from core.initialise.evidence import Matches
 from core.initialise.method import PointSources
 from core.initialise.patches import Search, slanted
 from core.initialise.sweep import plane_count, sweep_views

@@ -11,9 +11,9 @@ import pytest
 
 from core.arrays import Float32
 from core.camera import look_at, pinhole
-from core.initialise.confidence import Confidence, usual_confidence
-from core.initialise.evidence import CUES, Matches, evidence
-from core.initialise.gaps import in_gaps
+from core.initialise.confidence.evidence import CUES, Matches, evidence
+from core.initialise.confidence.gaps import in_gaps
+from core.initialise.confidence.network import Confidence, usual_confidence
 from core.initialise.methods.learned import LearnedSweep
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.patch_kernel import UNSEEN
@@ -146,7 +146,10 @@ def test_noise_on_a_plain_floor_is_not_believed() -> None:
 
 
 def test_the_weights_belong_to_these_cues() -> None:
-    with (files("core.initialise") / "confidence.npz").open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+    with (
+        (files("core.initialise.confidence") / "network.npz").open("rb") as file,
+        np.load(file, allow_pickle=False) as arrays,
+    ):
         assert tuple(arrays["cues"]) == CUES
 
 

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from core.arrays import Bool, Float32, Float64
+from core.initialise.confidence.witness import MARGINS, SAME, Surfaces, nearest, surfaces, witness
 from core.initialise.consistency import pieces
 from core.initialise.patches import SlantedMap
 from core.initialise.sweep import DepthMap, neighbours
 from core.initialise.views import WorkingViews
-from core.initialise.witness import MARGINS, SAME, Surfaces, nearest, surfaces, witness
 
 CUES = (
     "cost", "margin", "cost of the sweep", "difference to the sweep",
