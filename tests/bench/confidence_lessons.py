@@ -4,7 +4,7 @@
 
 Synthetic kinds, whose depth is known: as they are, under other exposures, and with noise and cameras that are a little
 off. Recordings: a depth that few cameras measure is compared with what all cameras but the held-out one measure there.
-One file a choice of cameras; those that are there are not made again.
+One file a choice of cameras; those that are there are not made again, so name an empty folder after a change here.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 _DOWNSCALE = 2.0
 _VIEWS = (3, 4, 6, 9)
-_DRAWN = (3, 4, 6)  # views that are drawn at random from a recording's, so many times
+_DRAWN = (3, 4, 6)  # numbers of neighbouring cameras drawn at random from a recording, each `_DRAWS` times
 _DRAWS = 2
 _TOLERANCE = 0.02  # relative, of depths of other cameras that agree
 _VERSIONS: tuple[tuple[dict[str, float], float], ...] = (
@@ -193,8 +193,8 @@ def _recorded(data: Path, scene: ZooScene, choice: Choice) -> Lesson:
         )
         known, good = every[name]
         difference = depth_map.depth / known.depth - 1
-        # what all cameras together see elsewhere is wrong, whether they are sure or not; right is what they are
-        # sure of, or what several others see
+        # wrong is what differs from what all cameras together have there, even where they are not sure; then what two
+        # others look through; right is what all are sure of, or where nobody is, what two others see
         error = np.where(good | (np.abs(difference) > 2 * _TOLERANCE), difference, np.nan)
         error = np.where(np.isnan(error) & (through >= 2) & (through > agreeing), -2 * _TOLERANCE, error)
         errors.append(np.where(np.isnan(error) & (agreeing >= 2) & (through == 0), 0.0, error))
@@ -208,7 +208,7 @@ def main() -> None:
     options = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
     options.out.mkdir(parents=True, exist_ok=True)
-    wanted = list(choices(options.data))
+    wanted = list(dict.fromkeys(choices(options.data)))
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
         count = len(wanted)
         for done in pool.map(write_lesson, [options.data] * count, [options.out] * count, wanted):

@@ -22,7 +22,8 @@ from core.initialise.methods.learned import LearnedSweep
 from tests.bench.confidence_lessons import Lesson, read_lessons
 
 _RIGHT = 0.03  # relative error of a depth that is right
-_NEARNESS, _MOST = 3.0, 50.0
+_NEARNESS, _MOST = 3.0, 50.0  # exponent of a wrong depth's weight, and the largest one
+_NEAREST = 0.05  # of the true depth: nearer weighs no more
 _PIXELS, _UNITS, _BATCH, _STEPS, _RATE = 8000, 24, 4096, 2500, 1e-2  # pixels: of each lesson, at most
 
 
@@ -35,7 +36,7 @@ def sampled(lesson: Lesson, generator: np.random.Generator) -> tuple[Float32, Bo
     chosen = generator.permutation(np.flatnonzero(~np.isnan(lesson.error)))[:_PIXELS]
     error = lesson.error[chosen]
     right = np.abs(error) < _RIGHT
-    nearness = np.clip((1 / np.maximum(1 + error, 0.05)) ** _NEARNESS, 1, _MOST)
+    nearness = np.clip((1 / np.maximum(1 + error, _NEAREST)) ** _NEARNESS, 1, _MOST)
     return lesson.evidence[chosen], right, np.where(right, 1, nearness).astype(np.float32)
 
 
@@ -66,10 +67,13 @@ def fitted(taught: list[Lesson], seed: int = 0) -> Confidence:
 
 
 def judged(confidence: Confidence, lesson: Lesson) -> str:
-    """One line: what it believes, what the tests let pass, and how much of both is right, and far too near."""
+    """One line: what is above the threshold, what the tests let pass, how much of both is right, and far too near.
+
+    What becomes a point is less: it must lie in a gap, and other views must agree.
+    """
     texts = []
     for name, chosen in (
-        ("believes", confidence(lesson.evidence) > LearnedSweep().least_confidence),
+        ("above the threshold", confidence(lesson.evidence) > LearnedSweep().least_confidence),
         ("the tests", lesson.trusted),
     ):
         error = lesson.error[chosen & ~np.isnan(lesson.error)]

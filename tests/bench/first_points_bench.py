@@ -1,6 +1,6 @@
 """First points on synthetic clips, where depth is known: how many are wrong, how many hang in free space, coverage.
 
-    python -m tests.bench.first_points_bench [--kind bright --views 3 5 --width 480 --exposure 0.0 --method sweep]
+    python -m tests.bench.first_points_bench [--kind bright --views 3 5 --width 480 --exposure 0.0 --method auto]
 
 Prints, for each number of views: points, those in free space (seen through by a camera, a tenth of the depth or more
 before everything within 13 pixels of 480, and on no camera's surface) a 10,000, the share off the surface (3 % of the
@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, nargs="+", default=[3, 5])
     parser.add_argument("--width", type=int, default=480)
     parser.add_argument("--exposure", type=float, default=0.0, help="spread of the cameras' exposures in stops")
-    parser.add_argument("--method", default="sweep")
+    parser.add_argument("--method", default="auto")
     parser.add_argument("--unknown-bounds", action="store_true", help="have the depth bounds estimated")
     options = parser.parse_args()
     size = {"width": options.width, "height": options.width * 9 // 16}

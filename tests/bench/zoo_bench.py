@@ -2,7 +2,7 @@
 
     streamlod bench zoo --out ZOO [--data DATA] [--scenes bright castle] [--views 3 4 6 12] [--seeds 2]
         [--systems ours plain paper] [--preset balanced] [--downscale 2] [--frames 6]
-        [--points learned]
+        [--points sweep]
 
 Goes on where it was stopped: cells that `ZOO/cells.jsonl` holds are not measured again. Recordings are looked for under
 --data or STREAMLOD_DATA; those that are not there are skipped. ZOO/zoo.md is the report, ZOO/pictures hold truth, ours

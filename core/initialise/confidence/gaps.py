@@ -17,10 +17,10 @@ _BEHIND = 0.05  # relative depth by which a point must lie behind a trusted surf
 def in_gaps(maps: Sequence[DepthMap], trusted: Sequence[Bool]) -> list[Bool]:
     """[H,W] of each of V maps: which pixels have a depth of which no other view's trusted pixels know anything.
 
-    A view knows of a point that lies on its trusted surface, or before it, in the 3x3 pixels round the point.
+    A view knows of a point that lies on the farthest trusted surface of the 3x3 pixels round it, or before it.
 
     Args:
-        trusted: V times [H,W].
+        maps: of V views. trusted: V times [H,W], which of their pixels can be trusted.
     """
     farthest = [
         maximum_filter(np.where(good, depth_map.depth, np.float32(0)), 3)

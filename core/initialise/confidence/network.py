@@ -1,7 +1,8 @@
 """How likely a pixel's depth is right: a small network over the evidence for it (after Haeusler et al. 2013).
 
 A pixel that must pass a test for every cue is often lost although it is right: what is near, plain or seen at a slant
-mostly fails one of them. `python -m tests.bench.confidence_training` fits the weights.
+mostly fails one of them. `python -m tests.bench.confidence_training` fits the weights to what
+`python -m tests.bench.confidence_lessons` has made.
 """
 
 from __future__ import annotations

@@ -14,19 +14,19 @@ from core.frames import PointCloud
 from core.initialise.confidence.evidence import Matches, evidence
 from core.initialise.confidence.gaps import in_gaps
 from core.initialise.confidence.network import usual_confidence
+from core.initialise.confidence.witness import SAME
 from core.initialise.consistency import points_of, votes
 from core.initialise.method import PointSources
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.patch_kernel import UNSEEN
 
 _FEWEST = 3  # views that the network has learnt from
-_TOLERANCE = 0.02  # relative, of depths that agree
 _ROUNDS = 2  # what only confirms others must be confirmed itself
 
 
 @dataclass(frozen=True, slots=True)
 class LearnedSweep:
-    """The depths of a plane sweep and slanted windows, of which a network says how likely they are right.
+    """The depths of a plane sweep that pass its tests, and in gaps of these those that a network believes.
 
     Attributes:
         sweep: finds them; what passes its tests is believed, and nothing else where there are only two views.
@@ -69,7 +69,7 @@ def _confirmed(matches: Matches, believed: list[Bool]) -> list[Bool]:
     ]
     found = []
     for index, (depth_map, good, trusted) in enumerate(zip(matches.maps, believed, matches.trusted, strict=True)):
-        agreeing, through = votes(depth_map.points(), index, sure, _TOLERANCE)
+        agreeing, through = votes(depth_map.points(), index, sure, SAME)
         found.append(trusted | (good & (agreeing > through).reshape(good.shape)))
     return found
 
