@@ -161,11 +161,12 @@ class Supervisor:
             await pump
         finally:
             self._kill()
-            with contextlib.suppress(asyncio.CancelledError):
+            try:
                 await asyncio.shield(asyncio.wait([pump], timeout=2))
-            worker.pipe.close()
-            thread.shutdown(wait=False)
-            await asyncio.shield(asyncio.to_thread(worker.process.join, 5))
+            finally:  # a cancellation that comes here must end `run` as well
+                worker.pipe.close()
+                thread.shutdown(wait=False)
+                await asyncio.shield(asyncio.to_thread(worker.process.join, 5))
         return self._last_words() or Ending(reason or f"the worker ended by {_cause(worker.process.exitcode)}")
 
     @property

@@ -197,6 +197,34 @@ def test_a_worker_begins_while_the_last_state_is_read_and_does_not_outlive_that(
     assert bool(owner.endings) == fails
 
 
+def end_at_once(_: StreamSpec, pipe: Connection, *__: object) -> None:
+    """Entry of a process that has nothing to do."""
+    receive_resume(pipe)
+
+
+class CancelledWhileClearingUp(Supervisor):
+    """Its task is cancelled just when it begins to clear up after a worker that has ended by itself."""
+
+    def _kill(self) -> None:
+        super()._kill()
+        task = asyncio.current_task()
+        assert task is not None
+        asyncio.get_running_loop().call_soon(task.cancel)
+
+
+def test_a_cancellation_while_an_ended_worker_is_cleared_up_is_not_lost() -> None:
+    async def run() -> tuple[bool, Reports]:
+        owner, watched = Reports(), WorkerSettings(attempts=3, first_delay_seconds=0.01)
+        spec = StreamSpec(play=Path("none.slod"))
+        running = asyncio.create_task(CancelledWhileClearingUp(spec, watched, 1000, owner, entry=end_at_once).run())
+        await asyncio.wait([running], timeout=20)
+        return running.cancelled(), owner
+
+    cancelled, owner = asyncio.run(run())
+    assert cancelled
+    assert owner.endings == []
+
+
 def test_a_deleted_stream_is_not_started_again(clip: Clip) -> None:
     async def run() -> bool:
         stream = WorkerStream(StreamSpec(play=clip.path), Settings())
