@@ -84,14 +84,19 @@ def confirmed(maps: Sequence[DepthMap], others: Sequence[DepthMap], trust: Trust
 def trusted(world: Float64, index: int, maps: Sequence[DepthMap], trust: Trust) -> Bool:
     """[H*W] which pixels of map `index`, at `world` [H*W,3], match well and are confirmed by other views."""
     worst = max(trust.cost_by_one, trust.cost_by_more)
-    sure = [
-        replace(depth_map, depth=np.where(depth_map.cost < worst, depth_map.depth, np.float32(np.inf)))
-        for depth_map in maps
-    ]
+    sure = knowing(maps, [np.asarray(depth_map.cost < worst) for depth_map in maps])
     agreeing, through = votes(world, index, sure, trust.tolerance)
     needed = 2 if len(maps) >= _MANY_VIEWS else 1
     limit = np.where(agreeing > 1, trust.cost_by_more, trust.cost_by_one)
     return np.asarray((agreeing >= needed) & (through < agreeing) & (maps[index].cost.ravel() < limit))
+
+
+def knowing(maps: Sequence[DepthMap], good: Sequence[Bool]) -> list[DepthMap]:
+    """`maps` that know the depths of their `good` pixels [H,W] alone; those of the others are infinite."""
+    return [
+        replace(depth_map, depth=np.where(mask, depth_map.depth, np.float32(np.inf)))
+        for depth_map, mask in zip(maps, good, strict=True)
+    ]
 
 
 def votes(points: Float64, index: int, maps: Sequence[DepthMap], tolerance: float) -> tuple[Float64, Float64]:

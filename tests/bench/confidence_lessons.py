@@ -27,22 +27,23 @@ from core.arrays import Bool, Float32, Float64
 from core.camera import Camera
 from core.data import Dataset, linspace_split
 from core.initialise.confidence.evidence import Matches, evidence
-from core.initialise.consistency import votes
+from core.initialise.consistency import knowing, votes
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.sweep import DepthMap
 from core.initialise.views import WorkingViews, working_views
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from core.synthetic import open_synthetic, render_frame
 
+_LOG = logging.getLogger(__name__)
 _DOWNSCALE = 2.0
 _VIEWS = (3, 4, 6, 9)
 _DRAWN = (3, 4, 6)  # numbers of neighbouring cameras drawn at random from a recording, each `_DRAWS` times
 _DRAWS = 2
 _TOLERANCE = 0.02  # relative, of depths of other cameras that agree
-_VERSIONS: tuple[tuple[dict[str, float], float], ...] = (
-    ({}, 0.0),
-    ({"seed": 1, "exposure_spread": 0.3, "noise": 2.0}, 0.15),
-    ({"seed": 2, "noise": 6.0}, 0.4),
-)  # changes to a synthetic kind; pixels by which its cameras are off
+_VERSIONS = (
+    (0, 0.0, 1.0, 0.0),
+    (1, 0.3, 2.0, 0.15),
+    (2, 0.0, 6.0, 0.4),
+)  # of a synthetic kind: seed, spread of exposures in stops, noise in grey levels, pixels by which cameras are off
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,7 @@ def choices(data: Path) -> Iterator[Choice]:
     for name, scene in _choosing().items():
         whole = scene.open(data, _DOWNSCALE)
         if whole is None:
+            _LOG.warning("%s is left out: it is not under %s", name, data)
             continue
         synthetic = scene.spec(_DOWNSCALE) is not None
         for version in range(len(_VERSIONS) if synthetic else 1):
@@ -134,10 +136,10 @@ def _lesson(choice: Choice, matches: Matches, error: list[Float64]) -> Lesson:
 
 
 def _synthetic(scene: ZooScene, choice: Choice) -> Lesson:
-    changes, off = _VERSIONS[choice.version]
+    seed, exposure_spread, noise, off = _VERSIONS[choice.version]
     plain = scene.spec(_DOWNSCALE)
     assert plain is not None
-    spec: SyntheticSpec = replace(plain, **changes)  # type: ignore[arg-type]
+    spec = replace(plain, seed=seed, exposure_spread=exposure_spread, noise=noise)
     whole = open_synthetic(spec)
     part, sweep = whole.select(choice.cameras), PlaneSweep()
     views = working_views(next(iter(part.frames(0, 1))), part.cameras, sweep.rows)
@@ -183,11 +185,8 @@ def _recorded(data: Path, scene: ZooScene, choice: Choice) -> Lesson:
     whole, every = _all(data, scene.name)
     matches, errors = _matches(whole, choice.cameras), []
     for name, depth_map in zip(choice.cameras, matches.maps, strict=True):
-        sure = [
-            replace(known, depth=np.where(good, known.depth, np.float32(np.inf)))
-            for other, (known, good) in every.items()
-            if other != name
-        ]
+        others = [pair for other, pair in every.items() if other != name]
+        sure = knowing([known for known, _ in others], [good for _, good in others])
         agreeing, through = (
             count.reshape(depth_map.depth.shape) for count in votes(depth_map.points(), -1, sure, _TOLERANCE)
         )

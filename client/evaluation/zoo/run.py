@@ -116,16 +116,12 @@ def _measured(
         contest = Contest(footage, perception, scene.spec(options.downscale))
         for key in (key for key in keys if key not in cells):
             if key.system == "plain":
-                ours = cells.get(_with_system(key, "ours"))
+                ours = cells.get(replace(key, system="ours"))
                 if ours is None:
                     raise InputError("--systems", "plain gets the CPU time of ours: measure ours as well")
                 yield key, contest.plain([frame["cpu_seconds"] for frame in ours["frames"]], key.seed)
             else:
                 yield key, contest.ours(options.preset if key.system == "ours" else "paper", key.seed)
-
-
-def _with_system(key: CellKey, system: str) -> CellKey:
-    return replace(key, system=system)
 
 
 def _picture(key: CellKey, shown: str) -> str:

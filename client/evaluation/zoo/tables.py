@@ -57,7 +57,7 @@ class SceneRow:
 
 
 def zoo_report(cells: Cells, missing: Sequence[str] = ()) -> str:
-    """Markdown of all `cells`, a section for each preset and size; `missing` scenes were not there."""
+    """Markdown of all `cells`, a section for each preset, size and first points; `missing` scenes were not there."""
     groups: dict[tuple[str, float, str], list[tuple[CellKey, dict[str, Any]]]] = defaultdict(list)
     for key, figures in cells.items():
         groups[key.preset, key.downscale, key.points].append((key, figures))

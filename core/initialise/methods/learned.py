@@ -5,9 +5,7 @@ The tests lose most of what is near, plain or seen at a slant; few cameras see t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from core.arrays import Bool
 from core.frames import PointCloud
@@ -15,7 +13,7 @@ from core.initialise.confidence.evidence import Matches, evidence
 from core.initialise.confidence.gaps import in_gaps
 from core.initialise.confidence.network import usual_confidence
 from core.initialise.confidence.witness import SAME
-from core.initialise.consistency import points_of, votes
+from core.initialise.consistency import knowing, points_of, votes
 from core.initialise.method import PointSources
 from core.initialise.methods.plane_sweep import PlaneSweep
 from core.initialise.patch_kernel import UNSEEN
@@ -62,12 +60,11 @@ class LearnedSweep:
 
 
 def _confirmed(matches: Matches, believed: list[Bool]) -> list[Bool]:
-    """Of the `believed` pixels those that pass the tests or more views confirm than look through, by such pixels."""
-    sure = [
-        replace(depth_map, depth=np.where(good, depth_map.depth, np.float32(np.inf)))
-        for depth_map, good in zip(matches.maps, believed, strict=True)
-    ]
-    found = []
+    """Which `believed` pixels remain: those that pass the tests, and those that more views confirm than look through.
+
+    Only believed pixels of other views confirm or look through.
+    """
+    sure, found = knowing(matches.maps, believed), []
     for index, (depth_map, good, trusted) in enumerate(zip(matches.maps, believed, matches.trusted, strict=True)):
         agreeing, through = votes(depth_map.points(), index, sure, SAME)
         found.append(trusted | (good & (agreeing > through).reshape(good.shape)))

@@ -207,6 +207,7 @@ def test_it_finds_more_right_depths_than_the_tests_alone() -> None:
     pairs = zip(matches.maps, truth, strict=True)
     right = np.concatenate([(np.abs(one.depth / true - 1) < 0.03).ravel() for one, true in pairs])
     surest = confidence >= np.sort(confidence)[-trusted.sum()]  # as many as pass the tests
+    assert right[believed].sum() > 1.1 * right[trusted].sum()
     added = believed & ~trusted
     assert added.sum() > 0.1 * trusted.sum()  # in gaps: what has points already needs no more
     assert right[added].mean() >= right[trusted].mean() - 0.02
