@@ -236,6 +236,12 @@ class PredictConfig:
         "share of the latest change that an anchor begins with, where the one before it pointed the same way",
         reading(0.0, "not mentioned: training begins at the frame before"),
     )
+    search_from: float = setting(
+        0.5,
+        "pixels that something must go in a frame for optical flow to say where training of its anchors begins; 0 for"
+        " never",
+        reading(0.0, "not mentioned: training begins at the frame before"),
+    )
     final_rate: float = setting(
         0.1, "both rates decay to this share over the frame", reading(0.1, "none given; as in the first frame")
     )

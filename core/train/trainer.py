@@ -14,7 +14,7 @@ from core.camera import Camera
 from core.errors import ModelError
 from core.frames import FrameSet, PointCloud
 from core.render import backends, select
-from core.scene.anchors import Scene
+from core.scene.anchors import LATENTS, Scene
 from core.scene.keyframe import as_keyframe
 from core.scene.residual import apply
 from core.train.config import PredictConfig, TrainConfig
@@ -40,6 +40,7 @@ from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwat
 from core.train.refresh.config import refresh_config
 from core.train.refresh.pending import PendingRefresh
 from core.train.residual.references import as_filmed, renewed_references
+from core.train.residual.search import guessed_positions
 from core.train.residual.state import State, fresh_state
 from core.train.residual.trainer import ResidualTrainer
 from core.train.residual.update import no_update, residual_of, strongest_changes
@@ -234,6 +235,7 @@ class Trainer:
         rows = torch.from_numpy(np.flatnonzero(partition.trained)).to(self._device)
         update, trainer = no_update(0), None
         if len(rows):
+            guess = self._guess(watch, state, rows, views, masks)
             with watch.stage("train"):
                 useful = _by_change(views, references, masks) if cue.only_changed_views else views.usable
                 trainer = ResidualTrainer(
@@ -245,6 +247,7 @@ class Trainer:
                     useful,
                     optimiser(config.optimiser, config.memory),
                     config.group_cells,
+                    guess,
                 )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
                 growth = later_growth(self._config.predict), self._most_new(plan, state)
@@ -354,6 +357,16 @@ class Trainer:
             label=self._label,
         )
         return cue.partition(seen), True
+
+    def _guess(self, watch: Stopwatch, state: State, rows: Tensor, views: Views, masks: Tensor) -> Tensor | None:
+        """[n,3] steps that optical flow takes the anchors `rows`; None where it is not asked, or there is no time."""
+        least = self._config.predict.search_from
+        if least <= 0 or (self._budget is not None and not self._budget.allows("flow", *_AFTER_TRAINING)):
+            return None
+        with watch.stage("flow"):
+            nothing = torch.zeros(len(rows), 3, device=rows.device)
+            usual = nothing if state.start is None else state.start[rows, LATENTS:]
+            return guessed_positions(state, rows, usual, views, masks, least)
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()

@@ -36,11 +36,12 @@ from core.train.pictures.views import Views
 from core.train.residual.added_anchors import AddedAnchors
 from core.train.residual.apply import UnitChange, applied
 from core.train.residual.groups import Groups, neighbourhoods
+from core.train.residual.search import better_starts
 from core.train.residual.state import State
 from core.train.residual.tile_cache import TileCache, make_tile_cache
 from core.train.residual.update import IntegerUpdate, no_update
 
-_PREPARATION = 0.3  # of a frame's training time, after which no further camera's picture is planned
+_PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -56,6 +57,7 @@ class ResidualTrainer:
         useful: cameras to train on, the most important first.
         optimiser: of latents and positions.
         group_cells: width of the neighbourhoods that also move as one, in motion cells (`Octree`); 0 for none.
+        guess: [n,3] steps that the anchors may have gone instead of what `state` expects; None for no guess.
     """
 
     def __init__(
@@ -68,12 +70,13 @@ class ResidualTrainer:
         useful: list[int],
         optimiser: Optimiser = Adam(),  # noqa: B008 (frozen)
         group_cells: float = 0.0,
+        guess: Tensor | None = None,
     ) -> None:
         scene, field = state.scene, state.field
         trained = torch.from_numpy(partition.trained).to(field.feature.device)
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
         self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
-        self._known, self._useful = len(rows), useful
+        self._known, self._useful, self._guess = len(rows), useful, guess
         self._scene, self._alive, self._masks = scene, state.alive, masks
         device = field.feature.device
         black = torch.zeros(3, device=device)
@@ -119,6 +122,8 @@ class ResidualTrainer:
         views = self._prepare(pace, backend)
         if not views:
             return no_update(self._known)
+        if self._guess is not None and pace.progress(0) <= _PREPARATION:
+            self._begin(self._guess, views)
         order, epochs = ViewOrder(views, generator), EpochProgress(len(views), config.least_gain)
         progress, waiting = 0.0, growth if most_new else None
 
@@ -154,6 +159,22 @@ class ResidualTrainer:
                 if not cache.is_empty:
                     views.append(number)
         return views
+
+    def _begin(self, guess: Tensor, views: list[int]) -> None:
+        """Let training begin where `guess` says, for the anchors that it serves."""
+        latent, position = (self._optimiser.parameters[name] for name in ("latent", "position"))
+
+        def splats_at(number: int, start: Tensor) -> Splats:
+            moved = applied(self._base, latent.detach(), start, self._unit_change)
+            return self._exposure.before(moved.decode(self._centres[number]), number)
+
+        starts = better_starts(position.detach(), guess, splats_at, self._draw, self._views.targets, views)
+        with torch.no_grad():
+            position.copy_(starts)
+
+    def _draw(self, number: int, splats: Splats) -> Tensor:
+        raster, self._caches[number] = self._caches[number].render(splats)
+        return raster.image
 
     def show(self, field: Field, rows: Tensor) -> Tensor:
         """[C,H,W,3] what the usable cameras film once `field` has taken over at `rows`; NaN for the others."""

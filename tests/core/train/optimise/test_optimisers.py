@@ -58,8 +58,14 @@ def test_a_toy_optimiser_trains_both_kinds_of_frame(monkeypatch: pytest.MonkeyPa
         config,
         keyframe=replace(config.keyframe, steps=20, optimiser="lazy"),
         predict=replace(
-            config.predict, optimiser="lazy", epochs=1, minimum_steps=4, least_gain=0.0, growth_share=0.0
-        ),  # without new anchors, which have an optimiser of their own
+            config.predict,
+            optimiser="lazy",
+            epochs=1,
+            minimum_steps=4,
+            least_gain=0.0,
+            growth_share=0.0,  # new anchors have an optimiser of their own
+            search_from=0.0,  # finds changes before any optimiser
+        ),
     )
     trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
     trainer.keyframe(first, true_points(spec))

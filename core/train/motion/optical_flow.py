@@ -1,0 +1,94 @@
+"""How far anchors went in the pictures, by dense optical flow (DIS, Kroeger et al. 2016)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from core.arrays import Float32, UInt8
+from core.camera import Camera
+from core.train.field.field import Field
+from core.train.pictures.views import Views
+
+_SMALLEST = 16  # pixels; the method refuses smaller pictures
+_VISIBLE = 0.05  # summed opacity of an anchor that shows anything
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnchorFlow:
+    """Flow of n anchors in C cameras.
+
+    Attributes:
+        seen: [C,n] float32, 1 where an anchor lies on a pixel that goes somewhere, 0 elsewhere.
+        flow: [C,n,2] pixels to the right and down that this pixel goes, 0 where none does.
+    """
+
+    seen: Tensor
+    flow: Tensor
+
+    def of(self, anchors: Tensor) -> AnchorFlow:
+        """Only the anchors of `anchors` [n] bool."""
+        return AnchorFlow(self.seen[:, anchors], self.flow[:, anchors])
+
+
+def anchor_flow(field: Field, rows: Tensor, filmed: Tensor, views: Views, masks: Tensor, least: float) -> AnchorFlow:
+    """Flow of the anchors `rows` [n], from the pictures `filmed` [C,H,W,3] before to those of `views`.
+
+    What hides an anchor is not asked: other cameras then disagree.
+
+    Args:
+        masks: [C,H,W] bool, pixels that changed; the others go nowhere.
+        least: pixels that one of these must go.
+    """
+    count, device = len(views.cameras), rows.device
+    seen, flow = torch.zeros(count, len(rows), device=device), torch.zeros(count, len(rows), 2, device=device)
+    for number in views.usable:
+        if not masks[number].any():
+            continue
+        pixels = picture_flow(filmed[number].cpu().numpy(), views.targets[number].cpu().numpy())
+        moved = torch.from_numpy(pixels).to(device)
+        going = masks[number] & (moved.norm(dim=2) >= least)
+        anchors, row, column = _pixels_of(field, rows, views.cameras[number])
+        there = going[row, column]
+        seen[number, anchors[there]] = 1.0
+        flow[number, anchors[there]] = moved[row[there], column[there]]
+    return AnchorFlow(seen, flow)
+
+
+def picture_flow(before: Float32, now: Float32) -> Float32:
+    """[H,W,2] pixels to the right and down that each pixel of `before` [H,W,3] in [0, 1] went until `now`.
+
+    Zero where a side has too few pixels for the method.
+    """
+    if min(before.shape[:2]) < _SMALLEST:
+        return np.zeros((*before.shape[:2], 2), np.float32)
+    finder = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    return np.asarray(finder.calc(_grey(before), _grey(now), None))  # type: ignore[call-overload]
+
+
+def _grey(picture: Float32) -> UInt8:
+    levels = np.clip(picture, 0, 1) * 255
+    return np.asarray(cv2.cvtColor(levels.astype(np.uint8), cv2.COLOR_RGB2GRAY))
+
+
+def _pixels_of(field: Field, rows: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Which of the anchors `rows` lie in a camera's picture, and their rows and columns there.
+
+    An anchor lies at the mean of its Gaussians, weighted by opacity.
+    """
+    with torch.no_grad():
+        splats = field.decode(torch.from_numpy(camera.centre).float().to(rows.device), rows)
+    weight = splats.opacities.clamp_min(0).reshape(len(rows), -1, 1)
+    opacity = weight.sum(dim=1)
+    place = (splats.means.reshape(len(rows), -1, 3) * weight).sum(dim=1) / opacity.clamp_min(1e-6)
+    pose, intrinsics = (torch.from_numpy(part).to(place) for part in (camera.world_to_camera, camera.intrinsics))
+    there = place @ pose[:3, :3].T + pose[:3, 3]
+    pixels = there @ intrinsics.T
+    column, row = (pixels[:, :2] / pixels[:, 2:].clamp_min(1e-6)).nan_to_num().clamp(-1, 2**24).floor().long().unbind(1)
+    inside = (there[:, 2] > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    anchors = torch.nonzero(inside & (opacity[:, 0] > _VISIBLE))[:, 0]
+    return anchors, row[anchors], column[anchors]

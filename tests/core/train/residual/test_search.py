@@ -1,0 +1,108 @@
+"""Where training of a later frame begins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from client.evaluation.measure.moving import MovingPixels
+from client.evaluation.measure.scores import draw
+from core.render.differentiable import rasterise
+from core.synthetic import SyntheticSpec, open_synthetic
+from core.train import TrainConfig, Trainer, preset
+from core.train.field.decode import Splats
+from core.train.residual.search import better_starts, guessed_positions
+from tests.core.train.motion.moved import RIG, Moved, moved_state
+from tests.core.true_points import true_points
+
+
+def step(moved: Moved) -> Tensor:
+    """[N,1] world units that a step of position is wide."""
+    steps = torch.from_numpy(moved.state.scene.header.position_steps).float()
+    return steps[moved.state.field.level][:, None]
+
+
+def guess_of(moved: Moved, usual: Tensor) -> Tensor:
+    masks = (moved.views.targets - moved.state.filmed).abs().amax(dim=3) > 0.02
+    rows = torch.arange(len(usual))
+    return guessed_positions(moved.state, rows, usual, moved.views, masks, 0.5)
+
+
+def chosen(moved: Moved, usual: Tensor, guess: Tensor) -> Tensor:
+    field, background = moved.state.field, torch.full((3,), 0.2)
+
+    def splats_at(number: int, start: Tensor) -> Splats:
+        there = replace(field, position=field.position + start * step(moved))
+        return there.decode(torch.from_numpy(RIG[number].centre).float())
+
+    def draw(number: int, splats: Splats) -> Tensor:
+        return rasterise(*splats.astuple(), camera=RIG[number], background=background, backend="cpu").image
+
+    return better_starts(usual, guess, splats_at, draw, moved.views.targets, range(len(RIG)))
+
+
+def test_flow_takes_most_anchors_to_where_they_went() -> None:
+    moved = moved_state()
+    usual = torch.zeros_like(moved.motion)
+    found = guess_of(moved, usual) * step(moved)
+    wrong = (found - moved.motion).norm(dim=1)[moved.moving]
+    assert wrong.median() < 0.4 * moved.motion.norm(dim=1).max()
+
+
+def test_a_start_that_is_right_is_kept_whatever_flow_says() -> None:
+    moved = moved_state()
+    usual = moved.motion / step(moved)
+    guess = guess_of(moved, usual)
+    assert (guess != usual).any()
+    kept = (chosen(moved, usual, guess) == usual).all(dim=1)
+    assert kept.float().mean() > 0.9
+
+
+def test_each_anchor_begins_where_the_pictures_want_it() -> None:
+    moved = moved_state()
+    usual = torch.zeros_like(moved.motion)
+    wide = torch.tensor([0.12, 0.0, 0.06]) / step(moved)  # right for those that moved, wrong for all others
+    starts = chosen(moved, usual, wide)
+    taken = (starts == wide).all(dim=1)
+    assert taken[moved.moving].float().mean() > 0.7
+    assert taken[~moved.moving].float().mean() < 0.05
+    assert (taken | (starts == usual).all(dim=1)).all()
+
+
+def test_equal_starts_are_not_drawn() -> None:
+    usual = torch.ones(4, 3)
+
+    def refuse(*_: object) -> Splats:
+        raise AssertionError
+
+    assert better_starts(usual, usual.clone(), refuse, refuse, torch.zeros(1, 2, 2, 3), [0]) is usual  # type: ignore[arg-type]
+
+
+def test_what_goes_far_in_a_frame_is_shown_better_by_search() -> None:
+    spec = SyntheticSpec(cameras=4, frames=2, width=160, height=90, speed=5.0, seed=1)  # a ball rolls through a room
+    clip = open_synthetic(spec)
+    first, second = clip.frames()
+    config = preset("live")
+    config = replace(config, keyframe=replace(config.keyframe, steps=120))
+    scene = Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(first, true_points(spec)).scene
+    masks = MovingPixels(clip.cameras, spec).masks(1, second.images)
+    assert masks is not None
+    error = []
+    for search_from in (0.0, 0.5):
+        trainer = Trainer(clip.cameras, changed(config, search_from), clip.fps, "cpu")
+        trainer.resume(scene)
+        trainer.predict(first)  # tells the trainer what the first frame was shown
+        trainer.resume(scene, keep_references=True)
+        shown = trainer.predict(second).scene
+        pictures = [draw(shown, camera).astype(np.float64) for camera in clip.cameras]
+        error.append(
+            np.mean([((a - b)[m] ** 2).mean() for a, b, m in zip(pictures, second.images, masks, strict=True)])
+        )
+    assert error[1] < 0.95 * error[0]  # 0.90
+
+
+def changed(config: TrainConfig, search_from: float) -> TrainConfig:
+    return replace(config, predict=replace(config.predict, search_from=search_from))
