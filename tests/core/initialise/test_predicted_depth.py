@@ -1,15 +1,19 @@
-"""Placing predicted depth into known cameras, with a simulated prediction; and what is said when VGGT is missing."""
+"""Placing predicted depth into known cameras, with a simulated prediction."""
 
 from __future__ import annotations
-
-import importlib.util
 
 import numpy as np
 import pytest
 
-from core.errors import BackendUnavailable
-from core.initialise import first_points
-from core.initialise.vggt import fit_scale_and_shift, global_scale, model_views, place_depth
+from core.errors import InputError
+from core.initialise.predicted_depth import (
+    PredictedDepth,
+    fit_scale_and_shift,
+    global_scale,
+    model_views,
+    place_depth,
+    predicted_points,
+)
 from core.initialise.views import WorkingViews, inside, project
 from core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
@@ -50,7 +54,7 @@ def test_placed_points_lie_on_the_surfaces_and_doubtful_ones_are_dropped() -> No
     confidence += np.random.default_rng(1).random(depth.shape).astype(np.float32)
     depth[:, 20:30, 20:40] *= 0.5
     confidence[:, 20:30, 20:40] = 0.1
-    points = place_depth(views, depth.astype(np.float32), confidence, poses)
+    points = place_depth(views, PredictedDepth(depth.astype(np.float32), confidence, poses))
     error = np.full(len(points), np.inf)
     for index, camera in enumerate(DATASET.cameras):
         pixels, z = project(camera, points.positions.astype(np.float64))
@@ -63,7 +67,7 @@ def test_placed_points_lie_on_the_surfaces_and_doubtful_ones_are_dropped() -> No
 
 def test_pictures_take_the_size_that_the_model_wants() -> None:
     views = WorkingViews(DATASET.cameras, np.zeros((4, 70, 112, 3), np.float32))
-    small = model_views(views)
+    small = model_views(views, 518)
     assert small.size == (518, 322)
     pixels, depth = project(DATASET.cameras[1], np.array([[0.3, 2.0, 1.0]]))
     again, _ = project(small.cameras[1], np.array([[0.3, 2.0, 1.0]]))
@@ -71,7 +75,7 @@ def test_pictures_take_the_size_that_the_model_wants() -> None:
     assert depth[0] > 0
 
 
-@pytest.mark.skipif(importlib.util.find_spec("vggt") is not None, reason="vggt is installed here")
-def test_missing_package_is_said_in_one_sentence() -> None:
-    with pytest.raises(BackendUnavailable, match=r"vggt is not available here; install it .* or use sweep"):
-        first_points(next(iter(DATASET.frames())), DATASET.cameras, depth_bounds=None, method="vggt")
+def test_one_view_alone_is_refused_before_a_model_is_loaded() -> None:
+    views = WorkingViews(DATASET.cameras[:1], np.zeros((1, 70, 112, 3), np.float32))
+    with pytest.raises(InputError, match="at least two cameras"):
+        predicted_points(views, 504, lambda _: pytest.fail("asked for a prediction"))

@@ -1,30 +1,27 @@
-"""First points from VGGT (Wang et al. 2025), an optional package, placed into cameras that are already known.
+"""Points of depth maps that a neural network predicts, placed into cameras that are already known.
 
-VGGT cannot be told poses: it predicts its own, in its own scale. Its depth maps are therefore unprojected with the
-given cameras, after one global scale and then a scale and shift per view that make the views agree, and what still
-does not agree is dropped.
+A network predicts depth in a scale of its own, and that of one view does not quite fit that of another. So depths are
+brought to the scale of the known cameras, then each view gets a scale and a shift with which the views agree, and what
+still does not agree is dropped.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from core.arrays import Float32, Float64
 from core.camera import Camera
-from core.errors import BackendUnavailable, InputError
+from core.errors import InputError
 from core.frames import PointCloud
 from core.initialise.consistency import consistent_points
 from core.initialise.sweep import DepthMap
 from core.initialise.views import WorkingViews, inside, pixel_centres
 
-WEIGHTS_VARIABLE = "STREAMLOD_VGGT"
-_SIDE, _PATCH = 518, 14  # the longer side of a picture, and what sides are multiples of
+_PATCH = 14  # DINOv2, which VGGT and Depth Anything 3 begin with, takes pictures whose sides are multiples of this
 _DOUBTFUL = 0.2  # the fraction of pixels, those of least confidence, that is not used
 _ROUNDS = 30
 _STEP = 3  # every so many pixels in each direction vote on scale and shift
@@ -33,38 +30,52 @@ _PRIOR, _GAUGE = 1e-3, 1e3  # weights of no change of a view, and of the mean of
 _REFUSED = 2.0  # the cost of a pixel that is not used
 
 
-def vggt_points(views: WorkingViews) -> PointCloud:
-    """Points from the VGGT package and the weights that the variable STREAMLOD_VGGT names.
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedDepth:
+    """What a network says of V views.
+
+    Attributes:
+        depth: [V,H,W] along the optical axis, in the prediction's own scale.
+        confidence: [V,H,W], higher is better.
+        poses: [V,3,4] or [V,4,4] world_to_camera in the same scale.
+    """
+
+    depth: Float32
+    confidence: Float32
+    poses: Float64
+
+
+def predicted_points(views: WorkingViews, side: int, predict: Callable[[WorkingViews], PredictedDepth]) -> PointCloud:
+    """Points of what `predict` says of the views, whose longer side it sees with `side` pixels.
 
     Raises:
-        InputError: fewer than two views, or weights that cannot be read.
-        BackendUnavailable: the package or the weights are missing.
+        InputError: fewer than two views, or cameras that all stand at one place.
     """
     if len(views) < 2:
-        raise InputError("VGGT points", "need pictures of at least two cameras; use a points file or random")
-    small = model_views(views)
-    depth, confidence, predicted = _predict(small)
-    return place_depth(small, depth, confidence, predicted)
+        raise InputError(
+            "first points", "a network needs pictures of at least two cameras; use a points file or random"
+        )
+    small = model_views(views, side)
+    return place_depth(small, predict(small))
 
 
-def model_views(views: WorkingViews) -> WorkingViews:
-    """The views at the size that VGGT takes: the longer side 518 pixels, both multiples of 14."""
+def model_views(views: WorkingViews, side: int) -> WorkingViews:
+    """The views at the size that a network takes: the longer side `side` pixels, both multiples of 14."""
     width, height = views.size
-    factor = _SIDE / max(width, height)
-    columns, rows = (max(_PATCH, _PATCH * round(side * factor / _PATCH)) for side in (width, height))
+    factor = side / max(width, height)
+    columns, rows = (max(_PATCH, _PATCH * round(length * factor / _PATCH)) for length in (width, height))
     images = [cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA) for image in views.images]
     return WorkingViews(tuple(camera.scaled(columns, rows) for camera in views.cameras), np.stack(images))
 
 
-def place_depth(views: WorkingViews, depth: Float32, confidence: Float32, predicted: Float64) -> PointCloud:
-    """Points of predicted depth maps in the space of the known cameras.
+def place_depth(views: WorkingViews, predicted: PredictedDepth) -> PointCloud:
+    """Points of predicted depth maps, of the size of the views, in the space of the known cameras.
 
-    Args:
-        depth: [V,H,W] along the optical axis, in the prediction's own scale.
-        confidence: [V,H,W], higher is better.
-        predicted: [V,3,4] or [V,4,4] world_to_camera of the prediction.
+    Raises:
+        InputError: all cameras stand at one place, in the world or in the prediction.
     """
-    start = global_scale(views.cameras, predicted)
+    start = global_scale(views.cameras, predicted.poses)
+    depth, confidence = predicted.depth, predicted.confidence
     usable = (confidence > np.quantile(confidence, _DOUBTFUL)) & (depth > 0) & np.isfinite(depth)
     scale, shift = fit_scale_and_shift(views.cameras, np.where(usable, depth, 0.0).astype(np.float64), start)
     maps = []
@@ -89,7 +100,7 @@ def global_scale(cameras: Sequence[Camera], predicted: Float64) -> float:
     theirs = np.linalg.norm(found[first] - found[second], axis=1)
     valid = (ours > 1e-9) & (theirs > 1e-9)
     if not valid.any():
-        raise InputError("VGGT points", "its cameras stand at one place, which gives no scale")
+        raise InputError("first points", "the cameras stand at one place, which gives no scale to predicted depth")
     return float(np.median(ours[valid] / theirs[valid]))
 
 
@@ -164,34 +175,3 @@ def project_seen(camera: Camera, seen: Float64) -> tuple[Float64, Float64]:
     z = seen[:, 2]
     safe = np.where(np.abs(z) < 1e-12, 1e-12, z)
     return seen[:, :2] / safe[:, None] @ camera.intrinsics[:2, :2].T + camera.intrinsics[:2, 2], z
-
-
-def _predict(views: WorkingViews) -> tuple[Float32, Float32, Float64]:
-    """([V,H,W] depth, [V,H,W] confidence, [V,3,4] world_to_camera) of the model."""
-    try:
-        import torch
-        from vggt.models.vggt import VGGT
-        from vggt.utils.pose_enc import pose_encoding_to_extri_intri
-    except ImportError as error:
-        raise BackendUnavailable("the package vggt", "install it from its repository, or use sweep") from error
-    weights = os.environ.get(WEIGHTS_VARIABLE)
-    if not weights or not Path(weights).is_file():
-        raise BackendUnavailable("the VGGT weights", f"set {WEIGHTS_VARIABLE} to the file model.pt, or use sweep")
-    model: Any = VGGT()
-    try:
-        model.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
-    except Exception as error:  # what torch raises for damaged files has no common base
-        raise InputError(weights, "does not hold the weights of VGGT-1B") from error
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    model = model.to(device).eval()
-    pictures = torch.from_numpy(views.images).permute(0, 3, 1, 2).to(device)
-    half = device == "cuda"
-    kind = torch.bfloat16 if half and torch.cuda.get_device_capability()[0] >= 8 else torch.float16
-    with torch.no_grad(), torch.autocast(device, kind, enabled=half):
-        answer = model(pictures)
-    poses, _ = pose_encoding_to_extri_intri(answer["pose_enc"].float(), tuple(pictures.shape[2:]))
-
-    def array(values: Any) -> Any:
-        return values.float().cpu().numpy()
-
-    return array(answer["depth"])[0, ..., 0], array(answer["depth_conf"])[0], array(poses)[0].astype(np.float64)
