@@ -45,7 +45,7 @@ def first_points(
     Raises:
         InputError: unknown method, unusable file, bounds or cameras, or points that the data set does not have.
         ModelError: the method found no points.
-        BackendUnavailable: VGGT is not installed.
+        BackendUnavailable: a package or a model that the method needs is missing.
     """
     report = progress or (lambda _: None)
     if depth_bounds is not None and not 0 < depth_bounds[0] < depth_bounds[1] < np.inf:

@@ -20,7 +20,7 @@ _OPTIONS_IN_QUERY = ("tcp", "udp", "srt")  # whose addresses tell FFmpeg more th
 _HARMLESS = {"mode", "latency", "passphrase", "pbkeylen", "streamid", "timeout", "pkt_size", "fifo_size", "buffer_size"}
 _REDIRECTED = ("rtsp", "rtsps")  # where FFmpeg goes wherever the camera sends it
 _HOLD_IPV4 = [ipaddress.ip_network(text) for text in ("::/96", "64:ff9b::/96")]  # compatible, NAT64
-POINT_METHODS = {"auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "random"}
+POINT_METHODS = {"auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "depth-anything", "random"}
 
 
 def check_reach(spec: StreamSpec, settings: Settings) -> None:

@@ -59,7 +59,8 @@ class TrainJob:
     seed: int = option(0, "Of everything random.", minimum=0, maximum=2**31 - 1)
     points: str = option(
         "auto",
-        "First points: auto, colmap, sweep, colmap+sweep, learned, vggt, random, or a .ply or .npz file.",
+        "First points: auto, colmap, sweep, colmap+sweep, learned, vggt, depth-anything, random, "
+        "or a .ply or .npz file.",
         metavar="METHOD|FILE",
         max_length=MAX_PATH,
     )

@@ -121,7 +121,7 @@ def test_a_method_may_be_an_object_of_ones_own() -> None:
     frame = FrameSet(0, 0, np.zeros((1, 20, 20, 3), np.uint8), np.ones(1, np.bool_))
     found = first_points(frame, [flat_map(0, 1).camera], depth_bounds=None, method=One(), seed=7)
     np.testing.assert_array_equal(found.positions, [[7, 7, 7]])
-    assert set(METHODS) == {"auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "random"}
+    assert set(METHODS) == {"auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "depth-anything", "random"}
 
 
 @pytest.mark.parametrize("seen", [1, 2])
