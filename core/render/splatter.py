@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Int64, UInt8
+from core.arrays import Float32, Int64, UInt8
 from core.camera import Camera
 from core.render.cpu import render
 from core.scene.anchors import AnchorLevel, Scene
@@ -21,6 +21,12 @@ class _Expanded:
     level: AnchorLevel
     slots: GaussianCloud
     shown: GaussianCloud
+
+
+def draw_cloud(cloud: GaussianCloud, camera: Camera, background: Float32) -> UInt8:
+    """[H,W,3] uint8 RGB of `cloud` before `background` [3], as `camera` sees it."""
+    image = render(cloud, camera, background).image
+    return np.asarray(np.clip(np.round(image * 255), 0, 255), np.uint8)
 
 
 class Splatter:
@@ -39,8 +45,7 @@ class Splatter:
         Args:
             levels: how many levels to draw, coarse ones first; all by default.
         """
-        image = render(self.cloud(scene, camera, levels), camera, scene.header.background).image
-        return np.asarray(np.clip(np.round(image * 255), 0, 255), np.uint8)
+        return draw_cloud(self.cloud(scene, camera, levels), camera, scene.header.background)
 
     def cloud(self, scene: Scene, camera: Camera, levels: int | None = None) -> GaussianCloud:
         """The Gaussians that `picture` draws: those of `core.scene.expand.expand`."""

@@ -14,7 +14,7 @@ from core.camera import Camera
 from core.errors import BackendUnavailable
 from core.metrics import Distance, psnr, ssim
 from core.metrics.lpips_weights import MIN_SIDE, Net
-from core.render.cpu import render
+from core.render.splatter import draw_cloud
 from core.scene.anchors import Scene
 from core.scene.expand import expand
 
@@ -75,8 +75,7 @@ def load_perception(*, vgg: bool = True) -> Perception:
 def draw(scene: Scene, camera: Camera, *, highest_level: int | None = None, by_distance: bool = False) -> UInt8:
     """[H,W,3] uint8 picture of `scene`; arguments as in `core.scene.expand.expand`."""
     cloud = expand(scene, camera.centre, highest_level, by_distance)
-    image = render(cloud, camera, scene.header.background).image
-    return np.asarray(np.clip(np.round(image * 255), 0, 255), np.uint8)
+    return draw_cloud(cloud, camera, scene.header.background)
 
 
 def score(
