@@ -42,10 +42,12 @@ def view(
     pose: Path | None = None,
     frames: int | None = None,
     levels: int | None = None,
+    fps: float | None = None,
 ) -> str:
     """Record a live stream from a camera of the rig (the first by default), on an orbit, or from poses of a file.
 
-    A token is taken from the environment variable STREAMLOD_TOKEN.
+    A token is taken from the environment variable STREAMLOD_TOKEN. At another rate than the stream's (`fps`), pictures
+    between its frames are interpolated.
     """
     if sum((camera is not None, orbiting, pose is not None)) > 1:
         raise InputError("view", "--camera, --orbit and --pose exclude each other")
@@ -71,7 +73,7 @@ def view(
             bar.set_postfix_str(text, refresh=False)
             bar.update(1 if text.startswith("picture") else 0)
 
-        count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell))
+        count = asyncio.run(record_stream(url, out, viewpoint, frames, options, tell, fps))
     return f"{count} pictures in {out}"
 
 

@@ -1,4 +1,4 @@
-"""Watch a live stream and record what a viewpoint sees of it."""
+"""Watch a live stream and record what a viewpoint sees of it, at the stream's rate or another."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from client.connection.watch import watch
 from client.events import Event, NewScene, Notice, Welcome
 from client.recorder import Recorder, open_recorder
 from client.viewpoints import CameraPath
+from core.arrays import UInt8
+from core.camera import Camera
 from core.errors import InputError
-from core.render.splatter import Splatter
+from core.render.splatter import Splatter, draw_cloud
 from core.scene.anchors import SceneHeader
+from core.scene.interpolate import can_interpolate, interpolate
 
 _log = logging.getLogger(__name__)
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long
-_DEFAULT_FPS = 30.0
 
 Tell = Callable[[str], None]
 
@@ -31,14 +33,19 @@ async def record_stream(
     frames: int | None = None,
     options: WatchOptions | None = None,
     tell: Tell = lambda text: None,
+    fps: float | None = None,
 ) -> int:
-    """Record one picture for each packet that arrives, until there are `frames` pictures or the stream is over.
+    """Record each state that arrives as one frame of the stream, until there are `frames` pictures or it is over.
+
+    At the stream's own rate there is one picture for each state. At another rate, pictures that fall between two states
+    show what lies between them (`core.scene.interpolate`), or the earlier one where a keyframe comes between.
 
     If the viewpoint moves, it finishes its path around the last scene when the stream is over.
 
     Args:
         viewpoint: makes the path of the camera once the scene's header is known.
         tell: called with short texts about the progress.
+        fps: pictures a second of the recording; those of the stream by default.
 
     Returns:
         Number of pictures.
@@ -47,10 +54,10 @@ async def record_stream(
         InputError: no server answers, the viewpoint does not exist, or nothing could be recorded.
         SessionError: the server refuses us or breaks the protocol.
     """
-    take = _Take(out, viewpoint, tell)
+    take = _Take(out, viewpoint, frames, fps, tell)
     try:
         async with aclosing(watch(url, options or WatchOptions())) as events:
-            while frames is None or take.count < frames:
+            while not take.is_full:
                 try:
                     async with asyncio.timeout(_QUIET_SECONDS if take.is_over else None):
                         event = await anext(events)
@@ -60,7 +67,7 @@ async def record_stream(
     except BaseException as error:
         take.close(error)
         raise
-    while take.newest is not None and frames is not None and take.count < frames and take.moves():
+    while take.newest is not None and frames is not None and not take.is_full and take.moves():
         await take.draw(take.newest)
     take.close(None)
     if take.count == 0:
@@ -71,14 +78,28 @@ async def record_stream(
 class _Take:
     """A recording in progress."""
 
-    def __init__(self, out: Path, viewpoint: Callable[[SceneHeader], CameraPath], tell: Tell) -> None:
-        self._out, self._viewpoint, self._tell = out, viewpoint, tell
+    def __init__(
+        self,
+        out: Path,
+        viewpoint: Callable[[SceneHeader], CameraPath],
+        frames: int | None,
+        fps: float | None,
+        tell: Tell,
+    ) -> None:
+        self._out, self._viewpoint, self._frames, self._fps, self._tell = out, viewpoint, frames, fps, tell
         self._splatter = Splatter()
         self._recorder: Recorder | None = None
         self._path: CameraPath | None = None
+        self._stream_fps = self._film_fps = 1.0  # known with the first state
+        self._place = -1  # of the newest state in the stream, in frames
         self.newest: NewScene | None = None
         self.count = 0
         self._ended = False
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there are as many pictures as are wanted."""
+        return self._frames is not None and self.count >= self._frames
 
     @property
     def is_over(self) -> bool:
@@ -108,18 +129,33 @@ class _Take:
             self._tell(f"first frame {100 * float(event.fields.get('fraction') or 0):.0f} %")
 
     async def draw(self, event: NewScene) -> None:
-        """One picture of the scene, from the path's next camera."""
-        self.newest = event
-        header = event.scene.header
+        """The pictures after the state before, up to and with the moment of this one."""
+        before, self.newest = self.newest or event, event
+        self._place += 1
+        path, recorder = self._opened(event.scene.header)
+        while not self.is_full and (place := self.count * self._stream_fps / self._film_fps) <= self._place:
+            share = 1 + place - self._place
+            recorder.add(await asyncio.to_thread(self._picture, before, event, share, path(self.count)))
+            self.count += 1
+            self._tell(f"picture {self.count}, version {event.scene.version}")
+
+    def _opened(self, header: SceneHeader) -> tuple[CameraPath, Recorder]:
         if self._path is None or self._recorder is None:
             self._path = self._viewpoint(header)
-            self._recorder = open_recorder(self._out, header.fps or _DEFAULT_FPS)
+            self._stream_fps = header.fps
+            self._film_fps = self._fps or header.fps
+            self._recorder = open_recorder(self._out, self._film_fps)
             self._recorder.__enter__()
-        camera = self._path(self.count)
-        picture = await asyncio.to_thread(self._splatter.picture, event.scene, camera, event.levels)
-        self._recorder.add(picture)
-        self.count += 1
-        self._tell(f"picture {self.count}, version {event.scene.version}")
+        return self._path, self._recorder
+
+    def _picture(self, before: NewScene, after: NewScene, share: float, camera: Camera) -> UInt8:
+        """[H,W,3] uint8 RGB, `share` of the way from one state to the next."""
+        if share >= 1 or before is after:
+            return self._splatter.picture(after.scene, camera, after.levels)
+        if not can_interpolate(before.scene, after.scene):
+            return self._splatter.picture(before.scene, camera, before.levels)
+        cloud = interpolate(before.scene, after.scene, share, camera.centre, after.levels - 1)
+        return draw_cloud(cloud, camera, after.scene.header.background)
 
     def close(self, error: BaseException | None) -> None:
         """Complete the recording, or discard it after an error."""

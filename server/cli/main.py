@@ -187,9 +187,15 @@ def view(
     pose: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Stand at poses of a file.")] = None,
     frames: Frames = None,
     levels: Annotated[int | None, typer.Option(min=1, help="Ask for so many levels only.")] = None,
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            "--fps", min=0.1, max=1000, metavar="60", help="Of the film; more than the stream has are interpolated."
+        ),
+    ] = None,
 ) -> None:
     """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
-    _call("client.commands:view", url, out, camera, orbit, pose, frames, levels)
+    _call("client.commands:view", url, out, camera, orbit, pose, frames, levels, fps)
 
 
 @app.command()

@@ -96,7 +96,7 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         ("evaluate", "--test --json --save-images"),
         ("serve", "--data --play --host --port --device"),
-        ("view", "--camera --orbit --pose --out --frames"),
+        ("view", "--camera --orbit --pose --out --frames --fps"),
         ("export", "--frame --view --format --sequence"),
     ],
 )

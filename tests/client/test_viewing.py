@@ -1,0 +1,109 @@
+"""Recordings of a live stream: how many pictures, at which rate, and what they show."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from websockets.asyncio.server import ServerConnection, serve
+
+from client.connection.link import SUBPROTOCOL
+from client.viewing import record_stream
+from codec.encoder import encode_keyframe
+from core.arrays import UInt8
+from core.render.splatter import draw_cloud
+from core.scene.anchors import Scene
+from core.scene.expand import expand
+from core.scene.interpolate import interpolate
+from tests.client.clips import packets
+from tests.client.test_playback import WELCOME
+from tests.client.web.scenes import make_scene, moved
+
+FPS = 10.0
+
+
+def states(count: int) -> list[Scene]:
+    """A scene in which something turns, at ten frames a second."""
+    scene = make_scene(200, view_dependent=False)
+    found = [replace(scene, header=replace(scene.header, fps=FPS))]
+    while len(found) < count:
+        found.append(moved(found[-1]))
+    return found
+
+
+def recorded(data: list[bytes], out: Path, frames: int | None = None, fps: float | None = None) -> int:
+    """Record a stream of these packets from its middle camera; returns the number of pictures."""
+
+    async def stream(socket: ServerConnection) -> None:
+        await socket.recv()
+        await socket.send(json.dumps(WELCOME))
+        for packet in data:
+            await socket.send(packet)
+        await socket.close(1000)
+
+    async def run() -> int:
+        async with serve(stream, "127.0.0.1", 0, subprotocols=[SUBPROTOCOL], compression=None) as server:  # type: ignore[list-item]
+            url = f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1/streams/main/live"
+            return await record_stream(url, out, lambda header: lambda number: header.cameras[2], frames, fps=fps)
+
+    return asyncio.run(run())
+
+
+def shown(folder: Path) -> list[UInt8]:
+    """The pictures of a folder, RGB."""
+    return [np.asarray(cv2.imread(str(path))[..., ::-1], np.uint8) for path in sorted(folder.glob("*.png"))]
+
+
+def drawn(scene: Scene, after: Scene | None = None, share: float = 0) -> UInt8:
+    """The middle camera's picture of a state, or of what lies between two."""
+    camera = scene.header.cameras[2]
+    cloud = expand(scene, camera.centre) if after is None else interpolate(scene, after, share, camera.centre)
+    return draw_cloud(cloud, camera, scene.header.background)
+
+
+def test_a_picture_for_each_state(tmp_path: Path) -> None:
+    scenes = states(4)
+    assert recorded(packets(scenes), tmp_path / "out") == 4
+    for picture, scene in zip(shown(tmp_path / "out"), scenes, strict=True):
+        np.testing.assert_array_equal(picture, drawn(scene))
+
+
+def test_a_film_of_a_higher_rate_shows_what_lies_between(tmp_path: Path) -> None:
+    scenes = states(3)
+    assert recorded(packets(scenes), tmp_path / "out", fps=40) == 9
+    pictures = shown(tmp_path / "out")
+    for number, scene in enumerate(scenes):
+        np.testing.assert_array_equal(pictures[4 * number], drawn(scene))
+    for number, share in ((1, 0.25), (2, 0.5), (3, 0.75)):
+        np.testing.assert_array_equal(pictures[number], drawn(scenes[0], scenes[1], share))
+    assert np.abs(pictures[2].astype(int) - pictures[0]).max() > 8
+
+
+@pytest.mark.parametrize(("fps", "count"), [(60.0, 31), (25.0, 13), (5.0, 3)])
+def test_a_film_lasts_as_long_as_the_stream(tmp_path: Path, fps: float, count: int) -> None:
+    assert recorded(packets(states(6)), tmp_path / "a.mp4", fps=fps) == count
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        stream = container.streams.video[0]
+        assert float(stream.average_rate or 0) == fps
+        assert len(list(container.decode(stream))) == count
+
+
+def test_a_film_ends_at_the_pictures_that_are_wanted(tmp_path: Path) -> None:
+    assert recorded(packets(states(4)), tmp_path / "out", frames=6, fps=40) == 6
+
+
+def test_before_a_keyframe_the_state_is_held(tmp_path: Path) -> None:
+    """Its rows are other anchors: nothing lies between. Nor where a connection begins again with an older state."""
+    first, second, third = states(3)
+    renewed = replace(make_scene(150, view_dependent=False), header=first.header, keyframe=3, version=3, identifier=1)
+    data = [*packets([first, second, third]), encode_keyframe(renewed, time_ns=0), encode_keyframe(first, time_ns=0)]
+    assert recorded(data, tmp_path / "out", fps=20) == 9
+    pictures = shown(tmp_path / "out")
+    for number, scene in ((4, third), (5, third), (6, renewed), (7, renewed), (8, first)):
+        np.testing.assert_array_equal(pictures[number], drawn(scene))
