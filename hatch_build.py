@@ -13,6 +13,8 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGE = Path("client/web")
 SHADER = re.compile(r"#version.*?`", re.DOTALL)  # GLSL in a script
+CAST = re.compile(r"(?<=[=(,;:?!&|{}\[+-])\(([a-z][\w.#]*(?:\([^()]*\))?)\)(?=[.,;)\]}])")  # what a type was said of
+CONSTANTS = re.compile(r"\blet \w+=[^;{}`]*(?:;let \w+=[^;{}`]*)+;")  # declared one after the other
 SERVED = {".js", ".css", ".html", ".svg", ".wasm"}
 
 
@@ -56,7 +58,8 @@ def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
             script = rjsmin.jsmin(SHADER.sub(_without_comments, content.decode())).replace("}\n", "}")
             script = re.sub(r"\bconst\b", "let", script)  # shorter; our shaders have no const
             script = re.sub(r"(?<=[=,(*+<>?:&|-])0(?=\.\d)|(?<!\d),(?=\})", "", script)  # 0.5 is .5; last commas
-            script = re.sub(r"=\(([\w.#]+)\)(?=[,;])", r"=\1", script)  # what a type was said of
+            script = CAST.sub(r"\1", script)
+            script = CONSTANTS.sub(lambda several: several[0].replace(";let ", ","), script)
             # semicolons before braces can be left out, except in shaders
             content = re.sub(rf"({SHADER.pattern})|;(?=\}})", r"\1", script, flags=re.DOTALL).encode()
         elif path.suffix == ".css":

@@ -63,11 +63,10 @@ MEASURE = """async ([address, rounds]) => {
       const picture = engine.picture(view());
       times.expandChanged.push(picture.expandMs);
       times.sort.push(picture.sortMs);
-      splats = picture.splats;
+      ({ anchors, splats } = picture);
     }
     pose = orbit(pose, rigUp(header.cameras), 0.3, 0);
     times.expandAll.push(engine.picture(view()).expandMs);
-    anchors = engine.summary().anchors;
     if (round === rounds - 1) {
       const { expander } = engine;
       const rows = 256, { pointers, inputs, columns, slots } = expander;

@@ -35,12 +35,9 @@ export async function loadKernel(bytes) {
 const roundUp = (n, step) => Math.ceil(n / step) * step;
 
 /**
- * Columns into blocks of 16, padded with zeros: the order in which the kernel reads weights.
- * @param {Float32Array} out
- * @param {Float32Array} matrix - [inputs, columns]
- * @param {number} inputs
- * @param {number[]} place - where each column of `matrix` goes
- * @param {number[]} gain - factor of each column
+ * Columns of `matrix` [inputs, columns] into blocks of 16, padded with zeros: the order in which the kernel reads weights.
+ * `place` is where each column goes, `gain` a factor of it.
+ * @type {(out: Float32Array, matrix: Float32Array, inputs: number, place: number[], gain: number[]) => void}
  */
 function intoBlocks(out, matrix, inputs, place, gain) {
   out.fill(0);
@@ -62,25 +59,18 @@ class LevelFloats {
     this.feature = new Float32Array(0); // [N, F]
     this.local = new Float32Array(0); // [N, 3K] offset x size
     this.size = new Float32Array(0); // [N, 3] of the Gaussians
-    this.widths = [1, 3, features, 3 * slots, 3];
+    this.widths = { base: 1, anchor: 3, feature: features, local: 3 * slots, size: 3 };
   }
 
   /** @param {number} rows */
   reserve(rows) {
     if (this.base.length >= rows) return;
-    const room = this.base.length ? Math.ceil(rows * 1.25) : rows;
-    const [, a, f, l, s] = this.widths;
-    /** @type {<A extends Float32Array | Int32Array>(old: A, size: number) => A} */
-    const grown = (old, size) => {
-      const larger = new /** @type {any} */ (old.constructor)(size);
-      larger.set(old);
-      return larger;
-    };
-    this.base = grown(this.base, room);
-    this.anchor = grown(this.anchor, a * room);
-    this.feature = grown(this.feature, f * room);
-    this.local = grown(this.local, l * room);
-    this.size = grown(this.size, s * room);
+    const room = this.base.length ? Math.ceil(rows * 1.25) : rows, all = /** @type {any} */ (this);
+    for (const [name, width] of Object.entries(this.widths)) {
+      const old = all[name];
+      all[name] = new old.constructor(width * room);
+      all[name].set(old);
+    }
   }
 }
 

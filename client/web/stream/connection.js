@@ -20,6 +20,7 @@ export class Connection extends Link {
     this.queue = [];
     this.busy = false;
     this.ended = false;
+    this.speed = 1;
     this.frozen = false; // paused: packets that are still on their way are not applied
     this.adrift = false; // after a jump or a pause: packets that do not fit belong to where we were
     /** @type {number | null} version at which to pause */

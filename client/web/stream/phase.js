@@ -1,15 +1,6 @@
-/** What is going on, as one word; decided here alone. */
+/** What is going on, as one word; decided here alone. What each means is in docs/viewer.md, "What the page says". */
 
 /**
- * - `connecting`, `waiting`: no picture yet; the server does not answer yet, or has nothing yet
- * - `preview`: the first frame is still being trained, what is seen is unfinished
- * - `live`: the newest frame of a live stream, less than `LIVE_SECONDS` old by frame numbers
- * - `behind`: the same stream, further back; also when it is played from the past
- * - `replay`: a recording plays
- * - `stalled`: it should play, but no frame comes
- * - `reconnecting`: the connection broke and is tried again
- * - `ended`: nothing more will come; `deleted`: and nothing can be sought
- * - `failed`, `version`, `denied`, `missing`: cannot be watched
  * @typedef {"connecting" | "waiting" | "preview" | "live" | "behind" | "replay" | "paused" | "stalled" | "reconnecting" | "ended"
  *   | "deleted" | "failed" | "version" | "denied" | "missing"} Phase
  */

@@ -55,8 +55,7 @@ export class Session {
     this.link = "opening";
     /** @type {Phase | null} */
     this.verdict = null;
-    this.isOver = false; // a recording has reached its end
-    this.isQuiet = false;
+    this.isOver = this.isQuiet = false;
     this.isFresh = false; // a frame has come since the connection was opened
     this.received = 0; // bytes on this connection
     this.ackEvery = 8;

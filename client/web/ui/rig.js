@@ -1,6 +1,6 @@
 /** The rig over the picture: cameras as pyramids with names to go to, and what each films. */
 
-import { add, fromCamera, row } from "../view/camera.js";
+import { add, dot, fromCamera, row } from "../view/camera.js";
 import { element } from "./page.js";
 
 /** @typedef {import("../view/camera.js").Vec3} Vec3 */
@@ -51,7 +51,7 @@ export class Rig {
     let lines = "";
     for (const { name, points } of this.cameras) {
       const [tip, ...corners] = points.map((p) => {
-        const [x, y, z] = [0, 1, 2].map((i) => r[3 * i] * p[0] + r[3 * i + 1] * p[1] + r[3 * i + 2] * p[2] + t[i]);
+        const [x, y, z] = [0, 1, 2].map((i) => dot(row(r, i), p) + t[i]);
         return [scale * ((focal[0] * x) / z + principal[0]), scale * ((focal[1] * y) / z + principal[1]), z].map((x) => Number(x.toFixed(1)));
       });
       const [u, v, z] = tip;

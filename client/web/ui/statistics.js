@@ -41,7 +41,7 @@ export function fillStatistics(list, viewer, rates, latencyMs) {
     Frame: version === undefined ? "–" : String(version),
     ...(live ? { "Behind live": number(status?.lagSeconds ?? undefined, "s"), "Camera to screen": number(latencyMs ?? undefined, "ms", 0) } : {}),
     Splats: picture ? picture.splats.toLocaleString("en") : "–",
-    Anchors: picture?.summary ? picture.summary.anchors.toLocaleString("en") : "–",
+    Anchors: picture?.anchors?.toLocaleString("en") ?? "–",
     Levels: status?.levels ? `${status.sentLevels ?? status.levels} of ${status.levels}` : String(viewer.scene?.levels ?? "–"),
     Decode: number(picture?.decodeMs, "ms"),
     Expand: number(picture?.expandMs, "ms"),

@@ -1,6 +1,6 @@
 /** The chip at the top, the card in the middle, and controls that hide from a hand that rests. */
 
-import { add, fromCamera } from "../view/camera.js";
+import { distanceTo } from "../view/camera.js";
 import { button, element } from "./page.js";
 
 const IDLE_MS = 4000;
@@ -58,9 +58,7 @@ export class Latency {
 
 /** The picture in words. @param {import("../view/viewer.js").Viewer} viewer @param {string} time */
 export function describe({ scene, pose }, time) {
-  /** @type {(camera: import("../view/camera.js").RigCamera) => number} */
-  const away = (camera) => Math.hypot(...add(fromCamera(camera, 1).position, pose.position, -1));
-  const nearest = scene?.cameras.reduce((a, b) => (away(b) < away(a) ? b : a), scene.cameras[0]);
+  const nearest = scene?.cameras.reduce((a, b) => (distanceTo(pose.position, b) < distanceTo(pose.position, a) ? b : a), scene.cameras[0]);
   return `${element("status-text").textContent}, ${time}${nearest ? `, seen from near ${nearest.name}` : ""}`;
 }
 

@@ -29,7 +29,7 @@ export const unit = (a) => {
   const length = Math.hypot(...a) || 1;
   return [a[0] / length, a[1] / length, a[2] / length];
 };
-/** @type {(r: number[], row: number) => Vec3} */
+/** @type {(r: ArrayLike<number>, row: number) => Vec3} */
 export const row = (r, i) => [r[3 * i], r[3 * i + 1], r[3 * i + 2]];
 
 /** @type {(v: Vec3, axis: Vec3, angle: number) => Vec3} Rodrigues' rotation */
@@ -43,6 +43,9 @@ function turn(v, axis, angle) {
   ];
 }
 
+/** From a place to a camera of the rig. @type {(position: Vec3, camera: RigCamera) => number} */
+export const distanceTo = (position, camera) => Math.hypot(...add(fromCamera(camera, 1).position, position, -1));
+
 /** The point that orbiting goes around. @type {(pose: Pose) => Vec3} */
 export const target = (pose) => add(pose.position, row(pose.rotation, 2), pose.distance);
 
@@ -51,14 +54,7 @@ const turnRows = (rotation, axis, angle) => [0, 1, 2].flatMap((i) => turn(row(ro
 
 const STEEPEST = 0.999; // cosine between the view and `up` at which pitching stops
 
-/**
- * Turn the view by yaw about `up` and pitch about the picture's horizontal, standing still.
- * @param {Pose} pose
- * @param {Vec3} up
- * @param {number} yaw - radians, positive turns right
- * @param {number} pitch - radians, positive looks up
- * @returns {Pose}
- */
+/** Turn the view, standing still: to the right about `up`, and upwards; radians. @type {(pose: Pose, up: Vec3, yaw: number, pitch: number) => Pose} */
 export function look(pose, up, yaw, pitch) {
   let rotation = turnRows(pose.rotation, up, -yaw);
   const pitched = turnRows(rotation, row(rotation, 0), pitch);
@@ -73,13 +69,7 @@ export function orbit(pose, up, yaw, pitch) {
   return { ...turned, position: add(target(pose), row(turned.rotation, 2), -pose.distance) };
 }
 
-/**
- * Shift camera and target along the picture.
- * @param {Pose} pose
- * @param {number} dx - fraction of the picture's height at the target, to the right
- * @param {number} dy - downwards
- * @returns {Pose}
- */
+/** Shift camera and target to the right and down, by fractions of the picture's height at the target. @type {(pose: Pose, dx: number, dy: number) => Pose} */
 export function pan(pose, dx, dy) {
   const scale = pose.distance / pose.focal;
   const moved = add(add(pose.position, row(pose.rotation, 0), dx * scale), row(pose.rotation, 1), dy * scale);
@@ -111,15 +101,14 @@ export function focusOn(pose, point, up) {
   return { ...pose, distance, rotation: [...right, ...cross(forward, right), ...forward], shift: [0, 0] };
 }
 
+/** Where a camera stands that maps x to r x + t. @type {(r: number[], t: ArrayLike<number>) => Vec3} */
+export const centre = (r, t) => /** @type {Vec3} */ ([0, 1, 2].map((i) => -r[i] * t[0] - r[3 + i] * t[1] - r[6 + i] * t[2]));
+
 /** @type {(camera: RigCamera, distance: number) => Pose} */
 export function fromCamera(camera, distance) {
   const m = camera.worldToCamera, k = camera.intrinsics, h = camera.height;
   const rotation = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
-  const t = [m[3], m[7], m[11]];
-  /** @type {Vec3} */
-  const position = [0, 0, 0];
-  for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) position[i] -= rotation[3 * j + i] * t[j];
-  return { rotation, position, distance, focal: k[4] / h, stretch: k[0] / k[4], shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h] };
+  return { rotation, position: centre(rotation, [m[3], m[7], m[11]]), distance, focal: k[4] / h, stretch: k[0] / k[4], shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h] };
 }
 
 /** What points up for most of the rig. @type {(cameras: RigCamera[]) => Vec3} */
@@ -132,11 +121,10 @@ export function rigUp(cameras) {
 
 /** The camera nearest to the middle of the rig, where a visit begins. @type {(cameras: RigCamera[]) => number} */
 export function homeCamera(cameras) {
-  const poses = cameras.map((camera) => fromCamera(camera, 1));
   /** @type {Vec3} */
   let middle = [0, 0, 0];
-  for (const pose of poses) middle = add(middle, pose.position, 1 / poses.length);
-  const reach = poses.map((pose) => Math.hypot(...add(pose.position, middle, -1)));
+  for (const camera of cameras) middle = add(middle, fromCamera(camera, 1).position, 1 / cameras.length);
+  const reach = cameras.map((camera) => distanceTo(middle, camera));
   return Math.max(0, reach.indexOf(Math.min(...reach)));
 }
 

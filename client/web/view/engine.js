@@ -2,7 +2,7 @@
 
 import { SceneDecoder } from "../decode/decoder.js";
 import { Expander, MIN_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";
-import { add, fromCamera } from "./camera.js";
+import { add, distanceTo } from "./camera.js";
 import { DepthSort, fillQuads } from "./sort.js";
 import { anchorCount, versionOf } from "../decode/scene.js";
 
@@ -19,11 +19,12 @@ import { anchorCount, versionOf } from "../decode/scene.js";
 /**
  * What the renderer needs next.
  * @typedef {object} Picture
- * @property {number} generation - grows when the texture must be made anew
+ * @property {number} generation - grows when the texture must be made anew, as with each keyframe
  * @property {number} rows - of the texture
  * @property {{ first: number, data: Uint32Array }[]} spans - texture rows that changed
  * @property {Uint32Array} quads
  * @property {number} splats
+ * @property {number} [anchors] - alive
  * @property {number} version
  * @property {number} missing - finest levels of the scene that are not there
  * @property {number} expandMs
@@ -68,6 +69,7 @@ export class Engine {
     if (!this.expander || replaced) {
       // A keyframe, or a part of one: anchors are numbered anew.
       this.expander = new Expander(scene, this.kernel);
+      this.capacity = 0;
       this.pending.clear();
       for (let level = 0; level < scene.levels.length; level++) this.#admit(level, 0);
       this.fresh = true;
@@ -129,7 +131,7 @@ export class Engine {
     const sorted = performance.now();
     const quads = this.#order(view);
     return {
-      generation: this.generation, rows: this.capacity, spans, quads, splats: quads.length / 6, version: newest,
+      generation: this.generation, rows: this.capacity, spans, quads, splats: quads.length / 6, anchors: anchorCount(scene), version: newest,
       missing: Math.clz32(visible) - Math.clz32((1 << scene.levels.length) - 1),
       expandMs: sorted - start, sortMs: performance.now() - sorted,
     };
@@ -139,8 +141,7 @@ export class Engine {
   #moved(position) {
     const { scene } = this;
     if (!scene?.header.viewDependent) return false;
-    const moved = Math.hypot(...position.map((x, i) => x - this.expandedFrom[i]));
-    const reach = Math.hypot(...position.map((x, i) => x - this.centre[i]));
+    const [moved, reach] = [this.expandedFrom, this.centre].map((place) => Math.hypot(...add(position, place, -1)));
     return this.fresh || !(moved <= TURN * reach);
   }
 
@@ -199,7 +200,7 @@ export class Engine {
 
   /** Nothing is drawn within this distance of there (`near_radius` in core/scene/expand.py). @param {Vec3} position */
   #near(position) {
-    const away = this.scene?.header.cameras.map((camera) => Math.hypot(...add(fromCamera(camera, 1).position, position, -1)));
+    const away = this.scene?.header.cameras.map((camera) => distanceTo(position, camera));
     return away?.length ? NEAR_SHARE * Math.min(...away) : 0;
   }
 
@@ -251,12 +252,6 @@ export class Engine {
     depths.sort((a, b) => a - b);
     return depths.length ? depths[depths.length >> 1] : 0;
   }
-
-  /** Numbers for the overlay. */
-  summary() {
-    const { scene } = this;
-    return scene && { anchors: anchorCount(scene), levels: scene.levels.length, splats: this.activeCount };
-  }
 }
 
 /** @type {(count: number) => Uint32Array} */
@@ -271,5 +266,5 @@ function middle(scene, expander) {
     count += scene.levels[l].count;
     for (let i = 0; i < 3 * scene.levels[l].count; i++) sum[i % 3] += anchor[i];
   });
-  return [sum[0] / (count || 1), sum[1] / (count || 1), sum[2] / (count || 1)];
+  return add([0, 0, 0], sum, 1 / (count || 1));
 }

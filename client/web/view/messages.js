@@ -17,10 +17,8 @@
  *
  * @typedef {{ version: number, versions: number[], digests: number[], splats: Float32Array }} Inspection
  *
- * @typedef {{ anchors: number, levels: number, splats: number }} Summary
- *
- * @typedef {{ type: "picture", timeMs?: number, decodeMs: number, position: Position | null, summary: Summary | null,
- *   drawn?: { width: number, height: number, quality: number } }
+ * @typedef {{ type: "picture", timeMs?: number, decodeMs: number, position: Position | null,
+ *   overMs?: number | null, drawn?: { width: number, height: number, quality: number } }
  *   & import("./engine.js").Picture} PictureMessage
  *
  * @typedef {{ cameras: RigCamera[], background: [number, number, number], fps: number, levels: number, viewDependent: boolean }} SceneFacts

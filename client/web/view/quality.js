@@ -1,4 +1,4 @@
-/** Auto, high or low: what is given up while the picture moves, and how many levels are asked for. */
+/** Auto, high or low: what is given up while things move, and how many levels are asked for. */
 
 /** @typedef {"auto" | "high" | "low"} Name */
 
@@ -13,10 +13,7 @@ const MAX_FRAME_MS = 70; // so that a drag is answered within 100 ms
 const PATIENCE = 2, COURAGE = 8; // measurements in a row before a step down or up
 const COOL_DOWN = 40; // heartbeats before a step that proved too slow is tried again
 
-/**
- * What auto gives up while things move, little by little: fraction of the screen's resolution, and of the splats. Those
- * that are near and in the middle go last, and those that are left grow (renderer.js). What rests is always drawn in full.
- */
+/** What auto gives up while things move, little by little: shares of the screen's resolution and of the splats (renderer.js). */
 const STEPS = [
   { resolution: 1, share: 1 }, { resolution: 0.75, share: 1 }, { resolution: 0.6, share: 0.5 }, { resolution: 0.5, share: 0.3 },
   { resolution: 0.4, share: 0.15 }, { resolution: 0.35, share: 0.08 }, { resolution: 0.35, share: 0.05 },

@@ -14,12 +14,11 @@ const SPREAD = 2; // area that coarser splats cover for each level that is missi
 
 const VERTEX = `#version 300 es
 precision highp usampler2D;
-uniform usampler2D splats;
+uniform usampler2D splats, before;
+uniform float moved;        // share of the way from there
 uniform mat3 rotation;      // world to camera
 uniform vec3 translation;
-uniform vec2 viewport;      // pixels
-uniform vec2 focal;         // pixels
-uniform vec2 principal;     // pixels
+uniform vec2 viewport, focal, principal; // pixels
 uniform float share;        // of the splats that are drawn where it matters least to leave some out; 1: all
 uniform float range;        // distance up to which splats count as near
 uniform float spread;       // area that each splat has to cover, in areas of its own; 1 where no level is missing
@@ -35,6 +34,10 @@ void main() {
   vec4 upper = uintBitsToFloat(texelFetch(splats, at + ivec2(1, 0), 0));
   uvec4 last = texelFetch(splats, at + ivec2(2, 0), 0);
   vec2 lower = uintBitsToFloat(last.xy);
+  if (moved < 1.) {                                    // places and opacities, as core/scene/interpolate.py
+    vec4 old = uintBitsToFloat(texelFetch(before, at, 0));
+    mean = mix(old, mean, vec4(vec3(old.w > 0. ? moved : 1.), moved)); // what is new fades in where it is
+  }
   vec3 c = rotation * mean.xyz + translation;
   if (c.z < .01 || mean.w < 1. / 255.) return;
   vec2 way = c.xy / c.z, aside = abs((focal * way + principal) / viewport - .5);
@@ -73,8 +76,8 @@ void main() {
  * @property {ArrayLike<number>} translation - 3
  * @property {[number, number]} focal - pixels
  * @property {[number, number]} principal - pixels
- * @property {number} [share] - of the splats that is drawn; those left have to cover more
- * @property {number} [range] - distance up to which splats count as near, world units
+ * @property {number} [share] - as in the shader
+ * @property {number} [range]
  */
 
 /** 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below it. @type {(splat: number) => number} */
@@ -91,14 +94,15 @@ export class Renderer {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("no WebGL2");
     this.gl = gl;
-    const program = (this.program = this.#link());
-    /** @type {Record<string, WebGLUniformLocation | null>} */
-    this.at = {};
-    for (const name of ["rotation", "translation", "viewport", "focal", "principal", "share", "range", "spread"]) this.at[name] = gl.getUniformLocation(program, name);
+    this.program = this.#link();
     this.quads = gl.createBuffer();
     this.array = gl.createVertexArray();
     this.texture = gl.createTexture();
+    this.before = gl.createTexture(); // of the state before
+    this.source = gl.createFramebuffer(); // to copy from
     this.rows = 0;
+    this.movesFrom = this.movesFor = 0; // ms: since when it moves on from there, and for how long
+    this.moved = 1; // share of the way that is drawn
     /** @type {Uint32Array} */
     this.order = new Uint32Array(0);
     this.uploaded = 1; // share of it that the graphics card has
@@ -106,8 +110,13 @@ export class Renderer {
     this.missing = 0; // finest levels of the scene that are not there
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+    for (const [i, texture] of [this.before, this.texture].entries()) {
+      gl.activeTexture(gl.TEXTURE0 + i);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.source);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
     gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
     gl.enable(gl.SCISSOR_TEST); // clearing one eye's part must not clear the other's
@@ -141,12 +150,24 @@ export class Renderer {
    * Take new texture rows; a scene of another size starts afresh.
    * @param {number} rows - of the whole scene
    * @param {{ first: number, data: Uint32Array }[]} spans - `first` row and whole rows of splats
+   * @param {number | null} [overMs] - to move on from the state before; null: it is the same state
    */
-  update(rows, spans) {
+  update(rows, spans, overMs = null) {
     const { gl } = this;
+    if (overMs !== null) {
+      this.movesFrom = performance.now();
+      this.movesFor = overMs;
+    }
+    if (overMs && this.rows) {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.source);
+      gl.activeTexture(gl.TEXTURE0);
+      gl.copyTexImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, 0, 0, WIDTH, this.rows, 0);
+      gl.activeTexture(gl.TEXTURE1);
+    }
     if (rows > this.rows) {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, WIDTH, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, null);
       this.rows = rows;
+      this.movesFor = 0; // there is nothing to move on from
     }
     for (const { first, data } of spans) {
       const height = data.length / (4 * WIDTH);
@@ -187,8 +208,7 @@ export class Renderer {
 
   /** @param {View} view @param {Target} [target] - the canvas where none is given */
   draw(view, target) {
-    const { gl } = this;
-    const { framebuffer, x, y, width, height } = target ?? { framebuffer: null, x: 0, y: 0, width: gl.canvas.width, height: gl.canvas.height };
+    const { gl } = this, { framebuffer, x, y, width, height } = target ?? { framebuffer: null, x: 0, y: 0, width: gl.canvas.width, height: gl.canvas.height };
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
@@ -196,17 +216,21 @@ export class Renderer {
     else gl.clearColor(...this.background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (this.uploaded !== (view.share ?? 1)) this.#upload(view.share ?? 1);
+    const age = performance.now() - this.movesFrom;
+    this.moved = age < this.movesFor ? age / this.movesFor : 1;
     if (!this.count) return;
-    const { at } = this;
+    const at = (/** @type {string} */ name) => gl.getUniformLocation(this.program, name);
     gl.useProgram(this.program);
-    gl.uniformMatrix3fv(at.rotation, true, Float32Array.from(view.rotation));
-    gl.uniform3fv(at.translation, Float32Array.from(view.translation));
-    gl.uniform2f(at.viewport, width, height);
-    gl.uniform2f(at.focal, ...view.focal);
-    gl.uniform2f(at.principal, ...view.principal);
-    gl.uniform1f(at.share, view.share ?? 1);
-    gl.uniform1f(at.range, view.range ?? 1);
-    gl.uniform1f(at.spread, SPREAD ** this.missing);
+    gl.uniformMatrix3fv(at("rotation"), true, Float32Array.from(view.rotation));
+    gl.uniform3fv(at("translation"), Float32Array.from(view.translation));
+    gl.uniform2f(at("viewport"), width, height);
+    gl.uniform2f(at("focal"), ...view.focal);
+    gl.uniform2f(at("principal"), ...view.principal);
+    gl.uniform1f(at("share"), view.share ?? 1);
+    gl.uniform1f(at("range"), view.range ?? 1);
+    gl.uniform1f(at("spread"), SPREAD ** this.missing);
+    gl.uniform1i(at("splats"), 1);
+    gl.uniform1f(at("moved"), this.moved);
     gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
   }
 
@@ -214,6 +238,8 @@ export class Renderer {
   destroy() {
     const { gl } = this;
     gl.deleteTexture(this.texture);
+    gl.deleteTexture(this.before);
+    gl.deleteFramebuffer(this.source);
     gl.deleteBuffer(this.quads);
     gl.deleteVertexArray(this.array);
     gl.deleteProgram(this.program);

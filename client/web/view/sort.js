@@ -3,7 +3,7 @@
 const BITS = 11, BUCKETS = 1 << BITS;
 export const NEAR = 0.01; // splats nearer than this are not drawn, as in the other renderers
 
-/** Working memory that grows with the scene. */
+/** Its memory grows with the scene. */
 export class DepthSort {
   constructor() {
     this.depth = new Float32Array(0);

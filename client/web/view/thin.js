@@ -6,6 +6,7 @@
 
 import { heard, nameOf } from "../stream/heard.js";
 import { Link } from "../stream/link.js";
+import { centre } from "./camera.js";
 
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
 /** @typedef {import("./renderer.js").View} View */
@@ -31,7 +32,8 @@ export class Screen {
     this.hardware = "server";
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
-    this.missing = 0;
+    this.missing = this.movesFor = 0;
+    this.moved = 1;
   }
 
   update() {}
@@ -191,7 +193,7 @@ export class ThinLink extends Link {
       if (this.stopAt !== null && session.status.mode === "live" && version >= this.stopAt) this.#command({ type: "pause" });
       const drawn = { width: head.getUint16(12, true), height: head.getUint16(14, true), quality: head.getUint8(16) };
       this.#tell({
-        type: "picture", generation: 0, rows: 0, spans: [], quads: new Uint32Array(0), splats: 0, missing: 0, version, summary: null, drawn,
+        type: "picture", generation: 0, rows: 0, spans: [], quads: new Uint32Array(0), splats: 0, missing: 0, version, drawn,
         position: session.status.position, decodeMs: performance.now() - start, expandMs: head.getUint32(20, true) / 1000, sortMs: 0,
       });
     } else bitmap.close();
@@ -213,8 +215,7 @@ export class ThinLink extends Link {
   /** The page drew `view` on a canvas of that size: tell the server, if that is news. @param {View} view @param {number} width @param {number} height */
   look({ rotation, translation: t, focal, principal }, width, height) {
     const r = Array.from(rotation);
-    const position = [0, 1, 2].map((i) => -(r[i] * t[0] + r[3 + i] * t[1] + r[6 + i] * t[2]));
-    this.view = JSON.stringify({ type: "view", width, height, rotation: r, position, focal, principal });
+    this.view = JSON.stringify({ type: "view", width, height, rotation: r, position: centre(r, t), focal, principal });
     this.#sendView();
   }
 

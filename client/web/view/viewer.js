@@ -3,7 +3,7 @@
  * Fires `scene`, `picture`, `status`, `refused` and `frame` events.
  */
 
-import { between, fromCamera, homeCamera, rigUp, target } from "./camera.js";
+import { between, dot, fromCamera, homeCamera, rigUp, row, target } from "./camera.js";
 import { held, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
 
@@ -111,7 +111,7 @@ export class Viewer extends EventTarget {
       case "picture": {
         if (message.generation !== this.generation) this.renderer.clear();
         this.generation = message.generation;
-        this.renderer.update(message.rows, message.spans);
+        this.renderer.update(message.rows, message.spans, message.overMs);
         this.renderer.setOrder(message.quads);
         this.renderer.missing = message.missing;
         this.picture = { ...message, spans: [], quads: new Uint32Array(0) };
@@ -123,6 +123,7 @@ export class Viewer extends EventTarget {
         break;
       case "status":
         this.status = message.status;
+        if (message.status.mode !== "replay") this.renderer.movesFor = 0; // only true states stand still
         break;
       case "picked":
       case "inspected":
@@ -227,7 +228,7 @@ export class Viewer extends EventTarget {
     const { rotation, position, focal, stretch, shift } = this.pose;
     // On a narrow screen all that a camera of the rig sees from left to right is kept, and more above and below.
     const unit = Math.min(height, width / Math.max(this.aspect, 1));
-    const translation = [0, 1, 2].map((i) => -rotation[3 * i] * position[0] - rotation[3 * i + 1] * position[1] - rotation[3 * i + 2] * position[2]);
+    const translation = [0, 1, 2].map((i) => -dot(row(rotation, i), position));
     const scale = focal * unit;
     return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
       share: this.resting ? 1 : this.share, range: this.pose.distance };
@@ -253,10 +254,10 @@ export class Viewer extends EventTarget {
       this.resting = rested;
       this.resize();
     }
-    this.dirty = false;
     this.drew = !rested;
     this.drewAll = rested || !isCut;
     this.draw();
+    this.dirty = this.renderer.moved < 1;
     const elapsed = now - this.lastDraw;
     this.lastDraw = now;
     if (elapsed < 1000) this.fps += (1000 / Math.max(elapsed, 1) - this.fps) * (this.frames++ < 3 ? 1 : 0.1);

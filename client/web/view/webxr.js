@@ -42,7 +42,7 @@ function seen(stand, { transform, projectionMatrix: p }, width, height) {
   return { rotation, translation, focal: [(p[0] * width) / 2, (p[5] * height) / 2], principal: [(width / 2) * (1 - p[8]), (height / 2) * (1 + p[9])] };
 }
 
-/** Begin; must follow a click or a key. @param {Viewer} viewer @param {"immersive-vr" | "immersive-ar"} mode @returns {Promise<XRSession>} */
+/** Must follow a click or a key. @param {Viewer} viewer @param {"immersive-vr" | "immersive-ar"} mode @returns {Promise<XRSession>} */
 export async function enter(viewer, mode) {
   const renderer = /** @type {import("./renderer.js").Renderer} */ (viewer.renderer), isSeeThrough = mode === "immersive-ar";
   const session = await /** @type {XRSystem} */ (navigator.xr).requestSession(mode);

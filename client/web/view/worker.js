@@ -15,6 +15,7 @@ const kernel = fetch(new URL("../decode/kernel.wasm", import.meta.url))
   .then(loadKernel);
 
 const MAX_HOLD_MS = 1500;
+const MAX_MOVE_MS = 1000; // from state to state
 
 /** @type {Engine | null} */
 let engine = null;
@@ -24,11 +25,12 @@ let source = null;
 let file = null;
 /** @type {import("./engine.js").EngineView | null} */
 let view = null;
-let drawn = { keyframe: -1, generation: -1 };
+let keyframe = -1; // of the scene that was told of
 let scheduled = false;
 let refusals = 0;
 let decodeMs = 0;
 let timeMs = 0; // presentation time of the newest frame
+let before = { version: -1, timeMs }; // of the newest picture
 /** @type {number | null} version to reach before the next picture */
 let held = null;
 /** @type {import("./messages.js").Position | null} */
@@ -82,18 +84,22 @@ function answer({ type, id, origin, direction }) {
 function picture() {
   const scene = engine?.scene;
   if (!engine || !scene || held !== null) return;
-  if (scene.keyframe !== drawn.keyframe || drawn.generation < 0) {
-    drawn = { keyframe: scene.keyframe, generation: engine.generation };
+  if (scene.keyframe !== keyframe) {
+    ({ keyframe } = scene);
     const { cameras, background, fps, levels, viewDependent } = scene.header;
     tell({ type: "scene", cameras, background: [background[0], background[1], background[2]], fps, levels, viewDependent });
   }
   if (!view) return;
   const result = engine.picture(view);
   if (!result) return;
-  const { spans, quads } = result;
+  const { spans, quads, version } = result;
+  // Not what is live: moving on shows it later.
+  const overMs = source?.session.status.mode === "replay" && version === before.version + 1
+    ? Math.min((timeMs - before.timeMs) / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
+  before = { version, timeMs };
   const transfer = [quads.buffer, ...spans.map(({ data }) => data.buffer)];
   const position = (shownAt = source?.session.status.position ?? null);
-  tell({ type: "picture", ...result, timeMs, decodeMs, position, summary: engine.summary() }, /** @type {any} */ (transfer));
+  tell({ type: "picture", ...result, timeMs, overMs, decodeMs, position }, /** @type {any} */ (transfer));
   questions.forEach(answer);
   questions = [];
 }

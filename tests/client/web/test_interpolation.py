@@ -1,0 +1,129 @@
+"""Pictures between the states of a stream that is played: drawn while it plays, never while it stands or is live."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from codec.container import SlodWriter
+from codec.encoder import encode_keyframe, encode_residual
+from core.render import cpu
+from core.scene.anchors import Scene
+from core.scene.interpolate import interpolate
+from core.scene.residual import difference
+from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
+from tests.client.web.scenes import make_scene
+from tests.client.web.test_browser import picture, psnr, reference, shows
+
+pytestmark = pytest.mark.browser
+
+STATES = 8
+STATE_NS = 600_000_000
+COUNT_PICTURES = """
+window.drawn = new Set();
+const draw = WebGL2RenderingContext.prototype.drawElements;
+WebGL2RenderingContext.prototype.drawElements = function (...all) {
+  draw.apply(this, all);
+  const { width, height } = this.canvas, pixels = new Uint32Array(width * height);
+  this.readPixels(0, 0, width, height, this.RGBA, this.UNSIGNED_BYTE, new Uint8Array(pixels.buffer));
+  drawn.add(pixels.reduce((hash, pixel) => Math.imul(hash, 31) + pixel | 0, 0));
+};
+"""
+
+
+def slow_recording(folder: Path, states: list[Scene]) -> Path:
+    """The states as `slow.slod`, 0.6 s apart; a keyframe where one begins."""
+    with SlodWriter(folder / "slow.slod") as writer:
+        for number, state in enumerate(states):
+            if state.version == state.keyframe:
+                writer.append(encode_keyframe(state, time_ns=number * STATE_NS))
+            else:
+                before = states[number - 1]
+                writer.append(encode_residual(before, difference(before, state), time_ns=number * STATE_NS))
+    return folder / "slow.slod"
+
+
+@pytest.fixture(scope="module")
+def states() -> list[Scene]:
+    """States of a scene in which one knot turns."""
+    return make_clip(make_scene(400, view_dependent=False), STATES).states
+
+
+def picture_between(states: list[Scene], version: int, share: float) -> np.ndarray:
+    """What Python draws that much of the way to a version, as the third camera of the rig sees it."""
+    before, after = states[version - 1], states[version]
+    camera = after.header.cameras[2]
+    cloud = interpolate(before, after, share, camera.centre)
+    return np.asarray(cpu.render(cloud, camera, after.header.background).image, np.float64)
+
+
+def test_a_recording_moves_smoothly_and_stands_at_true_states(
+    page: Any, clip: Clip, states: list[Scene], tmp_path: Path
+) -> None:
+    """More pictures are drawn than there are states, as Python interpolates them; paused, it is a state to the bit."""
+    slow_recording(tmp_path, states)
+    page.add_init_script(COUNT_PICTURES)
+    with serving(create_app(clip, Behaviour(), tmp_path)) as url:
+        page.goto(f"{url}/?src=files/slow.slod&ui=0&quality=high")
+        shows(page, f"s.version === {STATES - 1} && s.phase === 'ended'")
+        assert page.evaluate("drawn.size") > 2 * STATES
+        assert psnr(picture(page), reference(states[-1], states[-1].header.cameras[2])) >= 35
+
+        shares = np.linspace(0, 1, 21)
+        page.evaluate("streamlod.loop(true); streamlod.play()")
+        shows(page, "s.version === 1")
+        limit = time.monotonic() + 60
+        while True:
+            version = page.evaluate("streamlod.state.version")
+            seen = picture(page)
+            if not version or page.evaluate("streamlod.state.version") != version:
+                continue
+            found = [psnr(picture_between(states, version, share), seen) for share in shares]
+            if 0.25 < shares[np.argmax(found)] < 0.75:
+                break
+            assert time.monotonic() < limit, "every picture was that of a state"
+        assert max(found) >= 35
+        assert max(found) > max(found[0], found[-1]) + 3
+
+        phase = "ended"
+        while phase != "paused":  # the last state, which it ends at, may come before it is told to pause
+            page.evaluate("streamlod.play(); streamlod.seek(1)")
+            shows(page, "s.version > 1 && s.phase === 'replay'")
+            page.evaluate("streamlod.pause()")
+            shows(page, "s.phase === 'paused' || s.phase === 'ended'")
+            phase = page.evaluate("streamlod.state.phase")
+        version, paused = page.evaluate("streamlod.state.version"), picture(page)
+        page.evaluate(f"streamlod.seek({(version + 3) % STATES})")
+        shows(page, f"s.version === {(version + 3) % STATES}")
+        page.evaluate(f"streamlod.seek({version})")
+        shows(page, f"s.version === {version}")
+        np.testing.assert_array_equal(picture(page), paused)
+
+
+def test_a_keyframe_is_switched_to(page: Any, clip: Clip, states: list[Scene], tmp_path: Path) -> None:
+    """Rows of another keyframe are other anchors, as many as they may be: there is nothing between them."""
+    levels = tuple(replace(level, latent=np.zeros_like(level.latent)) for level in states[-1].levels)
+    other = replace(states[-1], levels=levels, keyframe=1, version=1, identifier=1)
+    slow_recording(tmp_path, [states[0], other])
+    page.add_init_script(COUNT_PICTURES)
+    with serving(create_app(clip, Behaviour(), tmp_path)) as url:
+        page.goto(f"{url}/?src=files/slow.slod&ui=0&quality=high")
+        shows(page, "s.version === 0")
+        page.evaluate("drawn.clear()")  # of what may have come level by level
+        shows(page, "s.version === 1 && s.phase === 'ended'")
+        assert page.evaluate("drawn.size") <= 2
+
+
+def test_what_is_live_is_shown_at_once(page: Any, clip: Clip) -> None:
+    """No picture waits for the next state: a live stream shows its states and no others."""
+    page.add_init_script(COUNT_PICTURES)
+    with serving(create_app(clip, Behaviour(fps=3, newest=6))) as url:
+        page.goto(f"{url}/?ui=0&quality=high")
+        shows(page, "s.version === 6")
+        page.wait_for_timeout(500)
+        assert page.evaluate("drawn.size") <= 7
