@@ -25,7 +25,7 @@ from core.train.field.exposure import fitted, neutral
 from core.train.field.field import Field
 from core.train.field.rendered import rendered
 from core.train.field.rounding import Precision
-from core.train.growth.later import later_growth
+from core.train.growth.later import Allowance, later_growth
 from core.train.growth.near_space import near_space
 from core.train.keyframe.seeding import seed_field
 from core.train.keyframe.trainer import KeyframeTrainer
@@ -250,7 +250,7 @@ class Trainer:
                     guess,
                 )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
-                growth = later_growth(self._config.predict), self._most_new(plan, state)
+                growth = later_growth(self._config.predict), self._allowance(plan, state, len(rows))
                 update = trainer.run(config, self._backend, generator, self._pace, *growth)
         with watch.stage("round"):
             if plan is not None:
@@ -263,7 +263,7 @@ class Trainer:
             scene = apply(state.scene, residual)
             before = update.sent * 0 if state.change is None else state.change[rows].cpu().numpy()
             start = update.continued(config.continuation, before, done=done)
-            after = state.after(residual, scene, partition, rows, update.sent, start)
+            after = state.after(residual, scene, partition, rows, update, start)
         with watch.stage("settle"):
             if trainer is not None:
                 alive = after.alive.cpu().numpy()
@@ -319,18 +319,19 @@ class Trainer:
         plan = None if self._rate is None else self._rate.plan()
         return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
 
-    def _most_new(self, plan: RatePlan | None, state: State) -> int:
-        """Anchors that the next frame may add.
+    def _allowance(self, plan: RatePlan | None, state: State, trained: int) -> Allowance:
+        """Anchors of which the next frame may send all numbers, if it trains so many.
 
         None while a refresh keyframe trains beside the stream, which has no counterpart of them.
         """
         if self._pending.is_beside(state):
-            return 0
+            return Allowance()
         alive, config = state.scene.anchor_count, self._config
         room = config.model.max_anchors
         limit = min(room, max(round((1 + config.predict.growth_room) * self._first_count), int(_ALWAYS_ROOM * room)))
-        most = min(int(config.predict.growth_share * alive), max(limit - alive, 0))
-        return most if plan is None else min(most, plan.most_new)
+        new = min(int(config.predict.growth_share * alive), max(limit - alive, 0))
+        whole = new + trained
+        return Allowance(new, whole) if plan is None else Allowance(min(new, plan.most_new), min(whole, plan.most_new))
 
     def _partition(
         self, cue: MotionCue, state: State, frames: FrameSet, views: Views, masks: Tensor

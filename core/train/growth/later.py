@@ -46,6 +46,18 @@ class HalfTrained:
     most: int
 
 
+@dataclass(frozen=True, slots=True)
+class Allowance:
+    """How many anchors a later frame may send with all their numbers.
+
+    Attributes:
+        new: that are added. whole: in all, with those that take the place of others.
+    """
+
+    new: int = 0
+    whole: int = 0
+
+
 class LaterGrowth(Protocol):
     """Decides where anchors are added while a later frame trains."""
 

@@ -25,13 +25,18 @@ def mean_motion(before: Tensor | None, motion: Tensor) -> Tensor:
     return _LATEST * motion if before is None else torch.lerp(before, motion, _LATEST)
 
 
-def moves_steadily(motion: Tensor | None, positions: Tensor, cameras: Sequence[Camera]) -> Bool:
-    """[N] bool: whose mean `motion` [N,3] at `positions` [N,3] is a twentieth of a pixel a frame to any camera."""
-    if motion is None:
-        return np.zeros(len(positions), np.bool_)
+def pixels_a_unit(positions: Tensor, cameras: Sequence[Camera]) -> Tensor:
+    """[N] how many pixels a world unit at `positions` [N,3] is wide at most, in the camera that sees it largest."""
     most = torch.zeros(len(positions), device=positions.device)
     for camera in cameras:
         centre = torch.from_numpy(camera.centre).to(positions)
         scale = float(camera.intrinsics[0, 0]) / (positions - centre).norm(dim=1).clamp_min(1e-6)
         most = torch.maximum(most, scale)
-    return np.asarray((motion.norm(dim=1) * most >= _PIXELS).cpu().numpy())
+    return most
+
+
+def moves_steadily(motion: Tensor | None, positions: Tensor, cameras: Sequence[Camera]) -> Bool:
+    """[N] bool: whose mean `motion` [N,3] at `positions` [N,3] is a twentieth of a pixel a frame to any camera."""
+    if motion is None:
+        return np.zeros(len(positions), np.bool_)
+    return np.asarray((motion.norm(dim=1) * pixels_a_unit(positions, cameras) >= _PIXELS).cpu().numpy())

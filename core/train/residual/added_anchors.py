@@ -19,7 +19,7 @@ from core.scene.keyframe import coarseness
 from core.train.field.field import Field
 from core.train.optimise.optimisers import RowOptimiser
 
-_RATES = {"feature": 0.02, "offset": 0.04, "scaling": 0.03}  # those of the first frame (`KeyframeConfig`)
+RATES = {"feature": 0.02, "offset": 0.04, "scaling": 0.03}  # those of the first frame (`KeyframeConfig`)
 _SLOWLY = ("feature", "scaling")  # decay to the square root of what the others decay to, as there
 
 
@@ -35,9 +35,9 @@ class AddedAnchors:
     def __init__(self, start: dict[str, Tensor], known: Field, scene: Scene, optimiser: RowOptimiser) -> None:
         header, device = scene.header, known.feature.device
         base = (header.feature_steps, header.offset_steps.reshape(-1, 3), header.scaling_steps)
-        steps = dict(zip(_RATES, (torch.from_numpy(width.copy()).to(device) for width in base), strict=True))
+        steps = dict(zip(RATES, (torch.from_numpy(width.copy()).to(device) for width in base), strict=True))
         steps = {name: width * _usual_coarseness(scene) for name, width in steps.items()}
-        self._rates = {name: rate / float(steps[name].mean()) for name, rate in _RATES.items()}
+        self._rates = {name: rate / float(steps[name].mean()) for name, rate in RATES.items()}
         steps["position"] = torch.from_numpy(header.position_steps).to(device)[start["level"]][:, None]
         cell = known.octree.root_cell / 2.0 ** start["level"].double()
         origin = torch.from_numpy(known.octree.origin).to(device)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float32
+from core.arrays import Float32, Int64
 from core.scene.anchors import Scene
 from core.scene.expand import anchor_positions, dequantise
 from core.scene.residual import Residual
@@ -16,6 +16,7 @@ from core.train.field.convert import field_of, level_starts
 from core.train.field.field import Field
 from core.train.motion.partition import Partition, all_static
 from core.train.motion.steady import mean_motion
+from core.train.residual.update import IntegerUpdate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +29,8 @@ class State:
         references: [C,H,W,3] pictures that new ones are compared with: what was filmed when a change was last
             accepted, or what the state shows where training of that goes on; NaN for cameras not seen yet; None after
             a resume.
+        harmful: [N] int64 on the CPU, frames in a row in which the pictures would have been better without the anchor;
+            None for zeros.
         filmed: [C,H,W,3] what was filmed when a change was last accepted, also where training goes on; None: the same
             as `references`.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
@@ -47,6 +50,7 @@ class State:
     start: Tensor | None = None
     motion: Tensor | None = None
     filmed: Tensor | None = None
+    harmful: Tensor | None = None
 
     @property
     def alive(self) -> Tensor:
@@ -63,15 +67,21 @@ class State:
         return all(torch.equal(getattr(self.field, name), getattr(self.canonical, name)) for name in names)
 
     def after(
-        self, residual: Residual, scene: Scene, partition: Partition, rows: Tensor, change: Float32, start: Float32
+        self,
+        residual: Residual,
+        scene: Scene,
+        partition: Partition,
+        rows: Tensor,
+        update: IntegerUpdate,
+        start: Float32,
     ) -> State:
         """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
 
         Args:
-            rows: [n] trained rows, with their `change` [n,27] and where to `start` [n,27] in the next frame.
+            rows: [n] trained rows, with their `update` and where to `start` [n,27] in the next frame.
         """
         if any(len(part.added) for part in residual.levels):
-            return self._with_added_rows(residual, scene, partition, rows, change, start)
+            return self._with_added_rows(residual, scene, partition, rows, update, start)
         field, starts = self.field, level_starts(scene)
         device = field.feature.device
         feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
@@ -86,28 +96,48 @@ class State:
         motion = mean_motion(self.motion, position - field.position)
         field = replace(field, feature=feature, offset=offset, position=position)
         changes, starts_at = torch.zeros(2, len(field), start.shape[1], device=device)
-        changes[rows], starts_at[rows] = torch.from_numpy(change).to(device), torch.from_numpy(start).to(device)
+        changes[rows], starts_at[rows] = torch.from_numpy(update.sent).to(device), torch.from_numpy(start).to(device)
         return replace(
-            self, scene=scene, field=field, partition=partition, change=changes, start=starts_at, motion=motion
+            self,
+            scene=scene,
+            field=field,
+            partition=partition,
+            change=changes,
+            start=starts_at,
+            motion=motion,
+            harmful=_spread(update.harmful, rows, len(field)),
         )
 
     def _with_added_rows(
-        self, residual: Residual, scene: Scene, partition: Partition, rows: Tensor, change: Float32, start: Float32
+        self,
+        residual: Residual,
+        scene: Scene,
+        partition: Partition,
+        rows: Tensor,
+        update: IntegerUpdate,
+        start: Float32,
     ) -> State:
-        """As `after`, where anchors were added: rows of finer levels move up; new ones count as dynamic."""
+        """As `after`, where anchors were added: rows of finer levels move up; new ones count as dynamic.
+
+        What is kept of an anchor goes to the one that took its place.
+        """
         device = str(self.field.feature.device)
         before, origins = level_starts(self.scene), []
         for number, part in enumerate(residual.levels):
             origins += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
         origin = np.concatenate(origins)
+        if update.heirs is not None:
+            of_rows = rows.cpu().numpy()[np.maximum(update.heirs, 0)]
+            origin[origin < 0] = np.where(update.heirs >= 0, of_rows, -1)
         field = replace(field_of(scene).to(device), by_distance=self.field.by_distance)
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)
         canonical = self.canonical.with_rows(known).with_values(new, field)
         is_known = torch.from_numpy(origin >= 0).to(device)[:, None]
         changes, starts_at = torch.zeros(2, len(self.field), start.shape[1], device=device)
-        changes[rows], starts_at[rows] = torch.from_numpy(change).to(device), torch.from_numpy(start).to(device)
+        changes[rows], starts_at[rows] = torch.from_numpy(update.sent).to(device), torch.from_numpy(start).to(device)
         mean = None if self.motion is None else self.motion[known] * is_known
+        harmful = _spread(update.harmful, rows, len(self.field))
         motion = mean_motion(mean, (field.position - self.field.position[known]) * is_known)
         return replace(
             self,
@@ -118,7 +148,15 @@ class State:
             change=changes[known] * is_known,
             start=starts_at[known] * is_known,
             motion=motion,
+            harmful=None if harmful is None else harmful[known.cpu()] * is_known[:, 0].cpu(),
         )
+
+
+def _spread(harmful: Int64 | None, rows: Tensor, anchors: int) -> Tensor | None:
+    """[N] `harmful` at `rows`, zeros elsewhere."""
+    if harmful is None:
+        return None
+    return torch.zeros(anchors, dtype=torch.int64).index_copy_(0, rows.cpu(), torch.from_numpy(harmful))
 
 
 def fresh_state(

@@ -8,34 +8,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float32, Int32
+from core.arrays import Bool
 from core.render.backends import Backend
-from core.scene.anchors import LATENTS
 from core.train.config import PredictConfig
 from core.train.control.frame_budget import FixedSteps, FrameProgress
 from core.train.field.decode import Splats
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
-from core.train.field.rounding import dead_zone
 from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.later import HalfTrained, LaterGrowth
-from core.train.growth.new_anchors import added_levels
+from core.train.growth.later import Allowance, HalfTrained, LaterGrowth
 from core.train.motion.partition import Partition
+from core.train.motion.steady import pixels_a_unit
 from core.train.optimise.convergence import EpochProgress
 from core.train.optimise.loop import run_steps
 from core.train.optimise.losses import photometric_loss
 from core.train.optimise.optimisers import Adam, Optimiser
-from core.train.optimise.rate import residual_bits
 from core.train.optimise.schedule import ViewOrder
 from core.train.pictures.views import Views
-from core.train.residual.added_anchors import AddedAnchors
-from core.train.residual.apply import UnitChange, applied
-from core.train.residual.groups import Groups, neighbourhoods
+from core.train.residual.anchors import TrainedAnchors
+from core.train.residual.harmful import Judgement, error_without, judged, nothing_judged
+from core.train.residual.rewriting import pull_of, rewritten_anchors
 from core.train.residual.search import better_starts
 from core.train.residual.state import State
 from core.train.residual.tile_cache import TileCache, make_tile_cache
@@ -46,7 +44,7 @@ _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
 class ResidualTrainer:
-    """Fits the residuals of `rows` of `field` to one instant.
+    """Fits the residuals of the anchors that `partition` trains to one instant.
 
     Args:
         state: the state before.
@@ -72,35 +70,26 @@ class ResidualTrainer:
         group_cells: float = 0.0,
         guess: Tensor | None = None,
     ) -> None:
-        scene, field = state.scene, state.field
+        field = state.field
         trained = torch.from_numpy(partition.trained).to(field.feature.device)
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
-        self._all, self._base, self._views, self._exposure = field, field.with_rows(rows), views, exposure
-        self._known, self._useful, self._guess = len(rows), useful, guess
-        self._scene, self._alive, self._masks = scene, state.alive, masks
+        self._anchors = TrainedAnchors(state, rows, optimiser, group_cells)
+        self._all, self._views, self._exposure = field, views, exposure
+        self._useful, self._guess = useful, guess
+        self._alive, self._masks = state.alive, masks
         device = field.feature.device
         black = torch.zeros(3, device=device)
         self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
-        steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
-        feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
-        self._unit_change = UnitChange(feature, offset, by_level[self._base.level][:, None])
-        start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
-        begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
-        self._groups: Groups | None = None
-        if group_cells > 0:
-            self._groups = neighbourhoods(self._base.position, group_cells * field.octree.motion_cell)
-            begin |= self._groups.at_rest()
-        leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
-        self._optimiser = optimiser.start(leaves)
         static_splats = _static_splats(field, static, self._centres)
         self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
         self._shown = state.shown
         self._caches: dict[int, TileCache] = {}
         self._drawn: dict[int, Tensor] = {}
         self._weights: dict[int, Tensor] = {}
-        self._added: AddedAnchors | None = None
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
+        none = torch.zeros(len(field), dtype=torch.int64)
+        self._harmful = (none if state.harmful is None else state.harmful)[rows.cpu()].numpy()
 
     def run(
         self,
@@ -109,23 +98,24 @@ class ResidualTrainer:
         generator: torch.Generator,
         progress_of: Callable[[int], FrameProgress] = FixedSteps,
         growth: LaterGrowth | None = None,
-        most_new: int = 0,
+        allowance: Allowance = Allowance(),  # noqa: B008 (frozen)
     ) -> IntegerUpdate:
         """Train as configured and round.
 
         Args:
             progress_of: makes the pace of a number of steps.
-            growth: adds anchors, at most `most_new`; None adds none.
+            growth: says where anchors are added; None for nowhere.
+            allowance: anchors of which all numbers may be sent.
         """
         total = max(config.epochs * len(self._useful), config.minimum_steps)
         pace = progress_of(total)
         views = self._prepare(pace, backend)
         if not views:
-            return no_update(self._known)
+            return no_update(len(self._anchors))
         if self._guess is not None and pace.progress(0) <= _PREPARATION:
             self._begin(self._guess, views)
         order, epochs = ViewOrder(views, generator), EpochProgress(len(views), config.least_gain)
-        progress, waiting = 0.0, growth if most_new else None
+        progress, waiting = 0.0, growth if allowance.whole else None
 
         def reached(_: int) -> float:
             nonlocal progress
@@ -137,16 +127,19 @@ class ResidualTrainer:
             loss = self._step(order.next(), config, config.final_rate**progress, waiting)
             epochs.advance(loss)
             if waiting is not None and progress >= config.growth_at and len(self._drawn) == len(views):
-                self._grow(waiting, most_new)
+                self._send_whole(waiting, config, allowance)
                 waiting = None
             return loss
 
         losses = run_steps(step, reached)
         if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
-            return replace(no_update(self._known), complete=False, wanted=self._wanted())
+            return replace(no_update(len(self._anchors)), complete=False, wanted=self._anchors.wanted())
         loss = float(torch.stack(losses[-len(views) :]).mean())
-        update = self._integer_update(len(losses), loss)
-        return replace(update, complete=epochs.done >= total and len(self._caches) == len(self._useful))
+        complete = epochs.done >= total and len(self._caches) == len(self._useful)
+        # what training had no time for is not judged
+        judgement = self._judged(config, views) if complete else nothing_judged(len(self._anchors))
+        update = self._anchors.update(self._visible(), judgement, len(losses), loss)
+        return replace(update, complete=complete)
 
     def _prepare(self, pace: FrameProgress, backend: Backend) -> list[int]:
         """Plan the cameras' pictures, as far as time allows; those that show an anchor to train."""
@@ -155,22 +148,19 @@ class ResidualTrainer:
             for number in self._useful:
                 if views and pace.progress(0) > _PREPARATION:
                     break
-                cache = self._caches[number] = self._cache_of(number, self._dynamic_splats(number), backend)
+                cache = self._caches[number] = self._cache_of(number, self._splats(number), backend)
                 if not cache.is_empty:
                     views.append(number)
         return views
 
     def _begin(self, guess: Tensor, views: list[int]) -> None:
         """Let training begin where `guess` says, for the anchors that it serves."""
-        latent, position = (self._optimiser.parameters[name] for name in ("latent", "position"))
 
         def splats_at(number: int, start: Tensor) -> Splats:
-            moved = applied(self._base, latent.detach(), start, self._unit_change)
-            return self._exposure.before(moved.decode(self._centres[number]), number)
+            return self._filmed(self._anchors.starting_at(start), number)
 
-        starts = better_starts(position.detach(), guess, splats_at, self._draw, self._views.targets, views)
-        with torch.no_grad():
-            position.copy_(starts)
+        usual = self._anchors.optimiser.parameters["position"].detach()
+        self._anchors.begin_at(better_starts(usual, guess, splats_at, self._draw, self._views.targets, views))
 
     def _draw(self, number: int, splats: Splats) -> Tensor:
         raster, self._caches[number] = self._caches[number].render(splats)
@@ -187,24 +177,24 @@ class ResidualTrainer:
 
     def _step(self, number: int, config: PredictConfig, decay: float, growth: LaterGrowth | None = None) -> Tensor:
         """One view, one update; returns the detached loss. `growth` will want to know of it, None for nobody."""
-        position = self._position()
-        raster, cache = self._caches[number].render(self._dynamic_splats(number, position))
+        moves = self._anchors.moves
+        raster, cache = self._caches[number].render(self._splats(number, moves))
         self._caches[number] = cache
-        target, weights = self._views.targets[number], self._pixel_weights(number, config.changed_weight)
-        loss = photometric_loss(raster.image, target, config.dssim_weight, cache.region, weights)
+        loss = self._loss(raster.image, number, config)
         if config.rate_weight:
-            bits = residual_bits(self._optimiser.parameters["latent"], position)
-            loss = loss + config.rate_weight * bits / raster.image.numel()
+            loss = loss + config.rate_weight * self._anchors.bits(moves) / raster.image.numel()
         loss.backward()  # type: ignore[no-untyped-call]
         if growth is not None:
             self._drawn[number] = raster.image.detach()
             if growth.uses_gradients:
                 self._statistics.add_gradients(raster.probe.visible, raster.probe.gradients.norm(dim=1))
-        rates = {"latent": config.latent_rate, "position": config.position_rate}
-        rates |= dict.fromkeys(("shift", "turn"), config.group_rate)
-        new = {} if self._added is None else self._added.rates(config.position_rate, decay)
-        self._optimiser.step({name: rate * decay for name, rate in rates.items()} | new)
+        self._anchors.step(config, decay)
         return loss.detach()
+
+    def _loss(self, image: Tensor, number: int, config: PredictConfig) -> Tensor:
+        """[] what is wrong with the picture of a camera."""
+        weights, region = self._pixel_weights(number, config.changed_weight), self._caches[number].region
+        return photometric_loss(image, self._views.targets[number], config.dssim_weight, region, weights)
 
     def _pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
         """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
@@ -213,35 +203,23 @@ class ResidualTrainer:
             self._weights[number] = counted.expand(-1, -1, 3).contiguous()
         return self._weights.get(number)
 
-    def _cache_of(self, number: int, dynamic: Splats, backend: Backend) -> TileCache:
+    def _cache_of(self, number: int, trained: Splats, backend: Backend) -> TileCache:
         camera = self._views.cameras[number]
         known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
-        before = dynamic if known is None else self._base.decode(self._centres[number])
-        return make_tile_cache(camera, dynamic, self._static[number], self._backgrounds[number], backend, known, before)
+        before = trained if known is None else self._anchors.base.decode(self._centres[number])
+        return make_tile_cache(camera, trained, self._static[number], self._backgrounds[number], backend, known, before)
 
-    def _dynamic_field(self, position: Tensor | None = None) -> Field:
-        """The dynamic anchors as they will be sent: with their residuals, and then the new ones.
+    def _splats(self, number: int, moves: Tensor | None = None) -> Splats:
+        """The Gaussians of the anchors in training, as they will be sent, for a camera."""
+        return self._filmed(self._anchors.field(moves), number)
 
-        Args:
-            position: what `_position` gives, where it is at hand.
-        """
-        moved = self._position() if position is None else position
-        known = applied(self._base, self._optimiser.parameters["latent"], moved, self._unit_change)
-        return known if self._added is None else self._added.behind(known)
+    def _filmed(self, field: Field, number: int) -> Splats:
+        return self._exposure.before(field.decode(self._centres[number]), number)
 
-    def _position(self) -> Tensor:
-        """[n,3] how far each anchor goes in steps, by itself and with its group."""
-        parameters = self._optimiser.parameters
-        own = parameters["position"]
-        return own if self._groups is None else self._groups.moved(own, parameters["shift"], parameters["turn"])
-
-    def _dynamic_splats(self, number: int, position: Tensor | None = None) -> Splats:
-        return self._exposure.before(self._dynamic_field(position).decode(self._centres[number]), number)
-
-    def _grow(self, growth: LaterGrowth, most: int) -> None:
-        """Add anchors where they are lacking: what has just come into view has none yet."""
+    def _send_whole(self, growth: LaterGrowth, config: PredictConfig, allowance: Allowance) -> None:
+        """Add anchors where they are lacking, and rewrite some of those whose residuals say too little."""
         with torch.no_grad():
-            trained = self._dynamic_field()
+            trained = self._anchors.by_residuals()
         seen = HalfTrained(
             trained=trained,
             living=self._all.with_rows(torch.nonzero(self._alive)[:, 0]),
@@ -250,31 +228,49 @@ class ResidualTrainer:
             views=self._views,
             drawn=self._drawn,
             masks=self._masks,
-            most=most,
+            most=allowance.new,
         )
-        start = growth.new_anchors(seen, torch.Generator().manual_seed(self._known))
-        if len(start["level"]):
-            self._added = AddedAnchors(start, self._base, self._scene, self._optimiser)
+        new = growth.new_anchors(seen, torch.Generator().manual_seed(len(self._anchors)))
 
-    def _integer_update(self, steps: int, loss: float) -> IntegerUpdate:
-        latent, position = map(_finite_integers, (self._optimiser.parameters["latent"], self._position()))
+        def loss_of(number: int, field: Field) -> Tensor:
+            return self._loss(self._draw(number, self._filmed(field, number)), number, config)
+
+        far, most = self._gone_far(trained, config.far_pixels), allowance.whole - len(new["level"])
+        pull = partial(pull_of, trained, loss_of, tuple(self._drawn))
+        self._anchors.send_whole(new, rewritten_anchors(far, config.rewritten_share, most, pull))
+
+    @torch.no_grad()
+    def _gone_far(self, now: Field, least: float) -> Tensor:
+        """[n] bool: anchors that have gone at least so many pixels in the picture of some camera."""
+        before = self._anchors.base.position
+        gone: Tensor = (now.position - before).norm(dim=1) * pixels_a_unit(before, self._views.cameras)
+        return gone >= least
+
+    def _judged(self, config: PredictConfig, views: list[int]) -> Judgement:
+        """Which anchors the pictures would be better without."""
         with torch.no_grad():
-            field = self._dynamic_field()
-            opacity = field.decode(self._centres[self._views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
-        # what looks different to every camera may be transparent to one only
-        shown = (opacity > _TRANSPARENT).cpu().numpy() | (not self._all.looks_the_same)
-        added = None
-        if self._added is not None:
-            new = np.flatnonzero(shown[self._known :])
-            chosen = field.with_rows(torch.from_numpy(new + self._known).to(opacity.device))
-            added = added_levels(chosen, self._added.moved[new], self._scene.header)
-        gone = ~shown[: self._known]
-        return IntegerUpdate(latent, position, gone, added, steps, loss, self._optimiser.broken, wanted=self._wanted())
+            far = self._gone_far(self._anchors.by_residuals(), config.far_pixels).cpu().numpy()
+            field = self._anchors.field()
+        if not (config.harmful_frames and far.any()):
+            return nothing_judged(len(far))
 
-    def _wanted(self) -> Float32:
-        """[n,27] latents and positions before rounding, of the anchors that were there before."""
-        wanted = torch.cat([self._optimiser.parameters["latent"], self._position()], dim=1).detach()
-        return np.asarray(wanted.nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
+        def splats_of(number: int) -> Splats:
+            return self._filmed(field, number)
+
+        kept, change = self._anchors.kept, np.zeros(len(far), np.float32)
+        found = error_without(splats_of, self._draw, self._views.targets, views, len(field), seed=len(field))
+        change[kept] = found[: len(kept)].cpu().numpy()
+        place = self._anchors.by_residuals().position.detach().cpu().numpy()
+        return judged(change, self._harmful, far, place, field.octree.motion_cell, config.harmful_frames)
+
+    @torch.no_grad()
+    def _visible(self) -> Bool:
+        """For each anchor as it will be sent, whether any camera may see it."""
+        field = self._anchors.field()
+        if not self._all.looks_the_same:  # what is transparent to one camera may not be so to another
+            return np.ones(len(field), np.bool_)
+        opacity = field.decode(self._centres[self._views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
+        return np.asarray((opacity > _TRANSPARENT).cpu().numpy())
 
 
 def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:
@@ -288,10 +284,3 @@ def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[
             splats = field.decode(centre, static)
         decoded.append(splats.rows(torch.nonzero(splats.opacities > 0)[:, 0]))
     return decoded
-
-
-def _finite_integers(values: Tensor) -> Int32:
-    """Integers as training saw them; what is not finite stays at its last good state, zero."""
-    limit = 2.0**24
-    rounded = dead_zone(torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0)).clamp(-limit, limit)
-    return rounded.to(torch.int32).cpu().numpy()

@@ -26,6 +26,9 @@ class IntegerUpdate:
         steps, loss, repaired: figures of the training.
         complete: whether training ran to its end and every change is sent.
         wanted: [n,27] float32 latents and positions before rounding, or None for zeros.
+        heirs: [m] for each anchor of `added`, in their order, the number of the trained anchor whose place it takes
+            (it is among `removed`, and its `position` says how far it has gone), -1 for none; None for none at all.
+        harmful: [n] frames in a row in which the pictures would have been better without the anchor, or None for zeros.
     """
 
     latent: Int32
@@ -37,10 +40,12 @@ class IntegerUpdate:
     repaired: int = 0
     complete: bool = True
     wanted: Float32 | None = None
+    heirs: Int64 | None = None
+    harmful: Int64 | None = None
 
     @property
     def new(self) -> int:
-        """Anchors that are added."""
+        """Anchors that are added, or take the place of others."""
         return 0 if self.added is None else sum(len(level) for level in self.added)
 
     @property
@@ -79,6 +84,7 @@ def no_update(anchors: int) -> IntegerUpdate:
 def strongest_changes(update: IntegerUpdate, most: int, first: Bool) -> IntegerUpdate:
     """At most `most` of the changes: anchors of `first` [n] bool before others, and then the largest sums of steps."""
     energy = np.abs(update.latent).sum(axis=1, dtype=np.int64) + np.abs(update.position).sum(axis=1, dtype=np.int64)
+    energy[update.removed] = 0  # no change of theirs is sent
     if np.count_nonzero(energy) <= most:
         return update
     kept = np.zeros(len(energy), np.bool_)

@@ -21,7 +21,7 @@ from core.train.field.field import Field
 from core.train.field.rendered import rendered
 from core.train.field.rounding import round_through
 from core.train.growth.gradient import NewAnchors
-from core.train.growth.later import later_growth
+from core.train.growth.later import Allowance, later_growth
 from core.train.growth.new_anchors import first_values
 from core.train.motion.partition import Partition
 from core.train.optimise.optimisers import Adam, RowOptimiser
@@ -128,7 +128,9 @@ def trained(scene: Scene, targets: Tensor, most_new: int) -> tuple[ResidualTrain
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, some, views, neutral(4), masks, [0, 1, 2, 3])
     growth = later_growth(CONFIG) if most_new else None
-    update = trainer.run(CONFIG, "cpu", torch.Generator().manual_seed(0), growth=growth, most_new=most_new)
+    update = trainer.run(
+        CONFIG, "cpu", torch.Generator().manual_seed(0), growth=growth, allowance=Allowance(most_new, most_new)
+    )
     return trainer, update, state
 
 
@@ -141,7 +143,7 @@ def test_what_is_decoded_is_what_was_trained(scene: Scene, targets: Tensor) -> N
     starts = level_starts(after)
     sizes = [len(level) for level in scene.levels]
     new = torch.cat([torch.arange(starts[i] + size, starts[i + 1]) for i, size in enumerate(sizes)])
-    wanted = trainer._dynamic_field().with_rows(torch.arange(len(rows), len(rows) + update.new))
+    wanted = trainer._anchors.field().with_rows(torch.arange(len(rows), len(rows) + update.new))
     order = torch.argsort(wanted.level, stable=True)
     for name in ("feature", "offset", "scaling", "position"):
         one, other = (getattr(field, name).detach() for field in (decoded.with_rows(new), wanted.with_rows(order)))
@@ -166,7 +168,11 @@ def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
     everything = Partition(None, np.ones(len(state.field), np.bool_))
     trainer = ResidualTrainer(state, everything, Views(CAMERAS, targets, [0, 1, 2, 3]), neutral(4), masks, [0, 1, 2, 3])
     update = trainer.run(
-        replace(CONFIG, epochs=0), "cpu", torch.Generator().manual_seed(0), growth=later_growth(CONFIG), most_new=40
+        replace(CONFIG, epochs=0),
+        "cpu",
+        torch.Generator().manual_seed(0),
+        growth=later_growth(CONFIG),
+        allowance=Allowance(40, 40),
     )
     assert update.new == 0
 

@@ -31,7 +31,7 @@ def test_added_anchors_leave_the_changes_of_others_with_them() -> None:
     residual = residual_of(scene, rows.numpy(), update, 1)
     partition = Partition(None, np.isin(np.arange(30), rows))
     start = 0.9 * update.sent
-    after = state.after(residual, apply(scene, residual), partition, rows, update.sent, start)
+    after = state.after(residual, apply(scene, residual), partition, rows, update, start)
 
     assert len(after.field) == 32
     assert after.change is not None

@@ -23,7 +23,7 @@ from core.camera import pinhole
 from core.train.config import PredictConfig
 from core.train.field.convert import scene_of
 from core.train.field.exposure import neutral
-from core.train.growth.later import ByError
+from core.train.growth.later import Allowance, ByError
 from core.train.keyframe.trainer import Views
 from core.train.motion.partition import Partition
 from core.train.optimise.schedule import ViewOrder
@@ -79,14 +79,14 @@ def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, vie
     trainer = on_meta(prepared(view_dependent))
     assert isinstance(trainer, ResidualTrainer)
     trainer._step(0, config, 1.0)  # constants of the camera and of the tables are sent once
-    before = trainer._optimiser.parameters["latent"]
+    before = trainer._anchors.optimiser.parameters["latent"]
     with NoNumbers(), NoMemory():
         loss = trainer._step(0, config, 0.9)
     assert loss.device.type == "meta"
-    assert trainer._optimiser.parameters["latent"] is before
+    assert trainer._anchors.optimiser.parameters["latent"] is before
     trainer._step(0, config, 0.9, ByError(0.0))
     with NoNumbers(), NoMemory(), pytest.raises((AssertionError, RuntimeError, NotImplementedError)):
-        trainer._grow(ByError(0.0), 5)  # growth does ask, once a frame
+        trainer._send_whole(ByError(0.0), config, Allowance(5, 5))  # growth does ask, once a frame
 
 
 def prepared(view_dependent: bool) -> ResidualTrainer:
@@ -100,7 +100,7 @@ def prepared(view_dependent: bool) -> ResidualTrainer:
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, Partition(None, some), views, neutral(1), masks, [0])
-    trainer._caches[0] = trainer._cache_of(0, trainer._dynamic_splats(0), "cuda")
+    trainer._caches[0] = trainer._cache_of(0, trainer._splats(0), "cuda")
     return trainer
 
 

@@ -1,0 +1,61 @@
+"""Which anchors a later frame sends anew, with all their numbers: a rolling refresh, as video codecs have it.
+
+Residuals change features and offsets along fixed directions and never sizes, so what turns, bends and comes out of the
+shade drifts away from what its Gaussians can show. A refresh keyframe mends that for all anchors at once; this mends it
+for some in every frame, where it is needed most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import fields, replace
+
+import torch
+from torch import Tensor
+
+from core.train.field.field import Field
+from core.train.field.learned import ROW_PARAMETERS
+from core.train.residual.added_anchors import RATES
+
+
+def rewritten_anchors(far: Tensor, share: float, most: int, pull: Callable[[], Tensor]) -> Tensor:
+    """[m] ascending: a share of the anchors that have gone `far` [n] bool, those whose numbers pull hardest.
+
+    Args:
+        most: m at most.
+        pull: gives `pull_of` the anchors; asked only where it is needed.
+    """
+    count = min(round(share * int(far.sum())), most)
+    if count <= 0:
+        return torch.zeros(0, dtype=torch.int64, device=far.device)
+    return torch.where(far, pull(), -1.0).topk(count).indices.sort().values
+
+
+def pull_of(field: Field, loss_of: Callable[[int, Field], Tensor], numbers: Iterable[int]) -> Tensor:
+    """[n] by how much one step of all of an anchor's numbers would lower the loss, to the first order.
+
+    Adam's steps are as large as its rates, whatever the gradient, so that is the sum of the gradients' sizes times the
+    rates.
+
+    Args:
+        loss_of: of a camera's picture, of its number and the anchors. numbers: of the cameras.
+    """
+    leaves = {name: getattr(field, name).detach().clone().requires_grad_() for name in ROW_PARAMETERS}
+    for number in numbers:
+        loss_of(number, replace(field, **leaves)).backward()  # type: ignore[no-untyped-call]
+    pulls = [
+        RATES[name] * leaf.grad.flatten(1).abs().sum(dim=1) for name, leaf in leaves.items() if leaf.grad is not None
+    ]
+    return torch.stack(pulls).sum(dim=0).nan_to_num(0.0, 0.0, 0.0)
+
+
+def values_of(field: Field, rows: Tensor) -> dict[str, Tensor]:
+    """The seven arrays of anchors `rows` [m], on the nodes that are nearest to where they are now."""
+    chosen = field.with_rows(rows)
+    position = chosen.position.double().cpu().numpy()
+    level, voxel = chosen.level.cpu().numpy(), chosen.voxel.cpu().numpy().copy()
+    for number in range(field.octree.levels):
+        voxel[level == number] = field.octree.voxel_of(position[level == number], number)
+    names = [part.name for part in fields(Field)]
+    arrays = {name: getattr(chosen, name) for name in names if isinstance(getattr(chosen, name), Tensor)}
+    return arrays | {"voxel": torch.from_numpy(voxel).to(chosen.voxel)}

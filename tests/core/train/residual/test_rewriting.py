@@ -1,0 +1,124 @@
+"""Anchors that are sent anew: as they were trained, with what was known of them, and worth it where things go far."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from core.camera import look_at, pinhole
+from core.scene.residual import apply
+from core.train.config import PredictConfig
+from core.train.field.convert import field_of, level_starts, scene_of
+from core.train.field.exposure import neutral
+from core.train.field.rendered import rendered
+from core.train.growth.later import Allowance, ByError
+from core.train.motion.partition import Partition
+from core.train.pictures.views import Views
+from core.train.residual.rewriting import pull_of, rewritten_anchors, values_of
+from core.train.residual.state import State, fresh_state
+from core.train.residual.trainer import ResidualTrainer
+from core.train.residual.update import IntegerUpdate, residual_of
+from tests.core.train.fields import random_field
+
+WIDTH, HEIGHT = 96, 64
+CONFIG = PredictConfig(
+    epochs=15, minimum_steps=0, least_gain=0.0, rate_weight=0.0005, far_pixels=0.0, harmful_frames=0, growth_at=0.2
+)
+CAMERAS = tuple(
+    pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),
+            look_at(np.array([x, -0.4, -3.0]), np.zeros(3), np.array([0.0, -1.0, 0.0])))
+    for i, x in enumerate((-0.6, -0.2, 0.2, 0.6))
+)  # fmt: skip
+SCENE = scene_of(random_field(200), CONFIG, CAMERAS, 30.0, 0)
+
+
+def trained(share: float) -> tuple[ResidualTrainer, IntegerUpdate, State, Views]:
+    """A frame in which every Gaussian has become a third larger, which no residual can say."""
+    state = fresh_state(SCENE, "cpu")
+    blank = Views(CAMERAS, torch.zeros(4, HEIGHT, WIDTH, 3), [0, 1, 2, 3])
+    grown = replace(state.field, scaling=state.field.scaling + np.log(4 / 3))
+    views = replace(blank, targets=rendered(grown, state.alive, blank, "cpu"))
+    everything = Partition(None, np.ones(len(state.field), np.bool_))
+    masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
+    trainer = ResidualTrainer(state, everything, views, neutral(4), masks, [0, 1, 2, 3])
+    config, allowance = replace(CONFIG, rewritten_share=share), Allowance(0, 1000)
+    update = trainer.run(config, "cpu", torch.Generator().manual_seed(0), growth=ByError(1.0), allowance=allowance)
+    return trainer, update, state, views
+
+
+def test_what_is_decoded_is_what_was_trained() -> None:
+    trainer, update, state, _ = trained(0.2)
+    assert update.new == 40
+    assert update.heirs is not None
+    rows = torch.arange(len(state.field))
+    after = apply(SCENE, residual_of(SCENE, rows.numpy(), update, 1))
+    assert after.anchor_count == SCENE.anchor_count - update.removed.sum() + 40
+    decoded, starts = field_of(after), level_starts(after)
+    sizes = [len(level) for level in SCENE.levels]
+    new = torch.cat([torch.arange(starts[i] + size, starts[i + 1]) for i, size in enumerate(sizes)])
+    sent = trainer._anchors.field()
+    wanted = sent.with_rows(torch.arange(len(sent) - 40, len(sent)))
+    order = torch.argsort(wanted.level, stable=True)
+    for name in ("feature", "offset", "scaling", "position"):
+        one, other = (getattr(field, name).detach() for field in (decoded.with_rows(new), wanted.with_rows(order)))
+        torch.testing.assert_close(one, other, atol=2e-4, rtol=0)
+    assert len(np.unique(update.heirs)) == 40
+    assert update.removed[update.heirs].all()
+
+
+def test_sizes_that_no_residual_can_say_are_shown_better() -> None:
+    errors = []
+    for share in (0.0, 0.5):
+        _, update, state, views = trained(share)
+        after = fresh_state(apply(SCENE, residual_of(SCENE, np.arange(len(state.field)), update, 1)), "cpu")
+        shown = rendered(after.field, after.alive, views, "cpu")
+        errors.append(float((shown.clamp(0, 1) - views.targets).square().mean()))
+        assert (update.new > 0) == (share > 0)
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_an_heir_keeps_what_was_known_of_the_one_before() -> None:
+    _, update, state, _ = trained(0.2)
+    rows = torch.arange(len(state.field))
+    assert update.heirs is not None
+    update = replace(update, harmful=np.where(update.removed, 3, 0))
+    residual = residual_of(SCENE, rows.numpy(), update, 1)
+    start = 0.5 * update.sent
+    after = state.after(residual, apply(SCENE, residual), Partition(None, rows.numpy() >= 0), rows, update, start)
+    sizes, starts = [len(level) for level in SCENE.levels], level_starts(after.scene)
+    new = np.concatenate([np.arange(starts[i] + size, starts[i + 1]) for i, size in enumerate(sizes)])
+    assert after.change is not None
+    assert after.start is not None
+    assert after.harmful is not None
+    np.testing.assert_array_equal(after.change.numpy()[new], update.sent[update.heirs])
+    np.testing.assert_array_equal(after.start.numpy()[new], start[update.heirs])
+    assert (after.harmful.numpy()[new] == 3).all()
+    assert np.abs(update.position[update.removed]).max() >= 1  # they have gone somewhere
+
+
+def test_a_share_of_those_that_go_far_is_rewritten_those_that_pull_hardest() -> None:
+    far = torch.tensor([True, False, True, True, False, True])
+    pull = torch.tensor([1.0, 9.0, 3.0, 2.0, 8.0, 4.0])
+    assert rewritten_anchors(far, 0.5, 10, lambda: pull).tolist() == [2, 5]
+    assert rewritten_anchors(far, 0.5, 1, lambda: pull).tolist() == [5]
+    for nobody in ((far, 0.0, 10), (far, 0.5, 0), (far & False, 0.5, 10)):
+        assert rewritten_anchors(*nobody, lambda: 1 / 0).tolist() == []  # and nobody asks how they pull
+
+
+def test_the_pull_is_what_a_step_would_gain() -> None:
+    field = random_field(30)
+    weight = torch.rand(len(field), generator=torch.Generator().manual_seed(2))
+    found = pull_of(field, lambda number, leaves: (number + 1) * (leaves.scaling.sum(dim=1) * weight).sum(), [0, 1])
+    torch.testing.assert_close(found, 3 * 0.03 * 6 * weight)
+
+
+def test_they_take_the_node_that_is_nearest() -> None:
+    field = random_field(30)
+    moved = replace(field, position=field.position + 0.4)
+    values = values_of(moved, torch.tensor([3, 20]))
+    for row, level, voxel in zip((3, 20), values["level"], values["voxel"], strict=True):
+        wanted = field.octree.voxel_of(moved.position[row : row + 1].double().numpy(), int(level))
+        assert voxel.tolist() == wanted[0].tolist()
+    assert torch.equal(values["feature"], field.feature[[3, 20]])
