@@ -25,7 +25,7 @@ from core.train.field.exposure import fitted, neutral
 from core.train.field.field import Field
 from core.train.field.rendered import rendered
 from core.train.field.rounding import Precision
-from core.train.growth.later import Allowance, later_growth
+from core.train.growth.later import AnchorAllowance, later_growth
 from core.train.growth.near_space import near_space
 from core.train.keyframe.seeding import seed_field
 from core.train.keyframe.trainer import KeyframeTrainer
@@ -319,19 +319,23 @@ class Trainer:
         plan = None if self._rate is None else self._rate.plan()
         return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
 
-    def _allowance(self, plan: RatePlan | None, state: State, trained: int) -> Allowance:
+    def _allowance(self, plan: RatePlan | None, state: State, trained: int) -> AnchorAllowance:
         """Anchors of which the next frame may send all numbers, if it trains so many.
 
         None while a refresh keyframe trains beside the stream, which has no counterpart of them.
         """
         if self._pending.is_beside(state):
-            return Allowance()
+            return AnchorAllowance()
         alive, config = state.scene.anchor_count, self._config
         room = config.model.max_anchors
         limit = min(room, max(round((1 + config.predict.growth_room) * self._first_count), int(_ALWAYS_ROOM * room)))
         new = min(int(config.predict.growth_share * alive), max(limit - alive, 0))
         whole = new + trained
-        return Allowance(new, whole) if plan is None else Allowance(min(new, plan.most_new), min(whole, plan.most_new))
+        return (
+            AnchorAllowance(new, whole)
+            if plan is None
+            else AnchorAllowance(min(new, plan.most_new), min(whole, plan.most_new))
+        )
 
     def _partition(
         self, cue: MotionCue, state: State, frames: FrameSet, views: Views, masks: Tensor

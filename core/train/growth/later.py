@@ -47,7 +47,7 @@ class HalfTrained:
 
 
 @dataclass(frozen=True, slots=True)
-class Allowance:
+class AnchorAllowance:
     """How many anchors a later frame may send with all their numbers.
 
     Attributes:

@@ -19,6 +19,7 @@ from core.scene.keyframe import coarseness
 from core.train.field.field import Field
 from core.train.optimise.optimisers import RowOptimiser
 
+MAX_STEPS = 2.0**24  # of one change of a place; floating-point numbers hold all integers up to there
 RATES = {"feature": 0.02, "offset": 0.04, "scaling": 0.03}  # those of the first frame (`KeyframeConfig`)
 _SLOWLY = ("feature", "scaling")  # decay to the square root of what the others decay to, as there
 
@@ -60,7 +61,7 @@ class AddedAnchors:
     @property
     def moved(self) -> Int32:
         """[n,3] steps from their nodes."""
-        steps = self._parameters["new_position"].detach().nan_to_num(0.0, 0.0, 0.0)
+        steps = self._parameters["new_position"].detach().nan_to_num(0.0, 0.0, 0.0).clamp(-MAX_STEPS, MAX_STEPS)
         return np.asarray(steps.round().to(torch.int32).cpu().numpy())
 
     def behind(self, known: Field) -> Field:

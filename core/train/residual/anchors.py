@@ -18,15 +18,13 @@ from core.train.field.rounding import dead_zone
 from core.train.growth.new_anchors import added_levels
 from core.train.optimise.optimisers import Optimiser
 from core.train.optimise.rate import residual_bits
-from core.train.residual.added_anchors import AddedAnchors
+from core.train.residual.added_anchors import MAX_STEPS, AddedAnchors
 from core.train.residual.apply import UnitChange, applied
 from core.train.residual.groups import Groups, neighbourhoods
 from core.train.residual.harmful import Judgement
 from core.train.residual.rewriting import values_of
 from core.train.residual.state import State
 from core.train.residual.update import IntegerUpdate
-
-_MAX_STEPS = 2.0**24  # of one change; floating-point numbers hold all integers up to there
 
 
 class TrainedAnchors:
@@ -167,5 +165,5 @@ class TrainedAnchors:
 
 def _finite_integers(values: Tensor) -> Int32:
     """Integers as training saw them; what is not finite stays at its last good state, zero."""
-    rounded = dead_zone(torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0)).clamp(-_MAX_STEPS, _MAX_STEPS)
+    rounded = dead_zone(torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0)).clamp(-MAX_STEPS, MAX_STEPS)
     return rounded.to(torch.int32).cpu().numpy()

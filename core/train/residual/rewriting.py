@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -28,7 +29,8 @@ def rewritten_anchors(far: Tensor, share: float, most: int, pull: Callable[[], T
     count = min(round(share * int(far.sum())), most)
     if count <= 0:
         return torch.zeros(0, dtype=torch.int64, device=far.device)
-    return torch.where(far, pull(), -1.0).topk(count).indices.sort().values
+    strongest = torch.where(far, pull(), 0.0).topk(count)
+    return strongest.indices[strongest.values > 0].sort().values  # what no camera sees is not worth its bits
 
 
 def pull_of(field: Field, loss_of: Callable[[int, Field], Tensor], numbers: Iterable[int]) -> Tensor:
@@ -50,12 +52,17 @@ def pull_of(field: Field, loss_of: Callable[[int, Field], Tensor], numbers: Iter
 
 
 def values_of(field: Field, rows: Tensor) -> dict[str, Tensor]:
-    """The seven arrays of anchors `rows` [m], on the nodes that are nearest to where they are now."""
-    chosen = field.with_rows(rows)
-    position = chosen.position.double().cpu().numpy()
-    level, voxel = chosen.level.cpu().numpy(), chosen.voxel.cpu().numpy().copy()
-    for number in range(field.octree.levels):
-        voxel[level == number] = field.octree.voxel_of(position[level == number], number)
-    names = [part.name for part in fields(Field)]
-    arrays = {name: getattr(chosen, name) for name in names if isinstance(getattr(chosen, name), Tensor)}
+    """The seven arrays of anchors `rows` [m] of `field`, on the nodes that are nearest to where they are now.
+
+    Nodes lie among those of the field's other anchors, as a keyframe cannot hold a grid that a lost anchor stretches.
+    """
+    chosen, octree = field.with_rows(rows), field.octree
+    position, level = chosen.position.double().nan_to_num(0.0).cpu().numpy(), chosen.level.cpu().numpy()
+    nodes, levels = field.voxel.cpu().numpy(), field.level.cpu().numpy()
+    voxel = chosen.voxel.cpu().numpy().copy()
+    for number in np.unique(level):
+        ends = [octree.node_of(end(nodes[levels == number], axis=0), number) for end in (np.min, np.max)]
+        voxel[level == number] = octree.voxel_of(np.clip(position[level == number], *ends), number)
+    arrays = {part.name: getattr(chosen, part.name) for part in fields(Field)}
+    arrays = {name: value for name, value in arrays.items() if isinstance(value, Tensor)}
     return arrays | {"voxel": torch.from_numpy(voxel).to(chosen.voxel)}

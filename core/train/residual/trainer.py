@@ -22,7 +22,7 @@ from core.train.field.decode import Splats
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.later import Allowance, HalfTrained, LaterGrowth
+from core.train.growth.later import AnchorAllowance, HalfTrained, LaterGrowth
 from core.train.motion.partition import Partition
 from core.train.motion.steady import pixels_a_unit
 from core.train.optimise.convergence import EpochProgress
@@ -98,7 +98,7 @@ class ResidualTrainer:
         generator: torch.Generator,
         progress_of: Callable[[int], FrameProgress] = FixedSteps,
         growth: LaterGrowth | None = None,
-        allowance: Allowance = Allowance(),  # noqa: B008 (frozen)
+        allowance: AnchorAllowance = AnchorAllowance(),  # noqa: B008 (frozen)
     ) -> IntegerUpdate:
         """Train as configured and round.
 
@@ -216,7 +216,7 @@ class ResidualTrainer:
     def _filmed(self, field: Field, number: int) -> Splats:
         return self._exposure.before(field.decode(self._centres[number]), number)
 
-    def _send_whole(self, growth: LaterGrowth, config: PredictConfig, allowance: Allowance) -> None:
+    def _send_whole(self, growth: LaterGrowth, config: PredictConfig, allowance: AnchorAllowance) -> None:
         """Add anchors where they are lacking, and rewrite some of those whose residuals say too little."""
         with torch.no_grad():
             trained = self._anchors.by_residuals()

@@ -13,7 +13,7 @@ from core.train.config import PredictConfig
 from core.train.field.convert import field_of, level_starts, scene_of
 from core.train.field.exposure import neutral
 from core.train.field.rendered import rendered
-from core.train.growth.later import Allowance, ByError
+from core.train.growth.later import AnchorAllowance, ByError
 from core.train.motion.partition import Partition
 from core.train.pictures.views import Views
 from core.train.residual.rewriting import pull_of, rewritten_anchors, values_of
@@ -43,7 +43,7 @@ def trained(share: float) -> tuple[ResidualTrainer, IntegerUpdate, State, Views]
     everything = Partition(None, np.ones(len(state.field), np.bool_))
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, everything, views, neutral(4), masks, [0, 1, 2, 3])
-    config, allowance = replace(CONFIG, rewritten_share=share), Allowance(0, 1000)
+    config, allowance = replace(CONFIG, rewritten_share=share), AnchorAllowance(0, 1000)
     update = trainer.run(config, "cpu", torch.Generator().manual_seed(0), growth=ByError(1.0), allowance=allowance)
     return trainer, update, state, views
 
@@ -103,6 +103,7 @@ def test_a_share_of_those_that_go_far_is_rewritten_those_that_pull_hardest() -> 
     pull = torch.tensor([1.0, 9.0, 3.0, 2.0, 8.0, 4.0])
     assert rewritten_anchors(far, 0.5, 10, lambda: pull).tolist() == [2, 5]
     assert rewritten_anchors(far, 0.5, 1, lambda: pull).tolist() == [5]
+    assert rewritten_anchors(far, 1.0, 10, lambda: pull - 2).tolist() == [2, 5]  # nobody sees the others
     for nobody in ((far, 0.0, 10), (far, 0.5, 0), (far & False, 0.5, 10)):
         assert rewritten_anchors(*nobody, lambda: 1 / 0).tolist() == []  # and nobody asks how they pull
 
@@ -116,9 +117,20 @@ def test_the_pull_is_what_a_step_would_gain() -> None:
 
 def test_they_take_the_node_that_is_nearest() -> None:
     field = random_field(30)
-    moved = replace(field, position=field.position + 0.4)
+    moved = replace(field, position=0.6 * field.position)  # towards the middle of the grid
     values = values_of(moved, torch.tensor([3, 20]))
     for row, level, voxel in zip((3, 20), values["level"], values["voxel"], strict=True):
         wanted = field.octree.voxel_of(moved.position[row : row + 1].double().numpy(), int(level))
         assert voxel.tolist() == wanted[0].tolist()
     assert torch.equal(values["feature"], field.feature[[3, 20]])
+
+
+def test_an_anchor_that_is_lost_does_not_stretch_the_grid() -> None:
+    field = random_field(30)
+    lost = field.position.clone()
+    lost[3], lost[4] = 1e9, torch.nan
+    values = values_of(replace(field, position=lost), torch.tensor([3, 4]))
+    for level, voxel in zip(values["level"], values["voxel"], strict=True):
+        others = field.voxel[field.level == level]
+        assert (voxel >= others.amin(dim=0)).all()
+        assert (voxel <= others.amax(dim=0)).all()
