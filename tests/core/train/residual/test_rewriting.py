@@ -117,12 +117,21 @@ def test_the_pull_is_what_a_step_would_gain() -> None:
 
 def test_they_take_the_node_that_is_nearest() -> None:
     field = random_field(30)
-    moved = replace(field, position=0.6 * field.position)  # towards the middle of the grid
-    values = values_of(moved, torch.tensor([3, 20]))
-    for row, level, voxel in zip((3, 20), values["level"], values["voxel"], strict=True):
-        wanted = field.octree.voxel_of(moved.position[row : row + 1].double().numpy(), int(level))
-        assert voxel.tolist() == wanted[0].tolist()
-    assert torch.equal(values["feature"], field.feature[[3, 20]])
+    voxel = field.voxel.clone()
+    rows = torch.tensor([3, 20])
+    for row in rows:  # back to where they came from, after they have moved by a cell
+        voxel[row] = torch.where(voxel[row] > 0, voxel[row] - 1, voxel[row] + 1)
+    cells = field.octree.root_cell / 2.0 ** field.level.double()
+    origin = torch.from_numpy(field.octree.origin)
+    place = (origin + (field.voxel + 0.3) * cells[:, None]).float()
+    values = values_of(replace(field, voxel=voxel, position=place), rows)
+    within = [field.level == level for level in field.level[rows]]
+    wanted = [
+        torch.minimum(torch.maximum(field.voxel[row], voxel[same].amin(dim=0)), voxel[same].amax(dim=0))
+        for row, same in zip(rows, within, strict=True)
+    ]
+    assert torch.equal(values["voxel"], torch.stack(wanted))
+    assert torch.equal(values["feature"], field.feature[rows])
 
 
 def test_an_anchor_that_is_lost_does_not_stretch_the_grid() -> None:
