@@ -18,16 +18,18 @@ from core.train.field.field import Field
 from core.train.field.learned import ROW_PARAMETERS
 from core.train.residual.added_anchors import RATES
 
+_WORTH_TABLES = 16  # anchors; fewer take less than the tables of their chunks in the packet do
+
 
 def rewritten_anchors(far: Tensor, share: float, most: int, pull: Callable[[], Tensor]) -> Tensor:
     """[m] ascending: a share of the anchors that have gone `far` [n] bool, those whose numbers pull hardest.
 
     Args:
-        most: m at most.
+        most: m at most. If few would be left, none is rewritten.
         pull: gives `pull_of` the anchors; asked only where it is needed.
     """
     count = min(round(share * int(far.sum())), most)
-    if count <= 0:
+    if count < _WORTH_TABLES:
         return torch.zeros(0, dtype=torch.int64, device=far.device)
     strongest = torch.where(far, pull(), 0.0).topk(count)
     return strongest.indices[strongest.values > 0].sort().values  # what no camera sees is not worth its bits

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from core.camera import look_at, pinhole
@@ -99,13 +100,23 @@ def test_an_heir_keeps_what_was_known_of_the_one_before() -> None:
 
 
 def test_a_share_of_those_that_go_far_is_rewritten_those_that_pull_hardest() -> None:
-    far = torch.tensor([True, False, True, True, False, True])
-    pull = torch.tensor([1.0, 9.0, 3.0, 2.0, 8.0, 4.0])
-    assert rewritten_anchors(far, 0.5, 10, lambda: pull).tolist() == [2, 5]
-    assert rewritten_anchors(far, 0.5, 1, lambda: pull).tolist() == [5]
-    assert rewritten_anchors(far, 1.0, 10, lambda: pull - 2).tolist() == [2, 5]  # nobody sees the others
-    for nobody in ((far, 0.0, 10), (far, 0.5, 0), (far & False, 0.5, 10)):
-        assert rewritten_anchors(*nobody, lambda: 1 / 0).tolist() == []  # and nobody asks how they pull
+    far = torch.arange(100) % 2 == 0
+    pull = torch.randperm(100, generator=torch.Generator().manual_seed(0)).float()
+    for share, most in ((0.4, 100), (1.0, 20)):
+        strongest = sorted(range(0, 100, 2), key=lambda row: -pull[row])[:20]
+        assert rewritten_anchors(far, share, most, lambda: pull).tolist() == sorted(strongest)
+    seen = rewritten_anchors(far, 1.0, 100, lambda: pull - 30)
+    assert seen.tolist() == [row for row in range(0, 100, 2) if pull[row] > 30]  # nobody sees the others
+
+
+def _unasked() -> torch.Tensor:
+    raise AssertionError("nothing is to be rewritten")
+
+
+@pytest.mark.parametrize(("share", "most"), [(0.0, 100), (0.5, 0), (0.3, 100), (1.0, 15)])
+def test_nobody_is_asked_where_few_would_be_rewritten(share: float, most: int) -> None:
+    far = torch.arange(100) < 50
+    assert rewritten_anchors(far, share, most, _unasked).tolist() == []
 
 
 def test_the_pull_is_what_a_step_would_gain() -> None:
