@@ -39,13 +39,15 @@ def nothing_judged(anchors: int) -> Judgement:
     return Judgement(np.zeros(anchors, np.int64), np.zeros(anchors, np.bool_))
 
 
-def judged(change: Float32, before: Int64, far: Bool, position: Float32, motion_cell: float, least: int) -> Judgement:
+def judged(
+    change: Float32, before: Int64, far: Bool, position: Float32, motion_cell: float, least: int, most: int
+) -> Judgement:
     """Remove the most harmful anchor of each neighbourhood; what it has hidden then decides about the next.
 
     Args:
         change: [n] as `error_without` gives it. before: [n] as `Judgement.frames` of the frame before.
         far: [n] anchors that have gone far. position: [n,3] where they are.
-        least: frames in a row.
+        least: frames in a row. most: anchors that may go.
     """
     frames = np.where(change < 0, before + 1, 0)
     asked = np.flatnonzero((frames >= least) & far)
@@ -53,7 +55,7 @@ def judged(change: Float32, before: Int64, far: Bool, position: Float32, motion_
     cells = np.floor(position[worst_first] / (_CELLS * motion_cell)).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     gone = np.zeros(len(change), np.bool_)
-    gone[worst_first[first]] = True
+    gone[worst_first[np.sort(first)[:most]]] = True
     return Judgement(frames, gone)
 
 

@@ -88,6 +88,7 @@ class ResidualTrainer:
         self._drawn: dict[int, Tensor] = {}
         self._weights: dict[int, Tensor] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
+        self._most_changed = len(rows)  # anchors that may be rewritten, and as many that may go
         none = torch.zeros(len(field), dtype=torch.int64)
         self._harmful = (none if state.harmful is None else state.harmful)[rows.cpu()].numpy()
 
@@ -235,7 +236,10 @@ class ResidualTrainer:
         def loss_of(number: int, field: Field) -> Tensor:
             return self._loss(self._draw(number, self._filmed(field, number)), number, config)
 
-        far, most = self._gone_far(trained, config.far_pixels), allowance.whole - len(new["level"])
+        added = len(new["level"])
+        if allowance.new:  # where the cameras do not agree on what is lacking, they do not on what is wrong either
+            self._most_changed = added
+        far, most = self._gone_far(trained, config.far_pixels), min(allowance.whole - added, self._most_changed)
         pull = partial(pull_of, trained, loss_of, tuple(self._drawn))
         self._anchors.send_whole(new, rewritten_anchors(far, config.rewritten_share, most, pull))
 
@@ -261,7 +265,8 @@ class ResidualTrainer:
         found = error_without(splats_of, self._draw, self._views.targets, views, len(field), seed=len(field))
         change[kept] = found[: len(kept)].cpu().numpy()
         place = self._anchors.by_residuals().position.detach().cpu().numpy()
-        return judged(change, self._harmful, far, place, field.octree.motion_cell, config.harmful_frames)
+        frames, cell = config.harmful_frames, field.octree.motion_cell
+        return judged(change, self._harmful, far, place, cell, frames, self._most_changed)
 
     @torch.no_grad()
     def _visible(self) -> Bool:

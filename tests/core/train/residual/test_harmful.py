@@ -74,12 +74,13 @@ def test_one_of_each_neighbourhood_goes_and_only_after_some_frames_in_a_row() ->
     change = np.array([-1.0, -3.0, -2.0, -5.0, 1.0], np.float32)
     position = np.array([[0.1, 0, 0], [0.2, 0, 0], [3, 0, 0], [9, 0, 0], [12, 0, 0]], np.float32)
     far = np.array([True, True, True, False, True])
-    first = judged(change, np.zeros(5, np.int64), far, position, 1.0, 2)
+    first = judged(change, np.zeros(5, np.int64), far, position, 1.0, 2, 5)
     assert first.frames.tolist() == [1, 1, 1, 1, 0]
     assert not first.gone.any()
-    second = judged(change, first.frames, far, position, 1.0, 2)
+    second = judged(change, first.frames, far, position, 1.0, 2, 5)
     assert second.frames.tolist() == [2, 2, 2, 2, 0]
     assert second.gone.tolist() == [False, True, True, False, False]
-    better = judged(-change, second.frames, far, position, 1.0, 2)
+    assert judged(change, first.frames, far, position, 1.0, 2, 1).gone.tolist() == [False, True, False, False, False]
+    better = judged(-change, second.frames, far, position, 1.0, 2, 5)
     assert better.frames.tolist() == [0, 0, 0, 0, 1]
     assert not better.gone.any()
