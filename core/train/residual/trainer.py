@@ -88,7 +88,7 @@ class ResidualTrainer:
         self._drawn: dict[int, Tensor] = {}
         self._weights: dict[int, Tensor] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
-        self._most_changed = len(rows)  # anchors that may be rewritten, and as many that may go
+        self._most_changed = 0  # anchors that may be rewritten, and as many that may be removed as harmful
         none = torch.zeros(len(field), dtype=torch.int64)
         self._harmful = (none if state.harmful is None else state.harmful)[rows.cpu()].numpy()
 
@@ -237,8 +237,8 @@ class ResidualTrainer:
             return self._loss(self._draw(number, self._filmed(field, number)), number, config)
 
         added = len(new["level"])
-        if allowance.new:  # where the cameras do not agree on what is lacking, they do not on what is wrong either
-            self._most_changed = added
+        # where the cameras do not agree on what is lacking, they do not on what is wrong either
+        self._most_changed = added if allowance.new else len(self._anchors)
         far, most = self._gone_far(trained, config.far_pixels), min(allowance.whole - added, self._most_changed)
         pull = partial(pull_of, trained, loss_of, tuple(self._drawn))
         self._anchors.send_whole(new, rewritten_anchors(far, config.rewritten_share, most, pull))

@@ -10,9 +10,12 @@ from torch import Tensor
 
 from core.camera import look_at, pinhole
 from core.render.differentiable import rasterise
+from core.synthetic import SyntheticSpec, open_synthetic
+from core.train import Trainer, preset
 from core.train.field.decode import Splats
 from core.train.residual.harmful import error_without, judged
 from tests.core.train.fields import random_field
+from tests.core.true_points import true_points
 
 WIDTH, HEIGHT = 48, 32
 CAMERAS = tuple(
@@ -84,3 +87,26 @@ def test_one_of_each_neighbourhood_goes_and_only_after_some_frames_in_a_row() ->
     better = judged(-change, second.frames, far, position, 1.0, 2, 5)
     assert better.frames.tolist() == [0, 0, 0, 0, 1]
     assert not better.gone.any()
+
+
+def test_later_frames_of_a_fast_scene_remove_them() -> None:
+    spec = SyntheticSpec(kind="hard", cameras=4, frames=6, width=96, height=54, speed=6.0)
+    clip = open_synthetic(spec)
+    frames = list(clip.frames())
+    live = preset("live")
+    base = replace(
+        live,
+        model=replace(live.model, max_anchors=2500),
+        keyframe=replace(live.keyframe, steps=100, growth_interval=20),
+        predict=replace(live.predict, epochs=4, minimum_steps=16, rewritten_share=0.0),
+    )
+    first = Trainer(clip.cameras, base, clip.fps, "cpu").keyframe(frames[0], true_points(spec, views=4)).scene
+    removed = []
+    for least in (0, 2):
+        config = replace(base, predict=replace(base.predict, harmful_frames=least))
+        trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
+        trainer.resume(first)
+        residuals = [trainer.predict(frame).residual for frame in frames[1:]]
+        removed.append([sum(len(level.removed) for level in residual.levels) for residual in residuals if residual])
+    assert removed[1][0] == removed[0][0]  # nobody goes after one frame
+    assert sum(removed[1]) > sum(removed[0])
