@@ -253,8 +253,8 @@ class ResidualTrainer:
     def _judged(self, config: PredictConfig, views: list[int]) -> Judgement:
         """Which anchors the pictures would be better without."""
         with torch.no_grad():
-            far = self._gone_far(self._anchors.by_residuals(), config.far_pixels).cpu().numpy()
-            field = self._anchors.field()
+            changed, field = self._anchors.by_residuals(), self._anchors.field()
+        far = self._gone_far(changed, config.far_pixels).cpu().numpy()
         if not (config.harmful_frames and far.any()):
             return nothing_judged(len(far))
 
@@ -264,7 +264,7 @@ class ResidualTrainer:
         kept, change = self._anchors.kept, np.zeros(len(far), np.float32)
         found = error_without(splats_of, self._draw, self._views.targets, views, len(field), seed=len(field))
         change[kept] = found[: len(kept)].cpu().numpy()
-        place = self._anchors.by_residuals().position.detach().cpu().numpy()
+        place = changed.position.cpu().numpy()
         frames, cell = config.harmful_frames, field.octree.motion_cell
         return judged(change, self._harmful, far, place, cell, frames, self._most_changed)
 
