@@ -88,7 +88,7 @@ class ResidualTrainer:
         self._drawn: dict[int, Tensor] = {}
         self._weights: dict[int, Tensor] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
-        self._most_changed = 0  # anchors that may be rewritten, and as many that may be removed as harmful
+        self._most_gone = 0  # anchors that may be removed as harmful
         none = torch.zeros(len(field), dtype=torch.int64)
         self._harmful = (none if state.harmful is None else state.harmful)[rows.cpu()].numpy()
 
@@ -238,8 +238,9 @@ class ResidualTrainer:
 
         added = len(new["level"])
         # where the cameras do not agree on what is lacking, they do not on what is wrong either
-        self._most_changed = added if allowance.new else len(self._anchors)
-        far, most = self._gone_far(trained, config.far_pixels), min(allowance.whole - added, self._most_changed)
+        self._most_gone = added
+        most = min(allowance.whole - added, added if allowance.new else allowance.whole)
+        far = self._gone_far(trained, config.far_pixels)
         pull = partial(pull_of, trained, loss_of, tuple(self._drawn))
         self._anchors.send_whole(new, rewritten_anchors(far, config.rewritten_share, most, pull))
 
@@ -266,7 +267,7 @@ class ResidualTrainer:
         change[kept] = found[: len(kept)].cpu().numpy()
         place = changed.position.cpu().numpy()
         frames, cell = config.harmful_frames, field.octree.motion_cell
-        return judged(change, self._harmful, far, place, cell, frames, self._most_changed)
+        return judged(change, self._harmful, far, place, cell, frames, self._most_gone)
 
     @torch.no_grad()
     def _visible(self) -> Bool:
