@@ -22,7 +22,7 @@ def round_through(values: Tensor) -> Tensor:
 
 def dead_zone(values: Tensor) -> Tensor:
     """Integers of `values`, as `core.scene.quantise.dead_zone` makes them."""
-    return (values.abs() + DEFAULT_OFFSET).floor() * values.sign()
+    return values.abs().add_(DEFAULT_OFFSET).floor_().copysign_(values)
 
 
 def dead_zone_through(values: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ _LATTICE = 2  # every second pixel of every second row is asked
 _PIXELS_A_NODE = 2  # pixels that are looked for in space, for each anchor that may be added
 _AGREEING_SHARE = 0.7  # share of the views that see a node, whose error must lie there
 _AGREEING_ERROR = 0.25  # of the mean error of these views, from which a view agrees
-_BITS = 120.0  # that a new anchor takes
+ANCHOR_BITS = 120.0  # that all numbers of an anchor take
 _MENDED = 0.4  # share of its error that an anchor mends
 _OPAQUE, _ALIKE = 0.3, 0.1  # of anchors whose features new ones take: least opacity, largest difference of colours
 
@@ -48,7 +48,7 @@ class ErrorNodes:
 
 
 def error_nodes(
-    living: Field, views: Views, drawn: Mapping[int, Tensor], masks: Tensor, most: int, bit_weight: float
+    living: Field, views: Views, drawn: Mapping[int, Tensor], masks: Tensor, most: int, anchor_price: float
 ) -> ErrorNodes:
     """At most `most` nodes on which the error of pictures lies, the worst first.
 
@@ -56,8 +56,7 @@ def error_nodes(
         living: anchors that say how deep the scene is, and whose octree has the nodes.
         views: the pictures as they should be. drawn: [H,W,3] as they are, by the number of the view.
         masks: [C,H,W] bool, pixels whose error counts.
-        bit_weight: of a bit, in units of one picture's sum of absolute errors; nodes whose error is not worth an
-            anchor's bits are left out.
+        anchor_price: in units of one picture's sum of absolute errors; nodes whose error is not worth it are left out.
     """
     errors = {number: _error(picture, views.targets[number], masks[number]) for number, picture in drawn.items()}
     worst = _worst_pixels(errors, _PIXELS_A_NODE * most)
@@ -69,7 +68,7 @@ def error_nodes(
     nodes, at = np.unique(_nodes(living, position, _LATTICE * width), axis=0, return_inverse=True)
     position, colour = (_means(values, at.ravel(), len(nodes)) for values in (position, colour))
     error, agreeing = _witnesses(errors, views, position)
-    price = bit_weight * _BITS / _MENDED
+    price = anchor_price / _MENDED
     best = np.argsort(-error, kind="stable")
     best = best[((_LATTICE / _WINDOW) ** 2 * error[best] > price) & (agreeing[best] >= _AGREEING_SHARE)][:most]
     return ErrorNodes(nodes[best, 1:].astype(np.int32), nodes[best, 0], position[best], colour[best])

@@ -15,7 +15,7 @@ from torch import Tensor
 from core.errors import unknown_name
 from core.train.config import PredictConfig
 from core.train.field.field import Field
-from core.train.growth.errors import error_nodes, values_at
+from core.train.growth.errors import ANCHOR_BITS, error_nodes, values_at
 from core.train.growth.gradient import GrowthStatistics
 from core.train.growth.new_anchors import first_values
 from core.train.growth.rules import GradientGrowth
@@ -65,6 +65,10 @@ class LaterGrowth(Protocol):
     def uses_gradients(self) -> bool:
         """Whether statistics of gradients are kept for it."""
 
+    @property
+    def anchor_price(self) -> float:
+        """What all numbers of one anchor cost, in units of one picture's sum of absolute errors."""
+
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """The seven arrays of the anchors to add, as training begins with them; of no rows for none."""
 
@@ -85,9 +89,14 @@ class ByError:
         """As `LaterGrowth.uses_gradients`."""
         return False
 
+    @property
+    def anchor_price(self) -> float:
+        """As `LaterGrowth.anchor_price`."""
+        return self.bit_weight * ANCHOR_BITS
+
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """As `LaterGrowth.new_anchors`."""
-        nodes = error_nodes(seen.living, seen.views, seen.drawn, seen.masks, seen.most, self.bit_weight)
+        nodes = error_nodes(seen.living, seen.views, seen.drawn, seen.masks, seen.most, self.anchor_price)
         return values_at(seen.living, nodes, generator)
 
 
@@ -105,6 +114,11 @@ class ByGradient:
     def uses_gradients(self) -> bool:
         """As `LaterGrowth.uses_gradients`."""
         return True
+
+    @property
+    def anchor_price(self) -> float:
+        """As `LaterGrowth.anchor_price`: the rule knows of none."""
+        return 0.0
 
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """As `LaterGrowth.new_anchors`."""

@@ -19,7 +19,7 @@ from core.train.growth.new_anchors import added_levels
 from core.train.optimise.optimisers import Optimiser
 from core.train.optimise.rate import residual_bits
 from core.train.residual.added_anchors import MAX_STEPS, AddedAnchors
-from core.train.residual.apply import UnitChange, applied
+from core.train.residual.apply import ByResiduals, UnitChange
 from core.train.residual.groups import Groups, neighbourhoods
 from core.train.residual.harmful import Judgement
 from core.train.residual.rewriting import values_of
@@ -38,24 +38,29 @@ class TrainedAnchors:
     def __init__(self, state: State, rows: Tensor, optimiser: Optimiser, group_cells: float) -> None:
         scene, field = state.scene, state.field
         device = field.feature.device
-        self.base = field.with_rows(rows)
+        base = field.with_rows(rows)
         self._scene = scene
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
         feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
-        self._unit_change = UnitChange(feature, offset, by_level[self.base.level][:, None])
+        self._all = self._kept = ByResiduals(None, base, UnitChange(feature, offset, by_level[base.level][:, None]))
         start = torch.zeros(len(field), LATENTS + 3, device=device) if state.start is None else state.start
         begin = {"latent": start[rows, :LATENTS], "position": start[rows, LATENTS:]}
         self._groups: Groups | None = None
         if group_cells > 0:
-            self._groups = neighbourhoods(self.base.position, group_cells * field.octree.motion_cell)
+            self._groups = neighbourhoods(base.position, group_cells * field.octree.motion_cell)
             begin |= self._groups.at_rest()
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
         self.optimiser = optimiser.start(leaves)
-        self._kept = self._rewritten = torch.arange(0, device=device)
+        self._rewritten = torch.arange(0, device=device)
         self._whole: AddedAnchors | None = None
 
     def __len__(self) -> int:
         return len(self.base)
+
+    @property
+    def base(self) -> Field:
+        """All n as they were."""
+        return self._all.base
 
     @property
     def moves(self) -> Tensor:
@@ -68,19 +73,22 @@ class TrainedAnchors:
         """[] that the residuals take; `moves` as above."""
         return residual_bits(self.optimiser.parameters["latent"], moves)
 
-    def by_residuals(self, moves: Tensor | None = None) -> Field:
-        """All n with their residuals; `moves` as above, where they are at hand."""
-        parameters = self.optimiser.parameters
-        return applied(self.base, parameters["latent"], self.moves if moves is None else moves, self._unit_change)
+    def by_residuals(self) -> Field:
+        """All n with their residuals."""
+        return self._all.now(self.optimiser.parameters["latent"], self.moves)
 
     def field(self, moves: Tensor | None = None) -> Field:
-        """As they will be sent: those that residuals change, and behind them those of which all numbers are sent."""
-        changed = self.by_residuals(moves)
-        return changed if self._whole is None else self._whole.behind(self._without_rewritten(changed))
+        """As they will be sent: those that residuals change, and behind them those of which all numbers are sent.
+
+        Args:
+            moves: as above, where they are at hand.
+        """
+        changed = self._kept.now(self.optimiser.parameters["latent"], self.moves if moves is None else moves)
+        return changed if self._whole is None else self._whole.behind(changed)
 
     def starting_at(self, position: Tensor) -> Field:
         """All n if they began `position` [n,3] steps from where they were."""
-        return applied(self.base, self.optimiser.parameters["latent"].detach(), position, self._unit_change)
+        return self._all.now(self.optimiser.parameters["latent"].detach(), position)
 
     def begin_at(self, position: Tensor) -> None:
         """Let their positions begin there."""
@@ -97,11 +105,12 @@ class TrainedAnchors:
             return
         with torch.no_grad():
             old = values_of(self.by_residuals(), rewritten)
-        others = torch.ones(len(self), dtype=torch.bool, device=rewritten.device)
-        others[rewritten] = False
-        self._rewritten, self._kept = rewritten, torch.nonzero(others)[:, 0]
+        if len(rewritten):
+            others = torch.ones(len(self), dtype=torch.bool, device=rewritten.device)
+            others[rewritten] = False
+            self._rewritten, self._kept = rewritten, self._all.only(torch.nonzero(others)[:, 0])
         start = {name: torch.cat([old[name], values]) for name, values in new.items()}
-        self._whole = AddedAnchors(start, self._without_rewritten(self.base), self._scene, self.optimiser)
+        self._whole = AddedAnchors(start, self._kept.base, self._scene, self.optimiser)
 
     def step(self, config: PredictConfig, decay: float) -> None:
         """Apply the gradients; rates have fallen to the share `decay`."""
@@ -113,7 +122,8 @@ class TrainedAnchors:
     @property
     def kept(self) -> Int64:
         """[k] ascending numbers of those that residuals change: they are the first rows of `field`, in this order."""
-        return np.arange(len(self)) if self._whole is None else self._kept.cpu().numpy()
+        rows = self._kept.rows
+        return np.arange(len(self)) if rows is None else rows.cpu().numpy()
 
     def update(self, shown: Bool, judgement: Judgement, steps: int, loss: float) -> IntegerUpdate:
         """All that is sent, as integers.
@@ -125,7 +135,7 @@ class TrainedAnchors:
         latent, position = map(_finite_integers, (self.optimiser.parameters["latent"], self.moves))
         added = heirs = None
         if self._whole is not None:
-            first, field = len(self._kept), self.field()
+            first, field = len(self._kept.base), self.field()
             new = np.flatnonzero(shown[first:])
             chosen = field.with_rows(torch.from_numpy(new + first).to(field.feature.device))
             added = added_levels(chosen, self._whole.moved[new], self._scene.header)
@@ -154,13 +164,10 @@ class TrainedAnchors:
         wanted = torch.cat([self.optimiser.parameters["latent"], self.moves], dim=1).detach()
         return np.asarray(wanted.nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
 
-    def _without_rewritten(self, field: Field) -> Field:
-        return field.with_rows(self._kept) if len(self._rewritten) else field
-
     def _steps_gone(self, field: Field, first: int) -> Int32:
         """[m,3] how far the rewritten anchors have gone: rows of `field` from `first` on."""
         now, before = field.position[first : first + len(self._rewritten)], self.base.position[self._rewritten]
-        return _finite_integers((now - before) / self._unit_change.position[self._rewritten])
+        return _finite_integers((now - before) / self._all.unit.position[self._rewritten])
 
 
 def _finite_integers(values: Tensor) -> Int32:

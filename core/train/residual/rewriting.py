@@ -21,18 +21,22 @@ from core.train.residual.added_anchors import RATES
 _WORTH_TABLES = 16  # anchors; fewer take less than the tables of their chunks in the packet do
 
 
-def rewritten_anchors(far: Tensor, share: float, most: int, pull: Callable[[], Tensor]) -> Tensor:
-    """[m] ascending: a share of the anchors that have gone `far` [n] bool, those whose numbers pull hardest.
+def rewritten_anchors(far: Tensor, most: int, worth: float, pull: Callable[[], Tensor]) -> Tensor:
+    """[m] ascending: of the anchors that have gone `far` [n] bool those whose numbers pull harder than they cost.
 
     Args:
-        most: m at most. If few would be left, none is rewritten.
+        most: m at most, those that pull hardest. If fewer than the tables of their chunks are worth would be left, none
+            is rewritten.
+        worth: least pull.
         pull: gives `pull_of` the anchors; asked only where it is needed.
     """
-    count = min(round(share * int(far.sum())), most)
-    if count < _WORTH_TABLES:
-        return torch.zeros(0, dtype=torch.int64, device=far.device)
-    strongest = torch.where(far, pull(), 0.0).topk(count)
-    return strongest.indices[strongest.values > 0].sort().values  # what no camera sees is not worth its bits
+    nobody = torch.zeros(0, dtype=torch.int64, device=far.device)
+    most = min(most, int(far.sum()))
+    if most < _WORTH_TABLES:
+        return nobody
+    strongest = torch.where(far, pull(), 0.0).topk(most)
+    chosen = strongest.indices[strongest.values > worth]
+    return nobody if len(chosen) < _WORTH_TABLES else chosen.sort().values
 
 
 def pull_of(field: Field, loss_of: Callable[[int, Field], Tensor], numbers: Iterable[int]) -> Tensor:

@@ -40,6 +40,8 @@ from core.train.residual.tile_cache import TileCache, make_tile_cache
 from core.train.residual.update import IntegerUpdate, no_update
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
+_STEPS_TO_PAY = 2.0  # as large as the first, in which an anchor that is sent anew must pay for its bits
+_REWRITTEN_BESIDE_ONE = 3  # anchors that may be sent anew beside one that is added
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -236,13 +238,16 @@ class ResidualTrainer:
         def loss_of(number: int, field: Field) -> Tensor:
             return self._loss(self._draw(number, self._filmed(field, number)), number, config)
 
-        added = len(new["level"])
+        added, numbers = len(new["level"]), tuple(self._drawn)
         # where the cameras do not agree on what is lacking, they do not on what is wrong either
         self._most_gone = added
-        most = min(allowance.whole - added, added if allowance.new else allowance.whole)
-        far = self._gone_far(trained, config.far_pixels)
-        pull = partial(pull_of, trained, loss_of, tuple(self._drawn))
-        self._anchors.send_whole(new, rewritten_anchors(far, config.rewritten_share, most, pull))
+        far = self._gone_far(trained, config.rewritten_pixels)
+        most = min(allowance.whole - added, int(config.rewritten_share * int(far.sum())))
+        most = min(most, _REWRITTEN_BESIDE_ONE * added) if allowance.new else most
+        # of the mean loss over the numbers of a picture, summed over pictures, as the pull is
+        worth = growth.anchor_price / _STEPS_TO_PAY * len(numbers) / self._views.targets[0].numel()
+        rewritten = rewritten_anchors(far, most, worth, partial(pull_of, trained, loss_of, numbers))
+        self._anchors.send_whole(new, rewritten)
 
     @torch.no_grad()
     def _gone_far(self, now: Field, least: float) -> Tensor:
@@ -255,7 +260,7 @@ class ResidualTrainer:
         """Which anchors the pictures would be better without."""
         with torch.no_grad():
             changed, field = self._anchors.by_residuals(), self._anchors.field()
-        far = self._gone_far(changed, config.far_pixels).cpu().numpy()
+        far = self._gone_far(changed, config.harmful_pixels).cpu().numpy()
         if not (config.harmful_frames and far.any()):
             return nothing_judged(len(far))
 

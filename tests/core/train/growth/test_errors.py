@@ -64,7 +64,7 @@ def test_they_lie_on_the_surface_that_is_lacking(case: Case) -> None:
 def test_only_error_that_counts_and_is_worth_an_anchor_gets_one(case: Case) -> None:
     living, views, drawn, masks = case
     many = len(error_nodes(living, views, drawn, masks, 60, 0.0))
-    few = len(error_nodes(living, views, drawn, masks, 60, 0.02))
+    few = len(error_nodes(living, views, drawn, masks, 60, 2.4))
     assert 0 < few < many
     assert len(error_nodes(living, views, drawn, masks, 60, 1e3)) == 0
     assert len(error_nodes(living, views, drawn, torch.zeros_like(masks), 60, 0.0)) == 0

@@ -25,7 +25,13 @@ from tests.core.train.fields import random_field
 
 WIDTH, HEIGHT = 96, 64
 CONFIG = PredictConfig(
-    epochs=15, minimum_steps=0, least_gain=0.0, rate_weight=0.0005, far_pixels=0.0, harmful_frames=0, growth_at=0.2
+    epochs=15,
+    minimum_steps=0,
+    least_gain=0.0,
+    rate_weight=0.0005,
+    growth_at=0.2,
+    harmful_frames=0,
+    rewritten_pixels=0.0,
 )
 CAMERAS = tuple(
     pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),
@@ -35,8 +41,8 @@ CAMERAS = tuple(
 SCENE = scene_of(random_field(200), CONFIG, CAMERAS, 30.0, 0)
 
 
-def trained(share: float) -> tuple[ResidualTrainer, IntegerUpdate, State, Views]:
-    """A frame in which every Gaussian has become a third larger, which no residual can say."""
+def trained(share: float, price: float = 0.0) -> tuple[ResidualTrainer, IntegerUpdate, State, Views]:
+    """A frame in which every Gaussian has become a third larger, which no residual can say; `price` of a bit."""
     state = fresh_state(SCENE, "cpu")
     blank = Views(CAMERAS, torch.zeros(4, HEIGHT, WIDTH, 3), [0, 1, 2, 3])
     grown = replace(state.field, scaling=state.field.scaling + np.log(4 / 3))
@@ -45,7 +51,7 @@ def trained(share: float) -> tuple[ResidualTrainer, IntegerUpdate, State, Views]
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, everything, views, neutral(4), masks, [0, 1, 2, 3])
     config, allowance = replace(CONFIG, rewritten_share=share), AnchorAllowance(0, 1000)
-    update = trainer.run(config, "cpu", torch.Generator().manual_seed(0), growth=ByError(1.0), allowance=allowance)
+    update = trainer.run(config, "cpu", torch.Generator().manual_seed(0), growth=ByError(price), allowance=allowance)
     return trainer, update, state, views
 
 
@@ -99,24 +105,29 @@ def test_an_heir_keeps_what_was_known_of_the_one_before() -> None:
     assert np.abs(update.position[update.removed]).max() >= 1  # they have gone somewhere
 
 
-def test_a_share_of_those_that_go_far_is_rewritten_those_that_pull_hardest() -> None:
+def test_what_is_not_worth_its_bits_is_not_rewritten() -> None:
+    free, fair, dear = (trained(0.5, price)[1].new for price in (0.0, 0.005, 0.02))
+    assert free > fair > dear == 0
+
+
+def test_those_that_go_far_are_rewritten_if_they_pull_hard() -> None:
     far = torch.arange(100) % 2 == 0
     pull = torch.randperm(100, generator=torch.Generator().manual_seed(0)).float()
-    for share, most in ((0.4, 100), (1.0, 20)):
-        strongest = sorted(range(0, 100, 2), key=lambda row: -pull[row])[:20]
-        assert rewritten_anchors(far, share, most, lambda: pull).tolist() == sorted(strongest)
-    seen = rewritten_anchors(far, 1.0, 100, lambda: pull - 30)
-    assert seen.tolist() == [row for row in range(0, 100, 2) if pull[row] > 30]  # nobody sees the others
+    strongest = sorted(range(0, 100, 2), key=lambda row: -pull[row])
+    assert rewritten_anchors(far, 20, 0.0, lambda: pull).tolist() == sorted(strongest[:20])
+    worth = sorted(row for row in strongest if pull[row] > 30)
+    assert rewritten_anchors(far, 100, 30.0, lambda: pull).tolist() == worth
+    assert rewritten_anchors(far, 100, float(pull[strongest[15]]), lambda: pull).tolist() == []  # 15 are too few
+    assert rewritten_anchors(far, 100, 0.0, lambda: 0 * pull).tolist() == []  # nobody sees them
 
 
 def _unasked() -> torch.Tensor:
     raise AssertionError("nothing is to be rewritten")
 
 
-@pytest.mark.parametrize(("share", "most"), [(0.0, 100), (0.5, 0), (0.3, 100), (1.0, 15)])
-def test_nobody_is_asked_where_few_would_be_rewritten(share: float, most: int) -> None:
-    far = torch.arange(100) < 50
-    assert rewritten_anchors(far, share, most, _unasked).tolist() == []
+@pytest.mark.parametrize(("going", "most"), [(50, 0), (50, 15), (15, 100), (0, 100)])
+def test_nobody_is_asked_where_few_would_be_rewritten(going: int, most: int) -> None:
+    assert rewritten_anchors(torch.arange(100) < going, most, 0.0, _unasked).tolist() == []
 
 
 def test_the_pull_is_what_a_step_would_gain() -> None:
