@@ -319,7 +319,7 @@ class PredictConfig:
         reading(100.0, "no limit is given but that of memory"),
     )
     harmful_frames: int = setting(
-        2,
+        3,
         "frames in a row in which the pictures would be better without an anchor, after which it is removed; 0: never",
         reading(0, "not mentioned: anchors go when they are transparent"),
     )

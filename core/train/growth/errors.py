@@ -58,11 +58,14 @@ def error_nodes(
         masks: [C,H,W] bool, pixels whose error counts.
         anchor_price: in units of one picture's sum of absolute errors; nodes whose error is not worth it are left out.
     """
+    nowhere = ErrorNodes(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), *np.zeros((2, 0, 3)))
+    if most <= 0:
+        return nowhere
     errors = {number: _error(picture, views.targets[number], masks[number]) for number, picture in drawn.items()}
     worst = _worst_pixels(errors, _PIXELS_A_NODE * most)
     found = [matched_pixels(living, views, number, *pixels) for number, pixels in worst.items() if len(pixels[0])]
     if not found:
-        return ErrorNodes(np.zeros((0, 3), np.int32), np.zeros(0, np.int64), *np.zeros((2, 0, 3)))
+        return nowhere
     position, width = (np.concatenate([getattr(part, name) for part in found]) for name in ("position", "width"))
     colour = np.concatenate([views.targets[part.view].cpu().numpy()[part.row, part.column] for part in found])
     nodes, at = np.unique(_nodes(living, position, _LATTICE * width), axis=0, return_inverse=True)

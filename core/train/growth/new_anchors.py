@@ -8,6 +8,7 @@ from torch import Tensor
 
 from core.arrays import Float32, Int16, Int32
 from core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
+from core.scene.expand import EXTRA_LEVEL_UNIT
 from core.train.field.field import Field
 from core.train.growth.gradient import NewAnchors
 
@@ -54,7 +55,7 @@ def added_levels(field: Field, position: Int32, header: SceneHeader) -> tuple[An
                 feature=_integers(field.feature[rows], header.feature_steps),
                 offset=_integers(field.offset[rows].flatten(1), header.offset_steps),
                 scaling=_integers(field.scaling[rows], header.scaling_steps),
-                extra_level=np.zeros(count, np.int16),
+                extra_level=_integers(field.extra_level[rows].clamp(min=0), np.float32(EXTRA_LEVEL_UNIT)),
                 latent=np.zeros((count, LATENTS), np.int16),
                 alive=np.ones(count, np.bool_),
             )
@@ -62,6 +63,6 @@ def added_levels(field: Field, position: Int32, header: SceneHeader) -> tuple[An
     return tuple(levels)
 
 
-def _integers(values: Tensor, steps: Float32) -> Int16:
+def _integers(values: Tensor, steps: Float32 | np.float32) -> Int16:
     rounded = np.round(values.detach().cpu().numpy() / steps)
     return np.nan_to_num(rounded).clip(-32768, 32767).astype(np.int16)

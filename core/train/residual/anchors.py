@@ -71,7 +71,10 @@ class TrainedAnchors:
 
     def bits(self, moves: Tensor) -> Tensor:
         """[] that the residuals take; `moves` as above."""
-        return residual_bits(self.optimiser.parameters["latent"], moves)
+        latent, rows = self.optimiser.parameters["latent"], self._kept.rows
+        if rows is not None:
+            latent, moves = latent.index_select(0, rows), moves.index_select(0, rows)
+        return residual_bits(latent, moves)
 
     def by_residuals(self) -> Field:
         """All n with their residuals."""
@@ -133,7 +136,7 @@ class TrainedAnchors:
             steps, loss: of the training.
         """
         latent, position = map(_finite_integers, (self.optimiser.parameters["latent"], self.moves))
-        added = heirs = None
+        wanted, added, heirs = self.wanted(), None, None
         if self._whole is not None:
             first, field = len(self._kept.base), self.field()
             new = np.flatnonzero(shown[first:])
@@ -144,6 +147,7 @@ class TrainedAnchors:
             heirs[: len(old)] = old
             heirs = heirs[new][np.argsort(chosen.level.cpu().numpy(), kind="stable")]
             latent[old], position[old] = 0, self._steps_gone(field, first)
+            wanted[old] = np.concatenate([latent[old], position[old]], axis=1)  # heirs have all of it in their numbers
         removed = np.ones(len(self), np.bool_)
         removed[self.kept] = ~shown[: len(self.kept)] | judgement.gone[self.kept]
         return IntegerUpdate(
@@ -154,7 +158,7 @@ class TrainedAnchors:
             steps,
             loss,
             self.optimiser.broken,
-            wanted=self.wanted(),
+            wanted=wanted,
             heirs=heirs,
             harmful=judgement.frames,
         )

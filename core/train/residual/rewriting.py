@@ -40,10 +40,10 @@ def rewritten_anchors(far: Tensor, most: int, worth: float, pull: Callable[[], T
 
 
 def pull_of(field: Field, loss_of: Callable[[int, Field], Tensor], numbers: Iterable[int]) -> Tensor:
-    """[n] by how much one step of all of an anchor's numbers would lower the loss, to the first order.
+    """[n] by how much one step of an anchor's features, offsets and sizes would lower the loss, to the first order.
 
     Adam's steps are as large as its rates, whatever the gradient, so that is the sum of the gradients' sizes times the
-    rates.
+    rates, as these are when a frame begins.
 
     Args:
         loss_of: of a camera's picture, of its number and the anchors. numbers: of the cameras.
@@ -60,7 +60,7 @@ def pull_of(field: Field, loss_of: Callable[[int, Field], Tensor], numbers: Iter
 def values_of(field: Field, rows: Tensor) -> dict[str, Tensor]:
     """The seven arrays of anchors `rows` [m] of `field`, on the nodes that are nearest to where they are now.
 
-    Nodes lie among those of the field's other anchors, as a keyframe cannot hold a grid that a lost anchor stretches.
+    Nodes lie among those of all anchors of the field, as a keyframe cannot hold a grid that a lost anchor stretches.
     """
     chosen, octree = field.with_rows(rows), field.octree
     position, level = chosen.position.double().nan_to_num(0.0).cpu().numpy(), chosen.level.cpu().numpy()

@@ -42,6 +42,7 @@ from core.train.residual.update import IntegerUpdate, no_update
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
 _STEPS_TO_PAY = 2.0  # as large as the first, in which an anchor that is sent anew must pay for its bits
 _REWRITTEN_BESIDE_ONE = 3  # anchors that may be sent anew beside one that is added
+_TELLING = 6  # anchors that a frame may add, from which on it says something that it adds few
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -243,7 +244,7 @@ class ResidualTrainer:
         self._most_gone = added
         far = self._gone_far(trained, config.rewritten_pixels)
         most = min(allowance.whole - added, int(config.rewritten_share * int(far.sum())))
-        most = min(most, _REWRITTEN_BESIDE_ONE * added) if allowance.new else most
+        most = min(most, _REWRITTEN_BESIDE_ONE * added) if allowance.new >= _TELLING else most
         # of the mean loss over the numbers of a picture, summed over pictures, as the pull is
         worth = growth.anchor_price / _STEPS_TO_PAY * len(numbers) / self._views.targets[0].numel()
         rewritten = rewritten_anchors(far, most, worth, partial(pull_of, trained, loss_of, numbers))
@@ -251,9 +252,9 @@ class ResidualTrainer:
 
     @torch.no_grad()
     def _gone_far(self, now: Field, least: float) -> Tensor:
-        """[n] bool: anchors that have gone at least so many pixels in the picture of some camera."""
-        before = self._anchors.base.position
-        gone: Tensor = (now.position - before).norm(dim=1) * pixels_a_unit(before, self._views.cameras)
+        """[n] bool: anchors that have gone at least so many pixels, as wide as the nearest camera sees them."""
+        before, cameras = self._anchors.base.position, [self._views.cameras[number] for number in self._views.usable]
+        gone: Tensor = (now.position - before).norm(dim=1) * pixels_a_unit(before, tuple(cameras))
         return gone >= least
 
     def _judged(self, config: PredictConfig, views: list[int]) -> Judgement:

@@ -89,10 +89,11 @@ def strongest_changes(update: IntegerUpdate, most: int, first: Bool) -> IntegerU
         return update
     kept = np.zeros(len(energy), np.bool_)
     kept[np.lexsort((-energy, ~first | (energy == 0)))[:most]] = True
+    known = kept | update.removed  # of a removed anchor only its heir wants to know how far it has gone
     return replace(
         update,
         latent=np.where(kept[:, None], update.latent, 0).astype(np.int32),
-        position=np.where(kept[:, None], update.position, 0).astype(np.int32),
+        position=np.where(known[:, None], update.position, 0).astype(np.int32),
         complete=False,
     )
 

@@ -71,6 +71,7 @@ def test_only_error_that_counts_and_is_worth_an_anchor_gets_one(case: Case) -> N
     right = dict(enumerate(views.targets))
     assert len(error_nodes(living, views, right, masks, 60, 0.0)) == 0
     assert len(error_nodes(living, views, drawn, masks, 7, 0.0)) <= 7
+    assert len(error_nodes(living, views, drawn, masks, 0, 0.0)) == 0
 
 
 def test_they_begin_with_the_features_of_an_anchor_of_their_colour(case: Case) -> None:

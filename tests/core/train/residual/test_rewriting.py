@@ -20,7 +20,7 @@ from core.train.pictures.views import Views
 from core.train.residual.rewriting import pull_of, rewritten_anchors, values_of
 from core.train.residual.state import State, fresh_state
 from core.train.residual.trainer import ResidualTrainer
-from core.train.residual.update import IntegerUpdate, residual_of
+from core.train.residual.update import IntegerUpdate, residual_of, strongest_changes
 from tests.core.train.fields import random_field
 
 WIDTH, HEIGHT = 96, 64
@@ -41,7 +41,9 @@ CAMERAS = tuple(
 SCENE = scene_of(random_field(200), CONFIG, CAMERAS, 30.0, 0)
 
 
-def trained(share: float, price: float = 0.0) -> tuple[ResidualTrainer, IntegerUpdate, State, Views]:
+def trained(
+    share: float, price: float = 0.0, new: int = 0, pixels: float = 0.0
+) -> tuple[ResidualTrainer, IntegerUpdate, State, Views]:
     """A frame in which every Gaussian has become a third larger, which no residual can say; `price` of a bit."""
     state = fresh_state(SCENE, "cpu")
     blank = Views(CAMERAS, torch.zeros(4, HEIGHT, WIDTH, 3), [0, 1, 2, 3])
@@ -50,7 +52,7 @@ def trained(share: float, price: float = 0.0) -> tuple[ResidualTrainer, IntegerU
     everything = Partition(None, np.ones(len(state.field), np.bool_))
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, everything, views, neutral(4), masks, [0, 1, 2, 3])
-    config, allowance = replace(CONFIG, rewritten_share=share), AnchorAllowance(0, 1000)
+    config, allowance = replace(CONFIG, rewritten_share=share, rewritten_pixels=pixels), AnchorAllowance(new, 1000)
     update = trainer.run(config, "cpu", torch.Generator().manual_seed(0), growth=ByError(price), allowance=allowance)
     return trainer, update, state, views
 
@@ -68,7 +70,7 @@ def test_what_is_decoded_is_what_was_trained() -> None:
     sent = trainer._anchors.field()
     wanted = sent.with_rows(torch.arange(len(sent) - 40, len(sent)))
     order = torch.argsort(wanted.level, stable=True)
-    for name in ("feature", "offset", "scaling", "position"):
+    for name in ("feature", "offset", "scaling", "position", "extra_level"):
         one, other = (getattr(field, name).detach() for field in (decoded.with_rows(new), wanted.with_rows(order)))
         torch.testing.assert_close(one, other, atol=2e-4, rtol=0)
     assert len(np.unique(update.heirs)) == 40
@@ -103,6 +105,31 @@ def test_an_heir_keeps_what_was_known_of_the_one_before() -> None:
     np.testing.assert_array_equal(after.start.numpy()[new], start[update.heirs])
     assert (after.harmful.numpy()[new] == 3).all()
     assert np.abs(update.position[update.removed]).max() >= 1  # they have gone somewhere
+
+
+def test_no_more_than_three_are_rewritten_beside_one_that_is_added() -> None:
+    counts = []
+    for allowed in (3, 10):
+        _, update, _, _ = trained(0.5, new=allowed)
+        assert update.heirs is not None
+        counts.append((int((update.heirs < 0).sum()), int((update.heirs >= 0).sum())))
+    (few, beside_few), (some, beside_some) = counts
+    assert few <= 3 < beside_few / 3  # three may be added: that few are says nothing
+    assert 16 <= beside_some <= 3 * some <= 30
+
+
+def test_what_has_not_gone_far_is_not_rewritten() -> None:
+    assert trained(0.5, pixels=1e3)[1].new == 0
+
+
+def test_an_heir_begins_the_next_frame_without_what_it_has_been_sent() -> None:
+    _, update, _, _ = trained(0.2)
+    assert update.heirs is not None
+    before = np.ones_like(update.sent)
+    for one in (update, strongest_changes(update, 100, np.ones(len(before), np.bool_))):
+        done, cut = (one.continued(0.5, before, done=done)[update.heirs] for done in (True, False))
+        np.testing.assert_array_equal(cut, done)
+        np.testing.assert_array_equal(one.position[update.heirs], update.position[update.heirs])
 
 
 def test_what_is_not_worth_its_bits_is_not_rewritten() -> None:
