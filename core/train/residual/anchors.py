@@ -70,11 +70,11 @@ class TrainedAnchors:
         return own if self._groups is None else self._groups.moved(own, parameters["shift"], parameters["turn"])
 
     def bits(self, moves: Tensor) -> Tensor:
-        """[] that the residuals take; `moves` as above."""
-        latent, rows = self.optimiser.parameters["latent"], self._kept.rows
-        if rows is not None:
-            latent, moves = latent.index_select(0, rows), moves.index_select(0, rows)
-        return residual_bits(latent, moves)
+        """[] that the residuals of all n would take; `moves` as above.
+
+        Also of those that are rewritten: what holds back their share of a neighbourhood's motion, measured, helps.
+        """
+        return residual_bits(self.optimiser.parameters["latent"], moves)
 
     def by_residuals(self) -> Field:
         """All n with their residuals."""
