@@ -72,7 +72,7 @@ class TrainedAnchors:
     def bits(self, moves: Tensor) -> Tensor:
         """[] that the residuals of all n would take; `moves` as above.
 
-        Also of those that are rewritten: what holds back their share of a neighbourhood's motion, measured, helps.
+        Rewritten anchors count too: without them training was measured to be worse (docs/history.md).
         """
         return residual_bits(self.optimiser.parameters["latent"], moves)
 

@@ -18,25 +18,25 @@ from core.train.field.field import Field
 from core.train.field.learned import ROW_PARAMETERS
 from core.train.residual.added_anchors import RATES
 
-_WORTH_TABLES = 16  # anchors; fewer take less than the tables of their chunks in the packet do
+_LEAST_ANCHORS = 16  # fewer take fewer bytes than the tables of their chunks in the packet
 
 
-def rewritten_anchors(far: Tensor, most: int, worth: float, pull: Callable[[], Tensor]) -> Tensor:
-    """[m] ascending: of the anchors that have gone `far` [n] bool those whose numbers pull harder than they cost.
+def rewritten_anchors(far: Tensor, most: int, least_pull: float, pull: Callable[[], Tensor]) -> Tensor:
+    """[m] ascending: those of the anchors that have gone `far` [n] bool whose pull is above `least_pull`.
 
     Args:
-        most: m at most, those that pull hardest. If fewer than the tables of their chunks are worth would be left, none
-            is rewritten.
-        worth: least pull.
+        most: m at most, those that pull hardest. None if fewer than 16 are left: the tables of their chunks would take
+            more bytes than they do.
+        least_pull: in units of `pull_of`.
         pull: gives `pull_of` the anchors; asked only where it is needed.
     """
-    nobody = torch.zeros(0, dtype=torch.int64, device=far.device)
+    none = torch.zeros(0, dtype=torch.int64, device=far.device)
     most = min(most, int(far.sum()))
-    if most < _WORTH_TABLES:
-        return nobody
+    if most < _LEAST_ANCHORS:
+        return none
     strongest = torch.where(far, pull(), 0.0).topk(most)
-    chosen = strongest.indices[strongest.values > worth]
-    return nobody if len(chosen) < _WORTH_TABLES else chosen.sort().values
+    chosen = strongest.indices[strongest.values > least_pull]
+    return none if len(chosen) < _LEAST_ANCHORS else chosen.sort().values
 
 
 def pull_of(field: Field, loss_of: Callable[[int, Field], Tensor], numbers: Iterable[int]) -> Tensor:

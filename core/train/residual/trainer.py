@@ -40,9 +40,9 @@ from core.train.residual.tile_cache import TileCache, make_tile_cache
 from core.train.residual.update import IntegerUpdate, no_update
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
-_STEPS_TO_PAY = 2.0  # as large as the first, in which an anchor that is sent anew must pay for its bits
-_REWRITTEN_BESIDE_ONE = 3  # anchors that may be sent anew beside one that is added
-_TELLING = 6  # anchors that a frame may add, from which on it says something that it adds few
+_STEPS_TO_PAY = 2.0  # training steps whose gain must pay for the bits of an anchor that is sent anew
+_REWRITTEN_A_NEW_ONE = 3  # anchors that may be sent anew for each one that is added,
+_LEAST_ALLOWANCE = 6  # where at least so many might be added; with fewer the number added says little
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -244,15 +244,15 @@ class ResidualTrainer:
         self._most_gone = added
         far = self._gone_far(trained, config.rewritten_pixels)
         most = min(allowance.whole - added, int(config.rewritten_share * int(far.sum())))
-        most = min(most, _REWRITTEN_BESIDE_ONE * added) if allowance.new >= _TELLING else most
-        # of the mean loss over the numbers of a picture, summed over pictures, as the pull is
-        worth = growth.anchor_price / _STEPS_TO_PAY * len(numbers) / self._views.targets[0].numel()
-        rewritten = rewritten_anchors(far, most, worth, partial(pull_of, trained, loss_of, numbers))
+        most = min(most, _REWRITTEN_A_NEW_ONE * added) if allowance.new >= _LEAST_ALLOWANCE else most
+        # the pull is a sum over pictures of a loss that is a mean over a picture's numbers
+        least_pull = growth.anchor_price / _STEPS_TO_PAY * len(numbers) / self._views.targets[0].numel()
+        rewritten = rewritten_anchors(far, most, least_pull, partial(pull_of, trained, loss_of, numbers))
         self._anchors.send_whole(new, rewritten)
 
     @torch.no_grad()
     def _gone_far(self, now: Field, least: float) -> Tensor:
-        """[n] bool: anchors that have gone at least so many pixels, as wide as the nearest camera sees them."""
+        """[n] bool: anchors that have gone at least `least` pixels, of the size that the nearest camera has there."""
         before, cameras = self._anchors.base.position, [self._views.cameras[number] for number in self._views.usable]
         gone: Tensor = (now.position - before).norm(dim=1) * pixels_a_unit(before, tuple(cameras))
         return gone >= least

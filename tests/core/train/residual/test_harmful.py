@@ -102,11 +102,12 @@ def test_later_frames_of_a_fast_scene_remove_them() -> None:
     )
     first = Trainer(clip.cameras, base, clip.fps, "cpu").keyframe(frames[0], true_points(spec, views=4)).scene
     removed = []
-    for least in (0, 2):
-        config = replace(base, predict=replace(base.predict, harmful_frames=least))
+    for least, pixels in ((0, 2.0), (2, 2.0), (2, 1e3)):
+        config = replace(base, predict=replace(base.predict, harmful_frames=least, harmful_pixels=pixels))
         trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
         trainer.resume(first)
         residuals = [trainer.predict(frame).residual for frame in frames[1:]]
         removed.append([sum(len(level.removed) for level in residual.levels) for residual in residuals if residual])
     assert removed[1][0] == removed[0][0]  # nobody goes after one frame
     assert sum(removed[1]) > sum(removed[0])
+    assert removed[2] == removed[0]  # nobody has gone so far
