@@ -11,6 +11,7 @@ from core.train.field.decode import Network
 from core.train.field.exposure import Exposure
 from core.train.field.field import Field
 from core.train.field.heads import separate_heads
+from core.train.optimise.mean import MeanOfSteps
 from core.train.optimise.optimisers import Optimiser
 
 ROW_PARAMETERS = ("feature", "offset", "scaling")
@@ -39,8 +40,7 @@ class LearnedField:
             light = {"gain": exposure.gain.requires_grad_(), "exposure_offset": exposure.offset.requires_grad_()}
         self._optimiser = optimiser.start({**rows, **network, **light})
         self._grid = start
-        self._mean: dict[str, Tensor] = {}
-        self._averaged = 0
+        self._mean = MeanOfSteps()
 
     @property
     def live(self) -> Field:
@@ -51,7 +51,7 @@ class LearnedField:
     def settled(self) -> Field:
         """The values now, or their mean since averaging began; not part of any graph."""
         return _with(
-            self._grid, {name: value.detach() for name, value in self._optimiser.parameters.items()} | self._mean
+            self._grid, {name: value.detach() for name, value in self._optimiser.parameters.items()} | self._mean.values
         )
 
     @property
@@ -70,18 +70,13 @@ class LearnedField:
         self._optimiser.step(rates | shared | light)
 
     def average(self) -> None:
-        """Count the present values into the mean: steadier than any one step (Polyak averaging)."""
-        self._averaged += 1
-        values = {name: value.detach() for name, value in self._optimiser.parameters.items()}
-        if self._averaged == 1:
-            self._mean = {name: value.clone() for name, value in values.items()}
-        else:
-            torch._foreach_lerp_([self._mean[name] for name in values], list(values.values()), 1 / self._averaged)
+        """Count the present values into the mean."""
+        self._mean.count(self._optimiser.parameters)
 
     def follow(self, changes: dict[str, Tensor]) -> None:
         """Add `changes` to the anchors' ``feature``, ``offset`` and ``position``, and to what was averaged of them."""
         with torch.no_grad():
-            for values in (self._optimiser.parameters, self._mean):
+            for values in (self._optimiser.parameters, self._mean.values):
                 for name in changes.keys() & values.keys():
                     values[name].add_(changes[name])
         self._grid = replace(self._grid, position=self._grid.position + changes["position"])

@@ -16,6 +16,7 @@ from core.train.config import PredictConfig
 from core.train.field.field import Field
 from core.train.field.rounding import dead_zone
 from core.train.growth.new_anchors import added_levels
+from core.train.optimise.mean import MeanOfSteps
 from core.train.optimise.optimisers import Optimiser
 from core.train.optimise.rate import residual_bits
 from core.train.residual.added_anchors import MAX_STEPS, AddedAnchors
@@ -51,6 +52,7 @@ class TrainedAnchors:
             begin |= self._groups.at_rest()
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
         self.optimiser = optimiser.start(leaves)
+        self._mean = MeanOfSteps()
         self._rewritten = torch.arange(0, device=device)
         self._whole: AddedAnchors | None = None
 
@@ -121,6 +123,16 @@ class TrainedAnchors:
         rates |= dict.fromkeys(("shift", "turn"), config.group_rate)
         whole = {} if self._whole is None else self._whole.rates(config.position_rate, decay)
         self.optimiser.step({name: rate * decay for name, rate in rates.items()} | whole)
+
+    def count_step(self) -> None:
+        """Let the numbers as they are now count into the mean that `settle` will take."""
+        self._mean.count(self.optimiser.parameters)
+
+    @torch.no_grad()
+    def settle(self) -> None:
+        """Training is over: all numbers become their means over the steps that were counted, if any were."""
+        for name, mean in self._mean.values.items():
+            self.optimiser.parameters[name].copy_(mean)
 
     @property
     def kept(self) -> Int64:

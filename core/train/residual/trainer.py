@@ -130,6 +130,8 @@ class ResidualTrainer:
             nonlocal waiting
             loss = self._step(order.next(), config, config.final_rate**progress, waiting)
             epochs.advance(loss)
+            if progress >= config.average_from:
+                self._anchors.count_step()
             if waiting is not None and progress >= config.growth_at and len(self._drawn) == len(views):
                 self._send_whole(waiting, config, allowance)
                 waiting = None
@@ -138,6 +140,7 @@ class ResidualTrainer:
         losses = run_steps(step, reached)
         if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
             return replace(no_update(len(self._anchors)), complete=False, wanted=self._anchors.wanted())
+        self._anchors.settle()
         loss = float(torch.stack(losses[-len(views) :]).mean())
         complete = epochs.done >= total and len(self._caches) == len(self._useful)
         # what training had no time for is not judged

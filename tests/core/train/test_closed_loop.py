@@ -126,11 +126,15 @@ def test_a_scene_comes_back_after_bad_pictures(
 
 def test_a_change_is_trained_until_that_helps_no_more(clip: Dataset, images: list[UInt8], first: Scene) -> None:
     """Not for one frame only; and a scene that stands still costs nothing in the end, however wrong it is shown."""
-    results = loop(Trainer(clip.cameras, config(), clip.fps, "cpu"), first, [images[0], *[images[8]] * 12])
-    trained = [result.report.dynamic + result.report.changed for result in results]
-    assert min(trained[1:4]) > 0
-    assert quality(results[-1].scene, clip, images[8]) > quality(results[1].scene, clip, images[8]) + 0.4
-    assert trained[-1] == 0
+    gains = []
+    for seed in range(3):  # runs of eight steps a frame differ
+        trainer = Trainer(clip.cameras, replace(config(), seed=seed), clip.fps, "cpu")
+        results = loop(trainer, first, [images[0], *[images[8]] * 12])
+        trained = [result.report.dynamic + result.report.changed for result in results]
+        assert min(trained[1:4]) > 0
+        assert trained[-1] == 0
+        gains.append(quality(results[-1].scene, clip, images[8]) - quality(results[1].scene, clip, images[8]))
+    assert np.mean(gains) > 0.4
 
 
 @pytest.mark.parametrize("factor", [100.0, 1e-3])

@@ -85,22 +85,26 @@ def unbound(config: TrainConfig, clip: Dataset, pictures: list[UInt8], first: Sc
 
 @pytest.mark.long
 def test_a_burst_holds_the_frame_budget_and_quality_returns(clip: Dataset, pictures: list[UInt8], first: Scene) -> None:
-    budget, clock = 0.035, Ticks()
-    trainer = Trainer(clip.cameras, config(), FPS, "cpu", frame_budget_ms=1000 * budget, clock=clock)
-    trainer.resume(first)
-    steps, scores = list[int](), list[float]()
+    budget = 0.035
     calm = [pictures[-1]] * 14  # with six steps a frame, what is left undone takes a while
-    for index, images in enumerate([*pictures, *calm], start=1):
-        begin = clock.now
-        result = trainer.predict(FrameSet(index, index, images, PRESENT))
-        assert clock.now - begin <= budget + 0.001
-        steps.append(result.report.steps)
-        scores.append(quality(result.scene, clip, images))
-    planned = max(config().predict.epochs * SPEC.cameras, config().predict.minimum_steps)
-    assert 0 < max(steps) < planned
-    burst = min(scores[2:6])
-    assert scores[-1] > burst + 0.1
-    assert scores[-1] > unbound(config(), clip, pictures, first) - 0.5
+    missing = []
+    for seed in range(3):  # runs of so few steps differ
+        ours, clock = replace(config(), seed=seed), Ticks()
+        trainer = Trainer(clip.cameras, ours, FPS, "cpu", frame_budget_ms=1000 * budget, clock=clock)
+        trainer.resume(first)
+        steps, scores = list[int](), list[float]()
+        for index, images in enumerate([*pictures, *calm], start=1):
+            begin = clock.now
+            result = trainer.predict(FrameSet(index, index, images, PRESENT))
+            assert clock.now - begin <= budget + 0.001
+            steps.append(result.report.steps)
+            scores.append(quality(result.scene, clip, images))
+        planned = max(ours.predict.epochs * SPEC.cameras, ours.predict.minimum_steps)
+        assert 0 < max(steps) < planned
+        burst = min(scores[2:6])
+        assert scores[-1] > burst + 0.1
+        missing.append(unbound(ours, clip, pictures, first) - scores[-1])
+    assert np.mean(missing) < 0.5
 
 
 def test_no_time_at_all_still_gives_every_frame(clip: Dataset, pictures: list[UInt8], first: Scene) -> None:

@@ -92,16 +92,17 @@ def test_what_goes_far_in_a_frame_is_shown_better_by_search() -> None:
     assert masks is not None
     error = []
     for search_from in (0.0, 0.5):
-        trainer = Trainer(clip.cameras, changed(config, search_from), clip.fps, "cpu")
-        trainer.resume(scene)
-        trainer.predict(first)  # tells the trainer what the first frame was shown
-        trainer.resume(scene, keep_references=True)
-        shown = trainer.predict(second).scene
-        pictures = [draw(shown, camera).astype(np.float64) for camera in clip.cameras]
-        error.append(
-            np.mean([((a - b)[m] ** 2).mean() for a, b, m in zip(pictures, second.images, masks, strict=True)])
-        )
-    assert error[1] < 0.95 * error[0]  # 0.90
+        runs = []
+        for seed in range(3):
+            trainer = Trainer(clip.cameras, replace(changed(config, search_from), seed=seed), clip.fps, "cpu")
+            trainer.resume(scene)
+            trainer.predict(first)  # tells the trainer what the first frame was shown
+            trainer.resume(scene, keep_references=True)
+            shown = trainer.predict(second).scene
+            pictures = [draw(shown, camera).astype(np.float64) for camera in clip.cameras]
+            runs.append([((a - b)[m] ** 2).mean() for a, b, m in zip(pictures, second.images, masks, strict=True)])
+        error.append(np.mean(runs))
+    assert error[1] < 0.95 * error[0]  # 0.91
 
 
 def changed(config: TrainConfig, search_from: float) -> TrainConfig:
