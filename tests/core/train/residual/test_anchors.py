@@ -1,0 +1,68 @@
+"""The anchors in training: what is sent is the mean of the steps that were counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from core.camera import pinhole
+from core.train.config import PredictConfig
+from core.train.field.convert import scene_of
+from core.train.optimise.optimisers import Adam
+from core.train.residual.anchors import TrainedAnchors
+from core.train.residual.harmful import nothing_judged
+from core.train.residual.state import State, fresh_state
+from tests.core.train.fields import random_field
+
+
+@pytest.fixture
+def state() -> State:
+    camera = pinhole("cam00", (40, 40), (20, 12), (40, 24), np.eye(4))
+    return fresh_state(scene_of(random_field(30), PredictConfig(), (camera,), 30.0, 0), "cpu")
+
+
+@pytest.fixture
+def anchors(state: State) -> TrainedAnchors:
+    return TrainedAnchors(state, torch.arange(0, 30, 2), Adam(), group_cells=2.0)
+
+
+def sent(anchors: TrainedAnchors) -> tuple[int, int]:
+    """The first latent and the first position that go to the decoder."""
+    update = anchors.update(np.ones(len(anchors.field()), np.bool_), nothing_judged(len(anchors)), 1, 0.0)
+    return int(update.latent[0, 0]), int(update.position[0, 0])
+
+
+def put(anchors: TrainedAnchors, latent: float, shift: float) -> None:
+    with torch.no_grad():
+        anchors.optimiser.parameters["latent"].fill_(latent)
+        anchors.optimiser.parameters["shift"].fill_(shift)
+
+
+def test_the_mean_of_counted_steps_is_sent(anchors: TrainedAnchors) -> None:
+    for latent, shift in ((4.0, 10.0), (8.0, 20.0)):
+        put(anchors, latent, shift)
+        anchors.count_step()
+    put(anchors, -50.0, -50.0)
+    anchors.settle()
+    assert sent(anchors) == (6, 15)
+
+
+def test_the_last_step_is_sent_where_none_was_counted(anchors: TrainedAnchors) -> None:
+    put(anchors, 3.0, 7.0)
+    anchors.settle()
+    assert sent(anchors) == (3, 7)
+
+
+def test_steps_before_anchors_joined_do_not_count(state: State, anchors: TrainedAnchors) -> None:
+    put(anchors, 100.0, 100.0)
+    anchors.count_step()
+    new = {name: getattr(state.field, name)[1:3] for name in NUMBERS}
+    anchors.send_whole(new, torch.tensor([4]))
+    put(anchors, 5.0, 9.0)
+    anchors.count_step()
+    anchors.settle()
+    assert sent(anchors) == (5, 9)
+
+
+NUMBERS = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")
