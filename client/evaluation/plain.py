@@ -27,6 +27,7 @@ from core.train.field.exposure import neutral
 from core.train.keyframe.random_background import over_colour
 from core.train.optimise.adam import RowAdam
 from core.train.optimise.losses import photometric_loss
+from core.train.optimise.mean import MeanOfSteps
 from core.train.optimise.schedule import ViewOrder
 from core.train.pictures.views import Views
 
@@ -126,8 +127,7 @@ class PlainGaussians:
             start |= {"gain": self._exposure.gain, "offset": self._exposure.offset}
         self._optimiser = RowAdam({name: value.requires_grad_() for name, value in start.items()})
         self._pull, self._seen = torch.zeros(count), torch.zeros(count)
-        self._mean: dict[str, Tensor] = {}
-        self._averaged = 0
+        self._mean = MeanOfSteps()
 
     def __len__(self) -> int:
         return len(self._pull)
@@ -141,16 +141,16 @@ class PlainGaussians:
             self._step(progress)
             steps += 1
             if progress >= config.average_from:
-                self._average()
+                self._mean.count({name: self._optimiser.parameters[name] for name in self._rows})
             if steps % config.densify_interval == 0 and config.densify_from < progress < config.densify_until:
                 self._densify()
         return steps
 
     def follow(self, views: Views, cpu_seconds: float) -> None:
         """Train on the pictures of the next instant for so many CPU seconds; no Gaussian comes or goes."""
-        for name, value in self._mean.items():
+        for name, value in self._mean.values.items():
             self._optimiser.parameters[name].data.copy_(value)
-        self._mean, self._averaged = {}, 0
+        self._mean = MeanOfSteps()
         self._whole = self._views = views
         begin = time.process_time()
         while (progress := (time.process_time() - begin) / max(cpu_seconds, 1e-9)) < 1:
@@ -159,7 +159,7 @@ class PlainGaussians:
     @torch.no_grad()
     def picture(self, camera: Camera) -> UInt8:
         """[H,W,3] what `camera` sees of the result, by the rule of `core.scene.expand.without_near`."""
-        parameters = self._mean or self._optimiser.parameters
+        parameters = self._mean.values or self._optimiser.parameters
         away = parameters["means"] - torch.from_numpy(camera.centre).float()
         kept = away.norm(dim=1) >= near_radius(self._whole.cameras, camera.centre)
         image = self._render({name: parameters[name][kept] for name in self._rows}, camera, torch.zeros(3)).image
@@ -206,14 +206,6 @@ class PlainGaussians:
             background,
         )
 
-    def _average(self) -> None:
-        now = {name: self._optimiser.parameters[name].detach() for name in self._rows}
-        self._averaged += 1
-        if not self._mean:
-            self._mean = {name: value.clone() for name, value in now.items()}
-        for name, value in now.items():
-            self._mean[name].lerp_(value, 1 / self._averaged)
-
     def _densify(self) -> None:
         config, parameters = self._config, self._optimiser.parameters
         p = {name: parameters[name].detach() for name in self._rows}
@@ -228,7 +220,7 @@ class PlainGaussians:
         self._optimiser.replace_rows(kept, new)
         count = len(self._optimiser.parameters["means"])
         self._pull, self._seen = torch.zeros(count), torch.zeros(count)
-        self._mean, self._averaged = {}, 0
+        self._mean = MeanOfSteps()
 
 
 def plain_views(frame: FrameSet, cameras: tuple[Camera, ...]) -> Views:

@@ -243,11 +243,13 @@ class PredictConfig:
         reading(0.0, "not mentioned: training begins at the frame before"),
     )
     final_rate: float = setting(
-        0.3, "both rates decay to this share over the frame", reading(0.1, "none given; as in the first frame")
+        0.3,
+        "share of themselves to which rates decay over the frame",
+        reading(0.1, "none given; as in the first frame"),
     )
     average_from: float = setting(
         0.7,
-        "share of the frame's steps from which they are averaged for the result; 1: the result is the last step",
+        "moment of the frame, 0 to 1, from which steps are averaged for the result; 1: the result is the last step",
         reading(1.0, "not mentioned: the result is the last step"),
     )
     feature_step: float = setting(

@@ -1,6 +1,6 @@
-"""The mean of parameters over training steps (Polyak and Juditsky 1992): steadier than the last step.
+"""The mean of parameters over training steps (Polyak and Juditsky 1992), which is steadier than the last step.
 
-Every step follows the picture of one camera, so it leaves the place where all of them agree a little.
+A step follows the picture of one camera alone. The mean over many steps suits all cameras.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ class MeanOfSteps:
     """Mean of named tensors over the steps that were counted.
 
     Attributes:
-        values: by name; empty before the first step. Not part of any graph.
+        values: the mean by name, each of its parameter's shape and detached; empty before the first step.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class MeanOfSteps:
         self._steps = 0
 
     def count(self, parameters: dict[str, Tensor]) -> None:
-        """One step is done and has made these of the parameters; it is the first one if there are others now."""
+        """Let `parameters`, as a step has left them, count into the mean; with other names it begins anew."""
         now = {name: value.detach() for name, value in parameters.items()}
         if now.keys() != self.values.keys():
             self._steps, self.values = 0, {name: value.clone() for name, value in now.items()}

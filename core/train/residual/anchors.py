@@ -124,13 +124,13 @@ class TrainedAnchors:
         whole = {} if self._whole is None else self._whole.rates(config.position_rate, decay)
         self.optimiser.step({name: rate * decay for name, rate in rates.items()} | whole)
 
-    def count_step(self) -> None:
-        """Let the numbers as they are now count into the mean that `settle` will take."""
+    def average(self) -> None:
+        """Count the present numbers into the mean."""
         self._mean.count(self.optimiser.parameters)
 
     @torch.no_grad()
     def settle(self) -> None:
-        """Training is over: all numbers become their means over the steps that were counted, if any were."""
+        """All numbers become their means over the steps that were counted, if any were."""
         for name, mean in self._mean.values.items():
             self.optimiser.parameters[name].copy_(mean)
 

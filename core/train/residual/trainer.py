@@ -131,7 +131,7 @@ class ResidualTrainer:
             loss = self._step(order.next(), config, config.final_rate**progress, waiting)
             epochs.advance(loss)
             if progress >= config.average_from:
-                self._anchors.count_step()
+                self._anchors.average()
             if waiting is not None and progress >= config.growth_at and len(self._drawn) == len(views):
                 self._send_whole(waiting, config, allowance)
                 waiting = None

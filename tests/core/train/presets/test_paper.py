@@ -45,3 +45,4 @@ def test_what_the_paper_states_in_numbers() -> None:
     assert (config.predict.epochs, config.predict.posterior) == (10, 0.8)
     assert config.keyframe.dssim_weight == config.predict.dssim_weight == 0.2
     assert config.keyframe.average_from >= 1  # the last step, no mean
+    assert config.predict.average_from >= 1

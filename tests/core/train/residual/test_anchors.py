@@ -15,6 +15,8 @@ from core.train.residual.harmful import nothing_judged
 from core.train.residual.state import State, fresh_state
 from tests.core.train.fields import random_field
 
+NUMBERS = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")  # of a new anchor
+
 
 @pytest.fixture
 def state() -> State:
@@ -42,7 +44,7 @@ def put(anchors: TrainedAnchors, latent: float, shift: float) -> None:
 def test_the_mean_of_counted_steps_is_sent(anchors: TrainedAnchors) -> None:
     for latent, shift in ((4.0, 10.0), (8.0, 20.0)):
         put(anchors, latent, shift)
-        anchors.count_step()
+        anchors.average()
     put(anchors, -50.0, -50.0)
     anchors.settle()
     assert sent(anchors) == (6, 15)
@@ -56,13 +58,10 @@ def test_the_last_step_is_sent_where_none_was_counted(anchors: TrainedAnchors) -
 
 def test_steps_before_anchors_joined_do_not_count(state: State, anchors: TrainedAnchors) -> None:
     put(anchors, 100.0, 100.0)
-    anchors.count_step()
+    anchors.average()
     new = {name: getattr(state.field, name)[1:3] for name in NUMBERS}
     anchors.send_whole(new, torch.tensor([4]))
     put(anchors, 5.0, 9.0)
-    anchors.count_step()
+    anchors.average()
     anchors.settle()
     assert sent(anchors) == (5, 9)
-
-
-NUMBERS = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")

@@ -1,0 +1,60 @@
+"""What a later frame sends is the mean over the last steps of its training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from core.camera import pinhole
+from core.train.config import PredictConfig
+from core.train.field.convert import scene_of
+from core.train.field.exposure import neutral
+from core.train.motion.partition import Partition
+from core.train.optimise.adam import RowAdam
+from core.train.optimise.optimisers import RowOptimiser
+from core.train.pictures.views import Views
+from core.train.residual.state import fresh_state
+from core.train.residual.trainer import ResidualTrainer
+from tests.core.train.fields import random_field
+
+WIDTH, HEIGHT = 40, 24
+
+
+@dataclass(frozen=True, slots=True)
+class RememberingAdam:
+    """Adam that remembers the latents after each step."""
+
+    latents: list[Tensor] = field(default_factory=list)
+
+    def start(self, parameters: dict[str, Tensor]) -> RowOptimiser:
+        latents = self.latents
+
+        class Remembering(RowAdam):
+            def step(self, rates: dict[str, float]) -> None:
+                super().step(rates)
+                latents.append(self.parameters["latent"].detach().clone())
+
+        return Remembering(parameters)
+
+
+@pytest.mark.parametrize(("average_from", "last"), [(1.0, 1), (0.5, 4), (0.0, 8)])
+def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int) -> None:
+    config = PredictConfig(epochs=8, minimum_steps=0, least_gain=0.0, average_from=average_from)
+    pose = np.eye(4)
+    pose[2, 3] = 3.0
+    camera = pinhole("cam00", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT), pose)
+    state = fresh_state(scene_of(random_field(60), config, (camera,), 30.0, 0), "cpu")
+    views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0)), [0])
+    masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
+    everything = Partition(None, np.ones(len(state.field), np.bool_))
+    adam = RememberingAdam()
+    trainer = ResidualTrainer(state, everything, views, neutral(1), masks, [0], adam)
+    update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
+    assert update.steps == len(adam.latents) == 8
+    assert not torch.equal(adam.latents[-1], adam.latents[-2])
+    mean = torch.stack(adam.latents[-last:]).mean(dim=0).numpy()
+    np.testing.assert_allclose(update.wanted[:, : mean.shape[1]], mean, atol=1e-4)
