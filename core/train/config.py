@@ -253,11 +253,11 @@ class PredictConfig:
         reading(1.0, "not mentioned: the result is the last step"),
     )
     feature_step: float = setting(
-        0.2,
-        "width of a latent's step in feature units",
+        0.8,
+        "width of a latent's step in feature units, in the mean of all directions",
         reading(0.2, "the paper learns its latent decoders; ours are fixed, of this step"),
     )
-    offset_step: float = setting(0.2, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
+    offset_step: float = setting(0.15, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
     position_steps_per_cell: int = setting(
         32,
         "steps in which anchors move, to a motion cell: one of the third finest level",

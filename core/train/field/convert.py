@@ -38,7 +38,7 @@ def scene_of(
     """A keyframe: the field rounded as it will be sent, to `precision` or the usual one."""
     precision = precision or usual_precision(field, 0)
     field = precision.sent(field)
-    features, slots = field.feature.shape[1], field.slots
+    slots = field.slots
     header = SceneHeader(
         octree=field.octree,
         gaussians_per_anchor=slots,
@@ -60,11 +60,8 @@ def scene_of(
         hidden_bias=_sendable(network.hidden_bias),
         output_weight=_sendable(network.output_weight),
         output_bias=_sendable(network.output_bias),
-        feature_decoder=_sendable(
-            torch.from_numpy(_decoder(FEATURE_LATENTS, features, predict.feature_step)).to(field.feature)
-            @ precision.basis
-        ),
-        offset_decoder=_decoder(OFFSET_LATENTS, 3 * slots, predict.offset_step),
+        feature_decoder=_feature_decoder(field.feature, predict.feature_step * _mean_length(precision.basis)),
+        offset_decoder=_offset_decoder(3 * slots, predict.offset_step),
     )
     here = field.to("cpu")
     levels = tuple(_level_of(here, number, header) for number in range(field.octree.levels))
@@ -129,14 +126,31 @@ def _level_of(field: Field, number: int, header: SceneHeader) -> AnchorLevel:
     )
 
 
-def _decoder(latents: int, outputs: int, step: float) -> Float32:
-    """[latents, outputs] random orthogonal rows of length `step`.
+def _feature_decoder(feature: Tensor, step: float) -> Float32:
+    """[12,F] latents that each change one channel by `step`: those in which features [N,F] differ most.
 
-    Learned decoders (the paper, QUEEN) measured no better (docs/method.md), and these cost no training.
+    In the basis in which they are sent (`core.train.keyframe.precision`) features are uncorrelated, and a step of any
+    channel changes the pictures as much. So few latents say much, which random directions did not (docs/history.md).
     """
-    size = max(latents, outputs)
-    orthogonal, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((size, size)))
-    return np.ascontiguousarray((step * orthogonal[:latents, :outputs]).astype(np.float16).astype(np.float32))
+    channels = feature.shape[1]
+    spread = feature.double().square().sum(dim=0) - len(feature) * feature.double().mean(dim=0).nan_to_num().square()
+    chosen = torch.argsort(spread.cpu(), descending=True, stable=True)[:FEATURE_LATENTS]
+    decoder = torch.zeros(FEATURE_LATENTS, channels)
+    decoder[torch.arange(len(chosen)), chosen] = step
+    return _sendable(decoder)
+
+
+def _offset_decoder(numbers: int, step: float) -> Float32:
+    """[12,`numbers`] latents that each change one offset by `step`; random orthogonal rows where there are too few."""
+    if numbers <= OFFSET_LATENTS:
+        return _sendable(step * torch.eye(OFFSET_LATENTS, numbers))
+    orthogonal, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((numbers, numbers)))
+    return _sendable(step * torch.from_numpy(orthogonal[:OFFSET_LATENTS]))
+
+
+def _mean_length(basis: Tensor) -> float:
+    """Root mean square length that directions of unit length [F] have in `basis` [F,F]."""
+    return float(basis.double().square().sum().div(len(basis)).sqrt())
 
 
 def _array(steps: Tensor) -> Float32:

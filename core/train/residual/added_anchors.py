@@ -107,6 +107,9 @@ class _Rounded(torch.autograd.Function):
 
 
 def _usual_coarseness(scene: Scene) -> float:
-    """Multiple of the finest steps that the numbers of half of the living anchors are rounded to, or a finer one."""
+    """Twice the multiple of the finest steps that the numbers of half of the living anchors are rounded to, or less.
+
+    Twice, since what later frames send whole moves and is soon changed again (docs/history.md).
+    """
     shifts = np.concatenate([coarseness(level, np.flatnonzero(level.alive)) for level in scene.levels])
-    return 2.0 ** float(np.floor(np.median(shifts))) if len(shifts) else 1.0
+    return 2.0 ** float(np.floor(np.median(shifts)) + 1) if len(shifts) else 1.0
