@@ -21,10 +21,14 @@ EYE = np.array([0.3, -0.6, -2.5])
 
 
 def assert_same(found: GaussianCloud, wanted: GaussianCloud) -> None:
-    """The same Gaussians, bit for bit but for the length of quaternions, which says nothing."""
+    """The same Gaussians but for the length of quaternions, which says nothing, and for rounding.
+
+    `interpolate` puts more rows through the network at once than `expand`, and a matrix product may round a row's last
+    bit by how many there are: some processors do.
+    """
     assert len(found) == len(wanted)
     for name in ("means", "scales", "opacities", "colours"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-6, atol=1e-7)
     length = np.linalg.norm(wanted.quaternions, axis=1, keepdims=True)
     turned = (found.quaternions * wanted.quaternions / length).sum(axis=1)
     np.testing.assert_allclose(np.abs(turned), 1, atol=1e-5)
