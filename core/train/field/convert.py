@@ -127,21 +127,20 @@ def _level_of(field: Field, number: int, header: SceneHeader) -> AnchorLevel:
 
 
 def _feature_decoder(feature: Tensor, step: float) -> Float32:
-    """[12,F] latents that each change one channel by `step`: those in which features [N,F] differ most.
+    """[12,F] latents that each change one channel by `step`: the channels in which features [N,F] differ most.
 
     In the basis in which they are sent (`core.train.keyframe.precision`) features are uncorrelated, and a step of any
-    channel changes the pictures as much. So few latents say much, which random directions did not (docs/history.md).
+    channel changes the pictures by the same amount. Random directions took more latents for less (docs/history.md).
     """
-    channels = feature.shape[1]
-    spread = feature.double().square().sum(dim=0) - len(feature) * feature.double().mean(dim=0).nan_to_num().square()
+    spread = (feature - feature.mean(dim=0)).double().square().sum(dim=0)
     chosen = torch.argsort(spread.cpu(), descending=True, stable=True)[:FEATURE_LATENTS]
-    decoder = torch.zeros(FEATURE_LATENTS, channels)
+    decoder = torch.zeros(FEATURE_LATENTS, feature.shape[1])
     decoder[torch.arange(len(chosen)), chosen] = step
     return _sendable(decoder)
 
 
 def _offset_decoder(numbers: int, step: float) -> Float32:
-    """[12,`numbers`] latents that each change one offset by `step`; random orthogonal rows where there are too few."""
+    """[12,M] latents that each change one of M offset numbers by `step`; along random orthogonal directions if M > 12."""
     if numbers <= OFFSET_LATENTS:
         return _sendable(step * torch.eye(OFFSET_LATENTS, numbers))
     orthogonal, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((numbers, numbers)))
@@ -149,7 +148,7 @@ def _offset_decoder(numbers: int, step: float) -> Float32:
 
 
 def _mean_length(basis: Tensor) -> float:
-    """Root mean square length that directions of unit length [F] have in `basis` [F,F]."""
+    """Root mean square, over all directions, of the length of a unit vector [F] times `basis` [F,F]."""
     return float(basis.double().square().sum().div(len(basis)).sqrt())
 
 

@@ -107,9 +107,9 @@ class _Rounded(torch.autograd.Function):
 
 
 def _usual_coarseness(scene: Scene) -> float:
-    """Twice the multiple of the finest steps that the numbers of half of the living anchors are rounded to, or less.
+    """Multiple of the finest steps to round to: twice the median of those that living anchors are rounded to.
 
-    Twice, since what later frames send whole moves and is soon changed again (docs/history.md).
+    Twice costs no quality here, since anchors that later frames send whole are soon changed again (docs/history.md).
     """
     shifts = np.concatenate([coarseness(level, np.flatnonzero(level.alive)) for level in scene.levels])
     return 2.0 ** float(np.floor(np.median(shifts)) + 1) if len(shifts) else 1.0
