@@ -140,7 +140,7 @@ def _feature_decoder(feature: Tensor, step: float) -> Float32:
 
 
 def _offset_decoder(numbers: int, step: float) -> Float32:
-    """[12,M] latents that each change one of M offset numbers by `step`; along random orthogonal directions if M > 12."""
+    """[12,M] latents that each change one of M offset numbers by `step`; random orthogonal directions if M > 12."""
     if numbers <= OFFSET_LATENTS:
         return _sendable(step * torch.eye(OFFSET_LATENTS, numbers))
     orthogonal, _ = np.linalg.qr(np.random.default_rng(1).standard_normal((numbers, numbers)))
