@@ -253,7 +253,7 @@ class PredictConfig:
         reading(1.0, "not mentioned: the result is the last step"),
     )
     feature_step: float = setting(
-        0.8,
+        0.4,
         "width of a latent's step in feature units, in the mean of all directions",
         reading(0.2, "the paper learns its latent decoders; ours are fixed, of this step"),
     )

@@ -107,9 +107,6 @@ class _Rounded(torch.autograd.Function):
 
 
 def _usual_coarseness(scene: Scene) -> float:
-    """Multiple of the finest steps to round to: twice the median of those that living anchors are rounded to.
-
-    Twice costs no quality here, since anchors that later frames send whole are soon changed again (docs/history.md).
-    """
+    """Multiple of the finest steps that the numbers of half of the living anchors are rounded to, or a finer one."""
     shifts = np.concatenate([coarseness(level, np.flatnonzero(level.alive)) for level in scene.levels])
-    return 2.0 ** float(np.floor(np.median(shifts)) + 1) if len(shifts) else 1.0
+    return 2.0 ** float(np.floor(np.median(shifts))) if len(shifts) else 1.0
