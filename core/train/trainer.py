@@ -446,7 +446,12 @@ def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:
 
 
 def _by_change(views: Views, references: Tensor, masks: Tensor) -> list[int]:
-    """Usable cameras in which pixels of `masks` [C,H,W] changed, those that see most change first."""
+    """Usable cameras in which pixels of `masks` [C,H,W] changed, those that see most change first.
+
+    All usable ones if only one is left: trained on its picture alone, anchors would get worse for every other camera.
+    """
     change = ((views.targets - references).nan_to_num().square().mean(dim=3) * masks).sum(dim=(1, 2))
     order = torch.argsort(change, descending=True, stable=True).tolist()
-    return [number for number in order if number in views.usable and masks[number].any()]
+    usable = [number for number in order if number in views.usable]
+    changed = [number for number in usable if masks[number].any()]
+    return changed if len(changed) > 1 else usable

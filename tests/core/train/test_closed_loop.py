@@ -134,6 +134,9 @@ def test_a_change_is_trained_until_that_helps_no_more(clip: Dataset, images: lis
         assert min(trained[1:4]) > 0
         assert trained[-1] == 0
         gains.append(quality(results[-1].scene, clip, images[8]) - quality(results[1].scene, clip, images[8]))
+        for number in range(len(clip.cameras)):  # what one camera still lacks is not mended at the expense of others
+            early, late = (quality(results[index].scene, clip, images[8], number) for index in (3, -1))
+            assert late > early - 0.6
     assert np.mean(gains) > 0.4
 
 
