@@ -21,11 +21,11 @@ export class Connection extends Link {
     this.busy = false;
     this.ended = false;
     this.speed = 1;
-    this.frozen = false; // paused: packets that are still on their way are not applied
+    this.frozen = false; // paused: packets still on their way are not applied
     this.adrift = false; // after a jump or a pause: packets that do not fit belong to where we were
     /** @type {number | null} version at which to pause */
     this.stopAt = null;
-    /** @type {number | null} version that a seek is on the way to */
+    /** @type {number | null} version that a seek leads to */
     this.aim = null;
     this.open();
   }
@@ -74,9 +74,12 @@ export class Connection extends Link {
     const told = this.session.control(text, performance.now(), Date.now());
     if (this.session.verdict) this.close();
     if (!told) return;
-    if (told.clamped && this.stopAt !== null) this.stopAt = told.version;
-    if (told.clamped && this.aim !== null) this.aim = told.version;
-    if (told.mode !== "live") this.handlers.hold(null);
+    if (told.mode === "paused") this.handlers.hold(null);
+    if (told.clamped) {
+      if (this.stopAt !== null) this.stopAt = told.version;
+      if (this.aim !== null) this.aim = told.version;
+      this.handlers.hold(told.version);
+    }
     this.#stop();
   }
 
@@ -111,22 +114,23 @@ export class Connection extends Link {
 
   /** Commands of the protocol; a seek with `stop` pauses on arrival. @param {any[]} messages */
   send(messages) {
-    const { position } = this.session.status;
+    const { position, window } = this.session.status;
     for (const { stop, ...wanted } of messages) {
-      // The server stopped a few packets after what is shown; to go on from there is a seek.
-      const message = wanted.type === "play" && position ? { type: "seek", to: position } : wanted;
-      if (message.type === "seek" || message.type === "play") {
+      // The server stopped a few packets after what is shown: to go on is a seek.
+      const isPlay = wanted.type === "play", isPause = wanted.type === "pause";
+      const message = isPlay && position ? { type: "seek", to: position } : wanted;
+      if (this.aim !== null && (isPlay || isPause)) {
+        this.stopAt = isPause ? this.aim : null; // where the seek leads
+        continue;
+      }
+      if (isPlay || message.type === "seek") {
         this.frozen = false;
         this.adrift = true;
         this.aim = message.to?.version ?? null;
         this.stopAt = stop ? this.aim : null;
+        if (message.to) this.handlers.hold(this.aim ?? window?.newest.version ?? null);
       }
-      if (message.type === "pause" && this.aim !== null) {
-        this.stopAt = this.aim; // where the seek leads
-        continue;
-      }
-      if (message.type === "pause") this.frozen = true;
-      if (message.type === "seek") this.handlers.hold(message.to === "live" ? (this.session.status.window?.newest.version ?? null) : message.to.version);
+      if (isPause) this.frozen = true;
       this.transmit([message]);
     }
   }

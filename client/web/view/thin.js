@@ -66,7 +66,7 @@ export class ThinLink extends Link {
     this.viewTimer = 0;
     this.view = this.toldView = ""; // as messages
     this.toldAt = -Infinity;
-    /** @type {number | null} version at which to pause, or to show first */
+    /** @type {import("./messages.js").Position | null} at which to pause */
     this.stopAt = null;
     /** @type {number | null} */
     this.held = null;
@@ -159,8 +159,8 @@ export class ThinLink extends Link {
       const told = this.session.control(text, performance.now(), Date.now());
       if (this.session.verdict) this.close();
       if (told?.mode === "paused") this.stopAt = null;
-      if (told?.clamped && this.stopAt !== null) this.stopAt = told.version;
-      // Where a replay begins that was not clamped is what is held, or was held before a later seek.
+      if (told?.clamped && this.stopAt) this.stopAt = { ...this.stopAt, version: told.version };
+      // Where a replay begins is held already, unless it was clamped.
       if (told && told.mode !== "replay") this.#hold(null);
       else if (told?.clamped) this.#hold(told.version);
       this.tell();
@@ -190,7 +190,7 @@ export class ThinLink extends Link {
       session.applied(version, 0, start);
       session.unacknowledged = 0;
       // The server goes on only after the acknowledgement, so it stops where we are.
-      if (this.stopAt !== null && session.status.mode === "live" && version >= this.stopAt) this.#command({ type: "pause" });
+      if (this.stopAt && session.status.mode === "live" && version >= this.stopAt.version) this.#command({ type: "pause" });
       const drawn = { width: head.getUint16(12, true), height: head.getUint16(14, true), quality: head.getUint8(16) };
       this.#tell({
         type: "picture", generation: 0, rows: 0, spans: [], quads: new Uint32Array(0), splats: 0, missing: 0, version, drawn,
@@ -201,12 +201,12 @@ export class ThinLink extends Link {
     this.tell();
   }
 
-  /** A command of the page. @param {any} wanted */
+  /** @param {any} wanted */
   #command(wanted) {
     const { position, window: range } = this.session.status;
-    const message = wanted.type === "play" && position ? { type: "seek", to: position } : wanted;
+    const message = wanted.type === "play" && position ? { type: "seek", to: this.stopAt ?? position } : wanted;
     if (message.type === "seek") {
-      this.stopAt = message.stop ? message.to.version : null;
+      this.stopAt = message.stop ? message.to : null;
       this.#hold(message.to === "live" ? (range?.newest.version ?? null) : message.to.version);
     } else if (message.type === "pause") this.stopAt = null;
     this.transmit([message]);

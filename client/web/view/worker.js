@@ -2,10 +2,9 @@
 
 import { Connection } from "../stream/connection.js";
 import { Engine } from "./engine.js";
-import { loadKernel } from "../decode/expand.js";
+import { loadKernel, RECORD } from "../decode/expand.js";
 import { BitstreamError, versionOf } from "../decode/scene.js";
 import { digest } from "../decode/checksum.js";
-import { RECORD } from "../decode/expand.js";
 
 /** @typedef {import("./messages.js").ToWorker} ToWorker */
 /** @typedef {import("./messages.js").FromWorker} FromWorker */

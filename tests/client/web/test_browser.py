@@ -120,6 +120,21 @@ def test_seek_pause_step_and_the_way_back(page: Any, clip: Clip) -> None:
         shows(page, "s.version === 39 && s.phase === 'live'")
 
 
+def test_plays_from_where_it_was_sent(page: Any, clip: Clip) -> None:
+    """Sent elsewhere and played at once, before any picture of that place came, it plays from there."""
+    with serving(create_app(clip, Behaviour(fps=20))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version === 39")
+        page.evaluate("streamlod.pause()")
+        shows(page, "s.phase === 'paused'")
+        page.evaluate("window.seen = []; streamlod.on('picture', ({ version }) => seen.push(version)); 0")
+        page.evaluate("streamlod.seek(4); streamlod.play()")
+        shows(page, "s.version === 39 && s.phase === 'live'")
+        played = [version for version in page.evaluate("seen") if version < 39]
+        assert played == sorted(played)
+        assert 4 <= played[0] < 20, "frames that came while the first was drawn may be left out"
+
+
 def test_corrupt_packet_is_refused_and_mended(page: Any, clip: Clip) -> None:
     """A damaged packet changes nothing; the page asks anew and is right again."""
     behaviour = Behaviour(fps=60, corrupt={9}, newest=8)

@@ -146,6 +146,22 @@ def test_seeks_within_half_a_second(page: Any, server: Running) -> None:
         assert sorted(seconds)[2] < 0.5, (prepare, seconds)
 
 
+def test_plays_from_where_it_was_sent(page: Any, server: Running) -> None:
+    """Sent elsewhere and played at once, before any picture of that place came, it plays from there."""
+    page.goto(f"{server.url}/?ui=0")
+    shows(page, f"s.version === {FRAMES - 1} && s.phase === 'ended'")
+    page.evaluate("streamlod.pause()")
+    shows(page, "s.phase === 'paused'")
+    page.evaluate("streamlod.seek(20)")
+    shows(page, "s.version === 20 && s.phase === 'paused'")
+    page.evaluate("window.seen = []; streamlod.on('picture', ({ version }) => seen.push(version)); 0")
+    page.evaluate("streamlod.seek(3); streamlod.play()")
+    shows(page, f"s.version === {FRAMES - 1}")
+    played = [version for version in page.evaluate("seen") if version != 20]
+    assert played[0] == 3
+    assert played == sorted(played)
+
+
 def test_says_that_the_server_is_full(page: Any, blind: Any, server: Running) -> None:
     """The second viewer hears why there is no picture, tries again, and gets the place when it is free."""
     context = blind.new_context(viewport={"width": 320, "height": 240})
