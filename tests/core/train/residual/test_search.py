@@ -99,7 +99,7 @@ def test_what_goes_far_in_a_frame_is_shown_better_by_search() -> None:
     moving = MovingPixels(clip.cameras, spec)
     masks = [moving.masks(frame.index, frame.images) for frame in later]
     cost = []
-    for search_from in (0.0, 0.5):
+    for search_from in (0.0, config.predict.search_from):
         runs = []
         for seed in range(3):
             trainer = Trainer(clip.cameras, replace(changed(config, search_from), seed=seed), clip.fps, "cpu")
