@@ -62,6 +62,7 @@ def picture_between(states: list[Scene], version: int, share: float) -> np.ndarr
     return np.asarray(cpu.render(cloud, camera, after.header.background).image, np.float64)
 
 
+@pytest.mark.timeout(300)  # waits for a picture to fall between two states: a slow machine draws few
 def test_a_recording_moves_smoothly_and_stands_at_true_states(
     page: Any, clip: Clip, states: list[Scene], tmp_path: Path
 ) -> None:
