@@ -116,8 +116,8 @@ export class Connection extends Link {
   send(messages) {
     const { position, window } = this.session.status;
     for (const { stop, ...wanted } of messages) {
-      // The server stopped a few packets after what is shown: to go on is a seek.
       const isPlay = wanted.type === "play", isPause = wanted.type === "pause";
+      // The server stopped a few packets after what is shown: to go on is a seek.
       const message = isPlay && position ? { type: "seek", to: position } : wanted;
       if (this.aim !== null && (isPlay || isPause)) {
         this.stopAt = isPause ? this.aim : null; // where the seek leads
