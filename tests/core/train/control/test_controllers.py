@@ -64,14 +64,12 @@ def first(clip: Dataset, pictures: list[UInt8]) -> Scene:
 
 
 def quality(scene: Scene, clip: Dataset, images: UInt8) -> float:
-    camera = clip.cameras[0]
-    shown = render(expand(scene, camera.centre), camera, scene.header.background).image.clip(0, 1)
-    return psnr(shown, images[0].astype(np.float32) / 255)
-
-
-def without_new_anchors() -> TrainConfig:
-    ours = config()
-    return replace(ours, predict=replace(ours.predict, growth_share=0.0))
+    """PSNR in dB, mean of all cameras: of one alone it differs from seed to seed by a third of a decibel."""
+    scores = []
+    for camera, image in zip(clip.cameras, images, strict=True):
+        shown = render(expand(scene, camera.centre), camera, scene.header.background).image.clip(0, 1)
+        scores.append(psnr(shown, image.astype(np.float32) / 255))
+    return float(np.mean(scores))
 
 
 def unbound(config: TrainConfig, clip: Dataset, pictures: list[UInt8], first: Scene) -> float:
@@ -141,7 +139,12 @@ def test_a_burst_stays_within_the_buffer_and_quality_returns(
     clip: Dataset, pictures: list[UInt8], first: Scene
 ) -> None:
     """New anchors, which a channel carries fewer of, help in the burst too; after it, both have time to return."""
-    plain = without_new_anchors()
-    burst, returned = bound(plain, clip, pictures, first)
-    assert returned > unbound(plain, clip, pictures, first) - 0.3
-    assert bound(config(), clip, pictures, first)[0] > burst + 0.2
+    missing, gained = list[float](), list[float]()
+    for seed in range(3):
+        ours = replace(config(), seed=seed)
+        plain = replace(ours, predict=replace(ours.predict, growth_share=0.0))
+        burst, returned = bound(plain, clip, pictures, first)
+        missing.append(unbound(plain, clip, pictures, first) - returned)
+        gained.append(bound(ours, clip, pictures, first)[0] - burst)
+    assert np.mean(missing) < 0.3
+    assert np.mean(gained) > 0.2
