@@ -1,6 +1,5 @@
 /** The session of a viewer that decodes: keeps packets and commands in order. */
 
-import { KEY } from "../decode/packet.js";
 import { Link } from "./link.js";
 
 /**
@@ -22,7 +21,7 @@ export class Connection extends Link {
     this.ended = false;
     this.speed = 1;
     this.frozen = false; // paused: packets still on their way are not applied
-    this.adrift = false; // after a jump or a pause: packets that do not fit belong to where we were
+    this.asked = true; // for a place, and not answered: packets belong to where we were
     /** @type {number | null} version at which to pause */
     this.stopAt = null;
     /** @type {number | null} version that a seek leads to */
@@ -32,7 +31,7 @@ export class Connection extends Link {
 
   open() {
     const { mode, position } = this.session.status;
-    this.adrift = true;
+    this.asked = true;
     this.frozen = false;
     this.aim = null;
     this.stopAt = mode === "paused" && position ? position.version : null;
@@ -57,7 +56,7 @@ export class Connection extends Link {
     for (let item; !this.ended && (item = this.queue.shift()) !== undefined; ) {
       const socket = this.socket;
       if (typeof item === "string") this.#control(item);
-      else if (this.#wanted(item)) {
+      else if (!this.frozen && !this.asked) {
         const applied = await this.handlers.packet(item);
         if (socket !== this.socket) continue;
         if (applied) this.send(this.session.applied(applied.version, applied.ms, performance.now()));
@@ -74,6 +73,7 @@ export class Connection extends Link {
     const told = this.session.control(text, performance.now(), Date.now());
     if (this.session.verdict) this.close();
     if (!told) return;
+    this.asked = false;
     if (told.mode === "paused") this.handlers.hold(null);
     if (told.clamped) {
       if (this.stopAt !== null) this.stopAt = told.version;
@@ -83,20 +83,14 @@ export class Connection extends Link {
     this.#stop();
   }
 
-  /** Whether a packet belongs to where the viewer is now. @param {Uint8Array} packet */
-  #wanted(packet) {
-    if (this.frozen) return false;
-    if (this.adrift && packet[6] !== KEY && fromVersion(packet) !== this.session.status.position?.version) return false;
-    this.adrift = false;
-    return true;
-  }
-
   /** Pause where that was asked for. */
   #stop() {
     const { mode, position } = this.session.status;
-    if (position?.version === this.aim) this.aim = null;
-    if (this.stopAt === null || !position) return;
-    if (position.version !== this.stopAt && !(mode === "live" && position.version > this.stopAt)) return;
+    if (this.asked || !position) return;
+    /** @type {(to: number | null) => boolean} live goes on past it */
+    const reached = (to) => position.version === to || (to !== null && mode === "live" && position.version > to);
+    if (reached(this.aim)) this.aim = null;
+    if (!reached(this.stopAt)) return;
     this.stopAt = null;
     this.transmit([{ type: "pause" }]);
     this.frozen = true;
@@ -125,7 +119,7 @@ export class Connection extends Link {
       }
       if (isPlay || message.type === "seek") {
         this.frozen = false;
-        this.adrift = true;
+        this.asked = true;
         this.aim = message.to?.version ?? null;
         this.stopAt = stop ? this.aim : null;
         if (message.to) this.handlers.hold(this.aim ?? window?.newest.version ?? null);
@@ -140,6 +134,3 @@ export class Connection extends Link {
     super.close();
   }
 }
-
-/** @type {(packet: Uint8Array) => number} without checks: -1 where there is none */
-const fromVersion = (packet) => (packet.length < 16 ? -1 : new DataView(packet.buffer, packet.byteOffset).getUint32(12, true));

@@ -86,6 +86,7 @@ class Viewer:
     def __init__(self, socket: WebSocket, clip: Clip, behaviour: Behaviour, started: float) -> None:
         self.socket, self.clip, self.behaviour, self.started = socket, clip, behaviour, started
         self.mode, self.version, self.have = "live", -1, -1
+        self.turn = asyncio.Lock()  # nothing comes between the answer to a seek and its keyframe
 
     @property
     def edge(self) -> int:
@@ -138,13 +139,14 @@ class Viewer:
     async def jump(self, version: int, mode: str) -> None:
         """Keyframe and catch-up to a version."""
         version = max(0, min(version, self.edge))
-        self.mode, self.version = mode, version
-        await self.event("position", mode=mode, **self.position(version), clamped=False)
-        await self.socket.send_bytes(self.clip.key())
-        if version:
-            await self.socket.send_bytes(self.clip.residual(0, version))
-        if mode == "live":
-            await self.event("caught_up")
+        async with self.turn:
+            self.mode, self.version = mode, version
+            await self.event("position", mode=mode, **self.position(version), clamped=False)
+            await self.socket.send_bytes(self.clip.key())
+            if version:
+                await self.socket.send_bytes(self.clip.residual(0, version))
+            if mode == "live":
+                await self.event("caught_up")
 
     async def send_frames(self) -> None:
         """Frame after frame at the clip's rate."""
@@ -157,18 +159,23 @@ class Viewer:
             if time.monotonic() - said > 0.5:
                 said = time.monotonic()
                 await self.event("window", **self.window())
-            if self.mode == "paused" or self.version >= self.edge:
-                continue
-            target = self.edge if self.mode == "live" else self.version + 1
-            packet = self.clip.residual(self.version, target)
-            if target in self.behaviour.corrupt:
-                self.behaviour.corrupt.discard(target)
-                packet = packet[:-3] + bytes([packet[-3] ^ 0x55]) + packet[-2:]
-            self.version = target
-            await self.socket.send_bytes(packet)
-            if self.mode == "replay" and target == self.edge:
-                self.mode = "live"
-                await self.event("caught_up")
+            async with self.turn:
+                await self.send_next()
+
+    async def send_next(self) -> None:
+        """The next frame, if there is one."""
+        if self.mode == "paused" or self.version >= self.edge:
+            return
+        target = self.edge if self.mode == "live" else self.version + 1
+        packet = self.clip.residual(self.version, target)
+        if target in self.behaviour.corrupt:
+            self.behaviour.corrupt.discard(target)
+            packet = packet[:-3] + bytes([packet[-3] ^ 0x55]) + packet[-2:]
+        self.version = target
+        await self.socket.send_bytes(packet)
+        if self.mode == "replay" and target == self.edge:
+            self.mode = "live"
+            await self.event("caught_up")
 
     async def listen(self) -> None:
         """Obey control messages."""

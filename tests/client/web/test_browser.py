@@ -22,7 +22,8 @@ from core.render import cpu
 from core.scene.anchors import Scene
 from core.scene.expand import expand
 from tests.client.web.conftest import WEB
-from tests.client.web.miniserver import Behaviour, Clip, create_app, free_port, serving
+from tests.client.web.miniserver import Behaviour, Clip, create_app, free_port, make_clip, serving
+from tests.client.web.scenes import make_scene
 from tests.client.web.test_modules import assert_same_splats
 
 pytestmark = pytest.mark.browser
@@ -133,6 +134,20 @@ def test_plays_from_where_it_was_sent(page: Any, clip: Clip) -> None:
         played = [version for version in page.evaluate("seen") if version < 39]
         assert played == sorted(played)
         assert 4 <= played[0] < 20, "frames that came while the first was drawn may be left out"
+
+
+def test_steps_back_from_live(page: Any) -> None:
+    """A step back while live leads where it should, although the next frames of the live edge are on their way."""
+    clip = make_clip(make_scene(400, view_dependent=False), 400)
+    with serving(create_app(clip, Behaviour(fps=20))) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version > 10")
+        for _ in range(15):
+            page.evaluate("streamlod.seek('live')")
+            shows(page, "s.phase === 'live'")
+            page.wait_for_timeout(200)
+            target = page.evaluate("streamlod.step(-3), streamlod.state.version - 3")
+            shows(page, f"s.phase === 'paused' && s.version === {target}")
 
 
 def test_corrupt_packet_is_refused_and_mended(page: Any, clip: Clip) -> None:
