@@ -65,22 +65,26 @@ export class Rig {
   }
 }
 
-/** What a camera films, beside the view, until it is clicked away or `isWanted` no more. @param {string} name @param {string} address @param {string | null} token @param {() => boolean} isWanted */
+/** What a camera films, beside the view, until it is clicked away, `isWanted` no more or another camera's is asked for. @param {string} name @param {string} address @param {string | null} token @param {() => boolean} isWanted */
 export async function showSource(name, address, token, isWanted) {
   const place = element("source"), image = /** @type {HTMLImageElement} */ (place.querySelector("img"));
-  element("source-name").textContent = image.alt = name;
-  for (let open = true; open && isWanted() && element("source-name").textContent === name; ) {
+  const close = () => {
+    place.onclick = null;
+    place.hidden = true;
+  };
+  const isOpen = () => place.onclick === close; // a later call puts its own there
+  place.onclick = close;
+  while (isOpen() && isWanted()) {
     const answer = document.hidden ? null : await fetch(address, { headers: token ? { Authorization: `Bearer ${token}` } : {} }).catch(() => null);
-    if (answer && !answer.ok) break;
-    if (answer) {
+    const picture = answer?.ok ? await answer.blob().catch(() => null) : null;
+    if (!isOpen() || (answer && !answer.ok)) break;
+    if (picture) {
       URL.revokeObjectURL(image.src);
-      image.src = URL.createObjectURL(await answer.blob());
+      image.src = URL.createObjectURL(picture);
+      element("source-name").textContent = image.alt = name;
       place.hidden = false;
     }
-    open = await new Promise((resolve) => {
-      place.onclick = () => resolve(false);
-      setTimeout(() => resolve(true), PICTURE_MS);
-    });
+    await new Promise((resolve) => setTimeout(resolve, PICTURE_MS));
   }
-  if (element("source-name").textContent === name) place.hidden = true;
+  if (isOpen()) close();
 }
