@@ -204,8 +204,8 @@ class Viewer:
             pass
 
     def until_version(self, version: int) -> Scene:
-        """Step until all levels are at a version of at least `version`."""
-        while not self.decoder.versions or min(self.decoder.versions) < version:
+        """Step until all levels are at one version, of at least `version`: while viewers lag, fine levels wait."""
+        while len(set(self.decoder.versions)) != 1 or self.decoder.versions[0] < version:
             self.step()
         assert self.decoder.scene is not None
         return self.decoder.scene

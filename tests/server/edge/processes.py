@@ -111,3 +111,11 @@ def wait(done: Any, seconds: float = 20) -> Any:
         assert time.monotonic() < limit, found
         time.sleep(0.05)
     return found
+
+
+def wait_live(server: Node, seconds: float = 20) -> None:
+    """Until its stream is live; says what it was instead, and what the server logged."""
+    limit = time.monotonic() + seconds
+    while (told := server.stream()).get("state") != "live":
+        assert time.monotonic() < limit, (told, server.log.read_text()[-3000:])
+        time.sleep(0.05)

@@ -13,7 +13,7 @@ import pytest
 from core.scene.anchors import Scene
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip
-from tests.server.edge.processes import Node, begin, listening, wait
+from tests.server.edge.processes import Node, begin, listening, wait, wait_live
 
 pytestmark = pytest.mark.cluster
 
@@ -37,7 +37,7 @@ def chain(long_clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator
             stack.callback(begun[0].wait)
             stack.callback(begun[0].kill)
             nodes.append(listening(begun))
-        wait(lambda: nodes[0].stream()["state"] == "live")
+        wait_live(nodes[0])
         wait(lambda: nodes[2].get("/v1/streams/main").status_code == 200)
         yield nodes[0], nodes[1], nodes[2]
 

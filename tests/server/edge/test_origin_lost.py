@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from server.pipeline.spec import StreamSpec
 from server.settings import EdgeSettings, Settings
 from tests.server.conftest import Clip, Running, running, viewing
-from tests.server.edge.processes import Node, node, wait
+from tests.server.edge.processes import Node, node, wait, wait_live
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_viewers_stay_while_the_origin_is_killed_and_comes_back(long_clip: Clip,
             late.until("caught_up")
             assert late.decoder.scene is not None
         again = stack.enter_context(node(tmp_path, *serve, port=port))
-        wait(lambda: again.stream()["state"] == "live")
+        wait_live(again)
         begin = time.monotonic()
         viewer.until("epoch")
         viewer.next_packet()

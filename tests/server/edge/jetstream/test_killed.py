@@ -17,7 +17,7 @@ from server.protocol.packets import Position
 from tests.server.conftest import Clip
 from tests.server.edge.jetstream.nats_servers import Nats, NatsServer, free_ports, nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, recording, stored, stored_at, waiting_bytes
-from tests.server.edge.processes import Node, begin, listening, node, wait
+from tests.server.edge.processes import Node, begin, listening, node, wait, wait_live
 
 pytestmark = needs_nats
 
@@ -45,7 +45,7 @@ def nodes(request: pytest.FixtureRequest, long_clip: Clip, tmp_path_factory: pyt
         begun = [begin(folder, *publish, port=free_ports(1)[0]), begin(folder, *serve, port=free_ports(1)[0])]
         found = Nodes(folder, shared, listening(begun[0]), listening(begun[1]), publish, serve)
         stack.callback(lambda: [each.kill() for each in (found.publishing, found.serving)])
-        wait(lambda: found.publishing.stream()["state"] == "live")
+        wait_live(found.publishing)
         wait(lambda: found.serving.get("/v1/streams/main").status_code == 200)
         yield found
 
@@ -75,15 +75,17 @@ def keeps_coming_without_jetstream(nodes: Nodes, victim: NatsServer, served: lis
     victim.kill()
     keeps_coming(served)
     other.kill()
-    wait(lambda: waiting_bytes(nodes.publishing) > 0)
-    keeps_coming(served)  # what was on its way to JetStream has passed
-    first = newest(nodes.serving)
-    keeps_coming(served, 75)
-    last = newest(nodes.serving)
-    wait(lambda: nodes.serving.stream()["state"] == "live")
-    restarted = time.time()
-    victim.start()
-    other.start()
+    try:
+        wait(lambda: waiting_bytes(nodes.publishing) > 0)
+        keeps_coming(served)  # what was on its way to JetStream has passed
+        first = newest(nodes.serving)
+        keeps_coming(served, 75)
+        last = newest(nodes.serving)
+        wait_live(nodes.serving)
+    finally:  # the tests that follow need them
+        restarted = time.time()
+        victim.start()
+        other.start()
     other.wait()
 
     def check() -> None:
@@ -127,7 +129,7 @@ def test_a_nats_server_is_killed_and_comes_back(nodes: Nodes) -> None:
     check_all_came(nodes, published, served)
     for check in checks:
         check()
-    wait(lambda: nodes.serving.stream()["state"] == "live")
+    wait_live(nodes.serving)
 
 
 def test_the_node_that_serves_is_killed_and_comes_back(nodes: Nodes) -> None:
@@ -158,7 +160,7 @@ def test_the_node_that_publishes_is_killed_and_comes_back(nodes: Nodes) -> None:
         wait(lambda: waiting_bytes(nodes.publishing) == 0)  # what is sent directly then need not be stored
         nodes.publishing.kill()
         nodes.publishing = listening(begin(nodes.folder, *nodes.publish, port=port))
-        wait(lambda: nodes.publishing.stream()["state"] == "live")
+        wait_live(nodes.publishing)
         epoch = nodes.publishing.stream()["epoch"]
         wait(lambda: epoch in [told["epoch"] for told in viewer.named("epoch")])
         keeps_coming(served)

@@ -28,7 +28,7 @@ from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Running, make_clip, running, viewing
 from tests.server.edge.jetstream.nats_servers import RETENTION, Nats, nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, stored
-from tests.server.edge.processes import wait
+from tests.server.edge.processes import wait, wait_live
 
 pytestmark = needs_nats
 SMALL_PAYLOAD = 32_768  # bytes
@@ -117,7 +117,7 @@ def test_viewers_of_two_nodes_see_the_same_live(one: Nats, long_clip: Clip) -> N
                 viewer.hello().until("caught_up")
             version = near.until_version(60).version
             assert_same_state(far.until_version(version), long_clip.states[max(far.decoder.versions)])
-            wait(lambda: other.stream()["state"] == "live")
+            wait_live(other)
             with server.client() as client:
                 assert client.delete("/v1/streams/main").status_code == 204
             with pytest.raises(ConnectionClosed, match="1000"):
