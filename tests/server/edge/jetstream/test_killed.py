@@ -46,7 +46,7 @@ def nodes(request: pytest.FixtureRequest, long_clip: Clip, tmp_path_factory: pyt
         found = Nodes(folder, shared, listening(begun[0]), listening(begun[1]), publish, serve)
         stack.callback(lambda: [each.kill() for each in (found.publishing, found.serving)])
         wait_live(found.publishing)
-        wait(lambda: found.serving.get("/v1/streams/main").status_code == 200)
+        wait_live(found.serving)  # told by JetStream: without it, that would stay "starting"
         yield found
 
 
