@@ -97,7 +97,11 @@ def test_a_cameras_own_picture_beside_the_view(page: Any, clip: Clip) -> None:
         shown = np.asarray(Image.open(io.BytesIO(page.locator("#source img").screenshot())).convert("RGB"))
         assert np.abs(shown[60:-60, 60:-60].reshape(-1, 3).mean(axis=0) - (200, 30, 30)).max() < 8
         asked: list[Any] = []
-        page.route("**/cameras/cam01.jpg", lambda route: asked.append(route))  # noqa: PLW0108 - a built-in has no signature
+
+        def hold(route: Any) -> None:
+            asked.append(route)
+
+        page.route("**/cameras/cam01.jpg", hold)
         with page.expect_request("**/cameras/cam01.jpg"):
             pass
         source.click()  # while the next picture is on its way

@@ -122,6 +122,6 @@ def test_an_edge_that_stops_is_left_without_a_gap(nodes: tuple[Node, Node, Node]
 def test_a_killed_edge_is_replaced_by_the_other(nodes: tuple[Node, Node, Node]) -> None:
     """It was chosen as the nearest of the edges that the origin names, where the first one has gone."""
     killed = nodes[2]
-    nodes[1].kill()  # in this process the tests before may not have run
+    nodes[1].kill()  # so that the nearest is the one that is killed
     seen = look(live(nodes[0]), killed.kill, 50, 20, WatchOptions(nearest=True))
     assert len(seen.breaks) == 1  # so it was not at the origin
