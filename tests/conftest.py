@@ -13,7 +13,8 @@ from tests.device.fixture import gpu
 
 __all__ = ["gpu"]
 
-pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
+if pretend.can_be_registered():
+    pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
 
 
 def pytest_xdist_auto_num_workers() -> int:

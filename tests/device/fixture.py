@@ -21,6 +21,8 @@ def on_gpu(patch: pytest.MonkeyPatch) -> Iterator[str]:
     if cuda_fault() is None:
         yield "cuda"
         return
+    if not pretend.can_be_registered():
+        pytest.skip(f"there is a GPU, but it cannot be used: {cuda_fault()}")
     name = pretend.register()
     for module in (core.render.backends, core.render.cuda):
         patch.setattr(module, "cuda_fault", lambda: None)

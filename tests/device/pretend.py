@@ -338,6 +338,11 @@ def _factory(operator: Any) -> Any:
     return lambda *args, **kwargs: _run(operator, args, kwargs)
 
 
+def can_be_registered() -> bool:
+    """Whether no GPU is in the way: torch's autograd serves one kind of accelerator a process."""
+    return not torch.cuda.is_available()
+
+
 def register() -> str:
     """Make the device known to torch, once a process; returns its name."""
     if not _registered:

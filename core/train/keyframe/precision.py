@@ -46,7 +46,7 @@ def signed_gradients(
     for number in views:
         leaves = tuple(value.detach().clone().requires_grad_() for value in parameters)
         image = draw(number, leaves)
-        signs = torch.randint(0, 2, image.shape, generator=generator).to(image) * 2 - 1
+        signs = torch.randint(0, 2, image.shape, generator=generator, dtype=torch.int8).to(image) * 2 - 1
         gradients = torch.autograd.grad((image * signs).sum(), leaves)
         yield tuple(gradient.nan_to_num(0.0, 0.0, 0.0) for gradient in gradients)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +20,7 @@ from core.train.config import PredictConfig
 from core.train.motion.masks import dynamic_anchors, moved_pixels
 from core.train.motion.partition import Observation, Partition, all_static
 from core.train.motion.scores import change_scores, error_scores, shown_shares
+from core.train.pictures.side_by_side import side_by_side
 
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion
@@ -87,10 +89,11 @@ class Difference:
     def _moved_pixels(self, seen: Observation) -> Tensor:
         """[C,H,W] bool: changed pixels that no change of light explains."""
         moved = torch.zeros_like(seen.masks)
-        for number in seen.views.usable:
-            if seen.masks[number].any():
-                pictures = seen.filmed[number].cpu().numpy(), seen.views.targets[number].cpu().numpy()
-                moved[number] = torch.from_numpy(moved_pixels(*pictures, self.noise_floor)).to(moved.device)
+        changed = [number for number in seen.views.usable if seen.masks[number].any()]
+        pairs = [(seen.filmed[number].cpu().numpy(), seen.views.targets[number].cpu().numpy()) for number in changed]
+        found = side_by_side(partial(moved_pixels, floor=self.noise_floor), pairs)
+        for number, mask in zip(changed, found, strict=True):
+            moved[number] = torch.from_numpy(mask).to(moved.device)
         return moved & seen.masks
 
 

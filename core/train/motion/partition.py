@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from core.arrays import Bool, Int64
 from core.render.backends import Backend
 from core.train.field.field import Field
 from core.train.motion.masks import changed_pixels
+from core.train.pictures.side_by_side import side_by_side
 from core.train.pictures.views import Views
 
 
@@ -80,7 +82,8 @@ def change_masks(references: Tensor, views: Views, floor: float) -> Tensor:
         floor: smallest change that counts, in units of [0, 1].
     """
     masks = torch.zeros(references.shape[:3], dtype=torch.bool, device=references.device)
-    for number in views.usable:
-        changed = changed_pixels(references[number].cpu().numpy(), views.targets[number].cpu().numpy(), floor)
-        masks[number] = torch.from_numpy(changed).to(references.device)
+    pairs = [(references[number].cpu().numpy(), views.targets[number].cpu().numpy()) for number in views.usable]
+    changed = side_by_side(partial(changed_pixels, floor=floor), pairs)
+    for number, mask in zip(views.usable, changed, strict=True):
+        masks[number] = torch.from_numpy(mask).to(references.device)
     return masks
