@@ -6,6 +6,7 @@ import functools
 import importlib
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,6 @@ _MAX_PARAMETER = 1e15  # of a parameter; the picture's arithmetic overflows some
 _MAX_SCALE_PIXELS = 1e8  # of a scale in the picture: fourth powers of it must fit into float32
 _NEAR = 0.01
 _MAX_ASIDE, _MAX_SLOPE, _MAX_SPREAD = 1.0, 1.0, 0.5
-_NEEDED = {*_RULES, "absgrad"}
 
 
 def rasterise_cuda(
@@ -59,7 +59,6 @@ def rasterise_cuda(
         Ks=intrinsics[None],
         width=camera.width,
         height=camera.height,
-        absgrad=True,
         **_RULES,
     )
     # the background not by gsplat, whose packed mode refuses one (1.5.3: it looks for the cameras in `means2d`)
@@ -68,13 +67,9 @@ def rasterise_cuda(
     image, light = _Behind.apply(*drawn, background)  # type: ignore[no-untyped-call]
     rows = meta["gaussian_ids"].long()
     probe = Probe(rows, None if moving == count else rows < moving)
-    projected = meta["means2d"]
-    if projected.requires_grad:
-
-        def record(gradients: Tensor) -> None:
-            probe.record(gradients, getattr(projected, "absgrad", None), half)
-
-        projected.register_hook(record)
+    if (projected := meta["means2d"]).requires_grad:
+        # it must not know of `projected`: such a circle keeps all that the picture took until Python looks for circles
+        projected.register_hook(partial(probe.record, scale=half))
     if tile_mask is not None:
         image, light = _over(image, light, tile_mask, base)
     return Raster(image, light, probe)
@@ -228,7 +223,7 @@ def _gsplat() -> Callable[..., Any]:
     if fault is not None:
         raise BackendUnavailable("the cuda backend", fault)
     rasterization: Callable[..., Any] = importlib.import_module("gsplat").rasterization
-    lacking = _NEEDED - set(inspect.signature(rasterization).parameters)
+    lacking = _RULES.keys() - set(inspect.signature(rasterization).parameters)
     if lacking:
         raise BackendUnavailable(
             "the cuda backend", f"this gsplat lacks {', '.join(sorted(lacking))}: install gsplat>=1.5.3,<1.6"

@@ -19,7 +19,6 @@ class Probe:
     def __init__(self, visible: Tensor, wanted: Tensor | None = None) -> None:
         self._visible, self._wanted = visible, wanted
         self._gradients: Tensor | None = None
-        self._absolute: Tensor | None = None
         self._scale: Tensor | None = None
 
     @property
@@ -40,14 +39,9 @@ class Probe:
             raise RuntimeError("a probe has gradients only after backward() of a loss on its picture")
         return self._scaled(self._gradients)
 
-    @property
-    def absolute(self) -> Tensor | None:
-        """[M,2] the same with |gradient| summed over pixels (Ye et al. 2024, AbsGS), from the cuda backend only."""
-        return None if self._absolute is None else self._scaled(self._absolute)
-
-    def record(self, gradients: Tensor, absolute: Tensor | None = None, scale: Tensor | None = None) -> None:
+    def record(self, gradients: Tensor, scale: Tensor | None = None) -> None:
         """For backends: put down [V,2] gradients after a backward pass, and the [2] factors still to be applied."""
-        self._gradients, self._absolute, self._scale = gradients, absolute, scale
+        self._gradients, self._scale = gradients, scale
 
     def _picked(self, values: Tensor) -> Tensor:
         return values if self._wanted is None else values[self._wanted]

@@ -35,7 +35,6 @@ def rasterization(
     far_plane: float = 1e10,
     eps2d: float = 0.3,
     packed: bool = True,
-    absgrad: bool = False,
     rasterize_mode: str = "classic",
 ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
     """([1,H,W,3] image, [1,H,W,1] alpha, meta with packed `gaussian_ids` [V] and `means2d` [V,2]) of one camera."""
@@ -53,7 +52,7 @@ def rasterization(
     projected = DeviceTensor(torch.zeros(len(rows), 2))
     if torch.is_grad_enabled() and any(value.requires_grad for value in given):
         projected.requires_grad_()
-    drawn = _Drawn(leaves, raster, alpha, torch.tensor([width / 2, height / 2]), absgrad)
+    drawn = _Drawn(leaves, raster, alpha, torch.tensor([width / 2, height / 2]))
     image, coverage = _Kernels.apply(drawn, projected, *given)
     return image[None], coverage[None, ..., None], {"gaussian_ids": DeviceTensor(rows), "means2d": projected}
 
@@ -66,7 +65,6 @@ class _Drawn:
     raster: Raster
     alpha: Tensor
     half: Tensor
-    absgrad: bool
 
 
 class _Kernels(torch.autograd.Function):
@@ -74,7 +72,7 @@ class _Kernels(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, drawn: _Drawn, projected: Tensor, *given: Tensor) -> tuple[Tensor, Tensor]:
-        ctx.drawn, ctx.projected = drawn, projected
+        ctx.drawn = drawn
         return DeviceTensor(drawn.raster.image.detach().clone()), DeviceTensor(drawn.alpha.detach().clone())
 
     @staticmethod
@@ -82,6 +80,4 @@ class _Kernels(torch.autograd.Function):
         drawn: _Drawn = ctx.drawn
         torch.autograd.backward((drawn.raster.image, drawn.alpha), (by_image.held, by_alpha.held))
         pulls = drawn.raster.probe.gradients / drawn.half
-        if drawn.absgrad:
-            ctx.projected.absgrad = DeviceTensor(pulls.abs())
         return (None, DeviceTensor(pulls), *(DeviceTensor(leaf.grad) for leaf in drawn.leaves if leaf.grad is not None))

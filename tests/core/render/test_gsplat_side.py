@@ -36,9 +36,8 @@ def rasterization(
     eps2d: float,
     rasterize_mode: str,
     packed: bool,
-    absgrad: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    assert (near_plane, far_plane, eps2d, rasterize_mode, packed, absgrad) == (0.01, 1e10, 0.1, "classic", True, True)
+    assert (near_plane, far_plane, eps2d, rasterize_mode, packed) == (0.01, 1e10, 0.1, "classic", True)
     k = Ks[0].double().numpy()
     focal, centre = (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2])
     camera = pinhole("gsplat", focal, centre, (width, height), viewmats[0].double().numpy())
@@ -48,12 +47,6 @@ def rasterization(
     m, q, s, o, c = (parameter[rows] for parameter in given)
     mean, covariance, depth = project(m, q, s, camera)
     means2d = mean.float()
-
-    def compare(gradient: Tensor) -> None:
-        means2d.absgrad = gradient.abs() + 1  # type: ignore[attr-defined]
-
-    if means2d.requires_grad:
-        means2d.register_hook(compare)  # type: ignore[no-untyped-call]
     order = torch.argsort(depth, stable=True)
     black = torch.zeros(3, dtype=torch.float64)
     image, light = blend(means2d.double()[order], covariance[order], o[order], c[order], black, width, height)
@@ -75,9 +68,6 @@ def test_picture_gradients_and_probe_equal_the_reference(moving: int | None) -> 
         assert relative(found.gradients[name], wanted.gradients[name]) < 1e-4, name
     assert torch.equal(found.probe.visible, wanted.probe.visible)
     assert relative(found.probe.gradients, wanted.probe.gradients) < 1e-4
-    half = torch.tensor([camera.width / 2, camera.height / 2])
-    assert found.probe.absolute is not None
-    torch.testing.assert_close(found.probe.absolute, found.probe.gradients.abs() + half)
 
 
 def test_tiles_outside_the_mask_come_from_the_base() -> None:

@@ -128,7 +128,6 @@ def splat(
     """What gsplat's `rasterization` returns in its packed mode, differentiable by all five; everything is visible."""
     pose, width, height = options["viewmats"][0], options["width"], options["height"]
     assert options["packed"]
-    assert options["absgrad"]
     points = (means @ pose[:3, :3].T + pose[:3, 3])[:, :2]
     weight = opacities * (points.square().sum(dim=1) + scales.sum(dim=1) + quats.sum(dim=1))
     colour = (weight[:, None] * colors).sum(dim=0)
