@@ -16,7 +16,6 @@ from torch import Tensor
 from core.camera import Camera
 from core.errors import BackendUnavailable
 from core.render.backends import cuda_fault
-from core.render.compiling import Compiled
 from core.render.raster import Probe, Raster
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
@@ -150,22 +149,19 @@ def _of_sound(good: Tensor, moving: int, *gradients: Tensor) -> tuple[Tensor, ..
     return tuple(torch.where(wanted if part.ndim == 1 else wanted[:, None], part, zero) for part in gradients)
 
 
-_HELD, _OF_SOUND = Compiled(_held), Compiled(_of_sound)
-
-
 class _Sound(torch.autograd.Function):
     """`sound` in few launches."""
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> tuple[Tensor, ...]:
-        good, *held = _HELD(*given[:9])
+        good, *held = _held(*given[:9])
         ctx.good, ctx.moving = good, len(good) if given[9] is None else given[9]
         return tuple(held)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return (*_OF_SOUND(ctx.good, ctx.moving, *upstream), None, None, None, None, None)
+        return (*_of_sound(ctx.good, ctx.moving, *upstream), None, None, None, None, None)
 
 
 class _Behind(torch.autograd.Function):

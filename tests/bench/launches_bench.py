@@ -1,9 +1,8 @@
 """`streamlod bench launches`: what a training step asks of a GPU: launches, waits of the host, and bytes moved.
 
-Counted on the pretend device (`tests.device`): every operation as one launch, and beside that with the kernels that
-torch.compile makes of the functions that are compiled on a GPU in place of their operations. The rasteriser is not
-counted: gsplat brings its own kernels, and waits twice itself, for the numbers of Gaussians and of tiles they touch.
-Times are lower bounds: launches at 5 us each, bytes at the memory bandwidth that the makers publish.
+Counted on the pretend device (`tests.device`), every operation as one launch. The rasteriser is not counted: gsplat
+brings its own kernels, and waits twice itself, for the numbers of Gaussians and of tiles they touch. Times are lower
+bounds: launches at 5 us each, bytes at the memory bandwidth that the makers publish.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from core.train.keyframe.trainer import KeyframeTrainer
 from core.train.optimise.convergence import EpochProgress
 from core.train.residual.trainer import ResidualTrainer
 from tests.device.fixture import on_gpu
-from tests.device.fusing import count_fused
 from tests.device.pretend import Counts, counted
 
 LAUNCH_SECONDS = 5e-6
@@ -67,8 +65,8 @@ def main() -> None:
     clip, config = whole.select(linspace_split(whole.names, arguments.views).train), preset("live")
     if arguments.steps is not None:
         config = replace(config, keyframe=replace(config.keyframe, steps=arguments.steps))
-    print("| work | times | launches | with fusing | waits | MB |", *(f"{name}, ms |" for name in BANDWIDTH))
-    print("| --- " * (6 + len(BANDWIDTH)) + "|")
+    print("| work | times | launches | waits | MB |", *(f"{name}, ms |" for name in BANDWIDTH))
+    print("| --- " * (5 + len(BANDWIDTH)) + "|")
     found = measured(clip, config)
     for frame, figures in found.items():
         _row(f"{frame}, a step", figures.steps, figures.step)
@@ -77,11 +75,7 @@ def main() -> None:
         _row(f"{frame}, before and after the steps", 1, figures.rest)
     for frame, figures in found.items():
         for work, times, counts in (("a step", figures.steps, figures.step), ("the rest", 1, figures.rest)):
-            for what, counter in (
-                ("launches", counts.places),
-                ("launches with fusing", counts.fused),
-                ("waits", counts.waits),
-            ):
+            for what, counter in (("launches", counts.places), ("waits", counts.waits)):
                 parts = (f"{name} {count / times:.1f}" for name, count in counter.most_common(SHOWN))
                 print(f"\n{frame}, {what} of {work}:", ", ".join(parts) or "none")
 
@@ -93,7 +87,6 @@ def measured(clip: Dataset, config: TrainConfig) -> dict[str, Figures]:
     found = {}
     with pytest.MonkeyPatch.context() as patch, on_gpu(patch), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # anomaly mode, which says where a gradient comes from, warns that it is slow
-        count_fused(patch)
         trainer = Trainer(clip.cameras, config, clip.fps, "cuda")
         with torch.autograd.detect_anomaly(check_nan=False):
             found["first frame"] = _figures(lambda: trainer.keyframe(filmed[0], points))
@@ -127,10 +120,10 @@ def _counting(function: Callable[..., Any], counts: Counts) -> Callable[..., Any
 
 
 def _row(work: str, times: int, counts: Counts) -> None:
-    launches, fused = (number / times for number in (sum(counts.launches.values()), sum(counts.fused.values())))
+    launches = sum(counts.launches.values()) / times
     moved, waits = counts.bytes_moved / times, sum(counts.waits.values()) / times
-    best = (f"{1e3 * max(fused * LAUNCH_SECONDS, moved / speed):.2f} |" for speed in BANDWIDTH.values())
-    print(f"| {work} | {times} | {launches:.0f} | {fused:.0f} | {waits:.2f} | {moved / 1e6:.1f} |", *best, flush=True)
+    best = (f"{1e3 * max(launches * LAUNCH_SECONDS, moved / speed):.2f} |" for speed in BANDWIDTH.values())
+    print(f"| {work} | {times} | {launches:.0f} | {waits:.2f} | {moved / 1e6:.1f} |", *best, flush=True)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,7 @@ operation that mixes them with CPU tensors raises, as on CUDA, but for copies an
 `numpy()` of them raises in torch itself. Every operation counts as a launch, and every one that makes the host wait
 (`item`, `nonzero`, boolean indices, copies to the host, and copies from it that are not `non_blocking`) as a wait, by
 name. Copies to the host that are `non_blocking` hold no numbers until an event after them has been waited for, which is
-a wait where the device would have run out of work. What a compiler would fuse can be counted beside that as the kernels
-that it would leave.
+a wait where the device would have run out of work.
 """
 
 from __future__ import annotations
@@ -54,7 +53,6 @@ class Counts:
         launches: by the name of the operation.
         waits: by the name of the operation and the source file that asked for it.
         places: launches by the source file.
-        fused: the same, with a compiled function's kernels (`compiled`) in place of its operations.
         bytes_moved: that the operations read and wrote.
     """
 
@@ -62,13 +60,12 @@ class Counts:
         self.launches: Counter[str] = Counter()
         self.waits: Counter[str] = Counter()
         self.places: Counter[str] = Counter()
-        self.fused: Counter[str] = Counter()
         self.bytes_moved = 0
 
     def less(self, other: Counts) -> Counts:
         """These counts without those of `other`."""
         left = Counts()
-        for name in ("launches", "waits", "places", "fused"):
+        for name in ("launches", "waits", "places"):
             setattr(left, name, getattr(self, name) - getattr(other, name))
         left.bytes_moved = self.bytes_moved - other.bytes_moved
         return left
@@ -92,7 +89,6 @@ class _Queue:
 _queue = _Queue()
 _counting: list[Counts] = []
 _lock = threading.Lock()
-_local = threading.local()  # whether this thread is inside a compiled function
 
 
 @contextmanager
@@ -104,19 +100,6 @@ def counted(into: Counts | None = None) -> Iterator[Counts]:
         yield counts
     finally:
         _counting.remove(counts)
-
-
-@contextmanager
-def compiled(kernels: int) -> Iterator[None]:
-    """What this thread runs meanwhile counts as so many launches in `Counts.fused`."""
-    with _lock:
-        for counts in _counting:
-            counts.fused[_place()] += kernels
-    _local.fused = True
-    try:
-        yield
-    finally:
-        _local.fused = False
 
 
 class DeviceTensor(Tensor):
@@ -219,7 +202,6 @@ def _count(func: Any, args: Any, kwargs: dict[str, Any], values: list[Any], to_h
             if launches:
                 counts.launches[str(func)] += launches
                 counts.places[_place()] += launches
-                counts.fused[_place()] += 0 if getattr(_local, "fused", False) else launches
                 counts.bytes_moved += moved
 
 

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from core.render.compiling import Compiled
 from core.train.optimise.host_copy import HostCopy
 from tests.device import pretend, rasterization
-from tests.device.fusing import count_fused
-from tests.device.pretend import DeviceTensor, MixedDevicesError, compiled, counted
+from tests.device.pretend import DeviceTensor, MixedDevicesError, counted
 
 
 @pytest.fixture
@@ -112,32 +110,6 @@ def test_whoever_reads_at_once_waits(device: str) -> None:
         assert not copy.is_here
         assert float(copy.read()) == 1
     assert sum(counts.waits.values()) == 1
-
-
-def test_what_is_compiled_counts_as_its_kernels_beside_every_operation(device: str) -> None:
-    def chain(x: torch.Tensor) -> torch.Tensor:
-        return (x * 2 + 1).sin()
-
-    values = torch.rand(5, device=device)
-    with counted() as counts:
-        with compiled(1):
-            chain(values)
-        values.mul(3)
-    assert sum(counts.launches.values()) == 4
-    assert sum(counts.fused.values()) == 2
-
-
-@pytest.mark.slow
-def test_kernels_are_those_of_the_compiler(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def chain(x: torch.Tensor) -> torch.Tensor:
-        return ((x * 2 + 1).sin() - x) / (1 + x * x)
-
-    count_fused(monkeypatch)
-    values = torch.rand(5, device=device)
-    with counted() as counts:
-        Compiled(chain)(values)
-    assert sum(counts.launches.values()) == 7
-    assert sum(counts.fused.values()) == 1
 
 
 def test_the_rasteriser_has_gsplats_signature() -> None:

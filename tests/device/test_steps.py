@@ -19,8 +19,7 @@ pytestmark = [
     pytest.mark.cuda,
     pytest.mark.skipif(cuda_fault() is None, reason="a real GPU does not tell its launches"),
 ]
-# Of a step where nothing is compiled (338 when this was set); docs/benchmarks.md says how many are left
-# where it is.
+# Of a step (338 when this was set).
 MAX_LAUNCHES = 345
 
 ONCE = {f"core/train/keyframe/{name}.py" for name in ("precision", "drawing")}

@@ -9,7 +9,6 @@ import numba
 import torch
 from torch import Tensor
 
-from core.render.compiling import Compiled
 from core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud
 from core.train.kernels import decode as kernels
 
@@ -79,7 +78,7 @@ def decode(
 ) -> Splats:
     """Gaussians of N anchors.
 
-    What follows the network is one numba pass on the CPU, and compiled by torch elsewhere where that works.
+    What follows the network is one numba pass on the CPU.
 
     Args:
         feature: [N,F]; offset: [N,K,3]; scaling: [N,6] log-scales; position: [N,3] world.
@@ -154,19 +153,14 @@ def _differentiated(
     return outputs, moved, to_size * (scaling.abs() <= MAX_LOG_SCALE), pulled.sum(dim=1)
 
 
-_ACTIVATED, _DIFFERENTIATED = Compiled(_activated), Compiled(_differentiated)
-
-
 class _OnDevice(torch.autograd.Function):
-    """`decode_reference` in few launches: the gradient is written down, and torch compiles all but the products."""
+    """`decode_reference` in few launches: the gradient is written down."""
 
     @staticmethod
     def forward(ctx: Any, *given: Tensor) -> tuple[Tensor, ...]:
         inputs, offset, scaling, position, hidden_weight, hidden_bias, output_weight, output_bias = given
         hidden = torch.addmm(hidden_bias, inputs, hidden_weight).relu_()
-        parts: tuple[Tensor, ...] = _ACTIVATED(
-            torch.addmm(output_bias, hidden, output_weight), offset, scaling, position
-        )
+        parts = _activated(torch.addmm(output_bias, hidden, output_weight), offset, scaling, position)
         ctx.save_for_backward(inputs, offset, scaling, hidden_weight, output_weight, hidden, *parts[2:])
         return parts
 
@@ -174,7 +168,7 @@ class _OnDevice(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         inputs, offset, scaling, hidden_weight, output_weight, hidden, *parts = ctx.saved_tensors
-        to_outputs, *found = _DIFFERENTIATED(offset, scaling, *parts, *upstream)
+        to_outputs, *found = _differentiated(offset, scaling, *parts, *upstream)
         products = _through_network(ctx, inputs, hidden, hidden_weight, output_weight, to_outputs)
         return (products[0], *found, *products[1:])
 

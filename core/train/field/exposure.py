@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.render.compiling import Compiled
 from core.train.field.decode import Splats
 
 _FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
@@ -68,17 +67,14 @@ class _Applied(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         image, gain = ctx.saved_tensors
-        sums = [(upstream * image).sum(dim=(0, 1)), upstream.sum(dim=(0, 1))]
-        return (upstream * gain[ctx.camera], *_AT_CAMERA(*sums, ctx.camera, len(gain)), None)
+        by_gain, by_offset = (upstream * image).sum(dim=(0, 1)), upstream.sum(dim=(0, 1))
+        return (upstream * gain[ctx.camera], *_at_camera(by_gain, by_offset, ctx.camera, len(gain)), None)
 
 
 def _at_camera(gain: Tensor, offset: Tensor, camera: int, cameras: int) -> tuple[Tensor, Tensor]:
     """[C,3] `gain` and `offset` [3] at number `camera`, zero at the others."""
     here = (torch.arange(cameras, device=gain.device) == camera)[:, None]
     return here * gain, here * offset
-
-
-_AT_CAMERA = Compiled(_at_camera)
 
 
 def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:

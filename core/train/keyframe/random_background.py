@@ -11,8 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.render.compiling import Compiled
-
 _BLACK = 1 / 16  # the brightest channel of a pixel that may show nothing at all
 
 
@@ -30,7 +28,7 @@ def over_colour_reference(image: Tensor, transmittance: Tensor, target: Tensor, 
 
 
 def _lit(target: Tensor) -> Tensor:
-    """[H,W] bool: pixels that are not black; by two maxima, which fuse with what follows."""
+    """[H,W] bool: pixels that are not black."""
     red, green, blue = target.unbind(dim=2)
     return torch.maximum(torch.maximum(red, green), blue) > _BLACK
 
@@ -41,19 +39,16 @@ def _pulled(target: Tensor, colour: Tensor, upstream: Tensor) -> Tensor:
     return (red + green + blue) * _lit(target)
 
 
-_OVER, _PULLED = Compiled(over_colour_reference), Compiled(_pulled)
-
-
 class _OnDevice(torch.autograd.Function):
     """`over_colour_reference` in few launches."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, transmittance: Tensor, target: Tensor, colour: Tensor) -> Tensor:
         ctx.save_for_backward(target, colour)
-        shown: Tensor = _OVER(image, transmittance, target, colour)
-        return shown
+        return over_colour_reference(image, transmittance, target, colour)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return upstream, _PULLED(*ctx.saved_tensors, upstream), None, None
+        target, colour = ctx.saved_tensors
+        return upstream, _pulled(target, colour, upstream), None, None

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from core.render.compiling import Compiled
 from core.render.tiles import Box
 
 WINDOW, SIGMA = 11, 1.5
@@ -71,8 +70,8 @@ def photometric_planes(
 ) -> Tensor:
     """`photometric_loss` on any device and for any float type, value and gradient together.
 
-    What is blurred is stacked into one batch of planes, twice convolved with a line; all else is done pixel by pixel in
-    three functions that torch compiles for the device. Nothing in it waits for the device.
+    What is blurred is stacked into one batch of planes, twice convolved with a line; all else is done pixel by pixel.
+    Nothing in it waits for the device.
     """
     masks = (None, None) if region is None else tuple(_pixels(image, region, room) for room in (0, WINDOW // 2))
     inside, near = masks
@@ -182,9 +181,6 @@ def _slope(
     return total if inside is None else total * inside
 
 
-_MOMENTS, _SIMILARITY, _SLOPE = Compiled(_moments), Compiled(_similarity), Compiled(_slope)
-
-
 class _Planes(torch.autograd.Function):
     """The gradient is made together with the value, since it needs the same blurs."""
 
@@ -198,10 +194,10 @@ class _Planes(torch.autograd.Function):
         near: Tensor | None,
         counted: Tensor | None,
     ) -> Tensor:
-        blurred = _blurred(_MOMENTS(image, target))
-        losses, slopes = _SIMILARITY(blurred, image, target, weight, near, counted)
+        blurred = _blurred(_moments(image, target))
+        losses, slopes = _similarity(blurred, image, target, weight, near, counted)
         if ctx.needs_input_grad[0]:
-            ctx.gradient = _SLOPE(image, target, _blurred(slopes), inside, counted, weight)
+            ctx.gradient = _slope(image, target, _blurred(slopes), inside, counted, weight)
         loss: Tensor = losses.mean()
         return loss
 

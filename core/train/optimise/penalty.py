@@ -7,8 +7,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.render.compiling import Compiled
-
 
 def penalty(scales: Tensor, opacities: Tensor, scale_weight: float, opacity_weight: float) -> Tensor:
     """[] weighted sum of the mean volume of the Gaussians that are drawn and of the mean opacity of all.
@@ -47,15 +45,12 @@ def _priced(
     return price, by_scales, mean_weight * (opacities >= 0)
 
 
-_PRICED = Compiled(_priced)
-
-
 class _OnDevice(torch.autograd.Function):
     """`penalty_reference` in few launches: the gradient is made together with the value."""
 
     @staticmethod
     def forward(ctx: Any, scales: Tensor, opacities: Tensor, *weights: float) -> Tensor:
-        price, *ctx.gradients = _PRICED(scales, opacities, (opacities > 0).sum(), *weights)
+        price, *ctx.gradients = _priced(scales, opacities, (opacities > 0).sum(), *weights)
         total: Tensor = price.sum()
         return total
 

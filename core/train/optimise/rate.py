@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.render.compiling import Compiled
 from core.scene.entropy_model import BINS, UNIT_BIN, magnitude_bits
 from core.scene.quantise import DEFAULT_OFFSET
 from core.train.kernels import rate as kernels
@@ -62,12 +61,13 @@ class _Fused(torch.autograd.Function):
 
 
 class _OnDevice(torch.autograd.Function):
-    """`residual_bits_reference` in few launches: the gradient is written down, and torch compiles the passes."""
+    """`residual_bits_reference` in few launches: the gradient is written down."""
 
     @staticmethod
     def forward(ctx: Any, latent: Tensor, position: Tensor) -> Tensor:
-        rows = _ROW_SUMS(latent, position)
-        bits, *ctx.gradients = _PRICED(latent, position, *rows, *(row.mean() for row in rows), _table(latent.device))
+        of_latent, of_position = _row_sums(latent, position)
+        means = of_latent.mean(), of_position.mean()
+        bits, *ctx.gradients = _priced(latent, position, of_latent, of_position, *means, _table(latent.device))
         total: Tensor = bits.sum()
         return total
 
@@ -119,9 +119,6 @@ def _prices(values: Tensor, rows: Tensor, mean: Tensor, table: Tensor) -> tuple[
     steeper = table[bins, lower + 1] - cost
     held = values.abs() <= _HIGHEST - _BELOW
     return (cost + (size - lower) * steeper).sum(dim=1), steeper * values.sign() * held
-
-
-_ROW_SUMS, _PRICED = Compiled(_row_sums), Compiled(_priced)
 
 
 def _coded_bits(values: Tensor) -> Tensor:

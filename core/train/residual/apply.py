@@ -8,7 +8,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.render.compiling import Compiled
 from core.scene.anchors import FEATURE_LATENTS
 from core.train.field.field import Field
 from core.train.field.rounding import dead_zone, dead_zone_through
@@ -71,13 +70,6 @@ def applied_reference(field: Field, latent: Tensor, position: Tensor, unit: Unit
     )
 
 
-def _integers(latent: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-    return dead_zone(latent), dead_zone(position)
-
-
-_INTEGERS = Compiled(_integers)
-
-
 class _Applied(torch.autograd.Function):
     """A handful of passes over memory instead of autograd's thirty; on any device."""
 
@@ -94,7 +86,7 @@ class _Applied(torch.autograd.Function):
         steps: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         ctx.save_for_backward(feature_decoder, offset_decoder, steps)
-        integers, moves = _INTEGERS(latent, position)
+        integers, moves = dead_zone(latent), dead_zone(position)
         return (
             torch.addmm(feature, integers[:, :FEATURE_LATENTS], feature_decoder),
             torch.addmm(offset.flatten(1), integers[:, FEATURE_LATENTS:], offset_decoder).view(offset.shape),

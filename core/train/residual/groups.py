@@ -13,8 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.render.compiling import Compiled
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
@@ -53,9 +51,6 @@ def _pulled(upstream: Tensor, arm: Tensor) -> Tensor:
     return torch.cat([upstream, torch.linalg.cross(arm, upstream)], dim=1)
 
 
-_MOVED, _PULLED = Compiled(_moved), Compiled(_pulled)
-
-
 class _Moved(torch.autograd.Function):
     """A few launches instead of autograd's ten; on any device."""
 
@@ -63,14 +58,13 @@ class _Moved(torch.autograd.Function):
     def forward(ctx: Any, own: Tensor, shift: Tensor, turn: Tensor, number: Tensor, arm: Tensor) -> Tensor:
         ctx.save_for_backward(number, arm)
         ctx.count = len(shift)
-        moved: Tensor = _MOVED(own, shift, turn, number, arm)
-        return moved
+        return _moved(own, shift, turn, number, arm)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         number, arm = ctx.saved_tensors
-        by_group = upstream.new_zeros(ctx.count, 6).index_add_(0, number, _PULLED(upstream, arm))
+        by_group = upstream.new_zeros(ctx.count, 6).index_add_(0, number, _pulled(upstream, arm))
         parts = by_group.view(-1, 2, 3).transpose(0, 1).contiguous()  # one copy rather than one for each leaf
         return (upstream, *parts, None, None)
 
