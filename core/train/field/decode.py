@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numba
@@ -121,14 +122,20 @@ def _activated(
     count, slots = offset.shape[:2]
     opacity, colour, relative, rotation = torch.split(outputs, [slots, 3 * slots, 3 * slots, 4 * slots], dim=1)
     size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()
-    upright = (torch.arange(4, device=outputs.device) == 0).to(outputs.dtype)
+    upright = _upright(outputs.device, outputs.dtype)
     return (
-        (position[:, None] + offset * size[:, None, :3]).reshape(-1, 3),
+        torch.addcmul(position[:, None], offset, size[:, None, :3]).reshape(-1, 3),
         rotation.reshape(-1, 4) + upright,
         (size[:, None, 3:] * relative.reshape(count, slots, 3).sigmoid()).reshape(-1, 3),
         opacity.tanh().reshape(-1),
         colour.sigmoid().reshape(-1, 3),
     )
+
+
+@lru_cache(maxsize=8)
+def _upright(device: torch.device, dtype: torch.dtype) -> Tensor:
+    """[4] the quaternion of no turn, made on the device."""
+    return (torch.arange(4, device=device) == 0).to(dtype)
 
 
 def _differentiated(
@@ -139,11 +146,12 @@ def _differentiated(
     by_means, by_quaternions, by_scales, by_opacities, by_colours = upstream
     size = scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()[:, None]
     pulled, widened = by_means.reshape(offset.shape), (by_scales * scales).reshape(offset.shape)
+    dimmed, tinted = by_opacities * opacities, by_colours * colours
     outputs = torch.cat(
         [
-            (by_opacities * (1 - opacities * opacities)).reshape(count, slots),
-            (by_colours * colours * (1 - colours)).reshape(count, 3 * slots),
-            (widened * (1 - scales.reshape(offset.shape) / size[..., 3:])).reshape(count, 3 * slots),
+            torch.addcmul(by_opacities, dimmed, opacities, value=-1).reshape(count, slots),
+            torch.addcmul(tinted, tinted, colours, value=-1).reshape(count, 3 * slots),
+            torch.addcdiv(widened, widened * scales.reshape(offset.shape), size[..., 3:], value=-1).flatten(1),
             by_quaternions.reshape(count, 4 * slots),
         ],
         dim=1,

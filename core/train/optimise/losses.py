@@ -155,19 +155,25 @@ def _similarity(
     blurred: Tensor, image: Tensor, target: Tensor, weight: float, near: Tensor | None, counted: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """The loss of each pixel [3,H,W], of blurred moments [5,3,H,W] and the pictures; and SSIM's derivatives [3,3,H,W]
-    by the blurred image, its blurred square and the blurred product."""
+    by the blurred image, its blurred square and the blurred product.
+
+    In few launches: what stands in brackets below is one of SSIM's four factors, of which it is l s / (m v).
+    """
+    zero, one, first = _numbers(blurred.dtype, blurred.device)
     a, b, aa, bb, ab = blurred
-    mean_squares, product = a * a + b * b, a * b
-    luminance, likeness = 2 * product + _C1, 2 * (ab - product) + _C2
-    means, variances = mean_squares + _C1, aa + bb - mean_squares + _C2
-    scale = 1 / (means * variances)
-    ssim = luminance * likeness * scale
-    by_mean = 2 * (b * (likeness - luminance) * scale + a * ssim * (1 / variances - 1 / means))
-    slopes = torch.stack([by_mean, -ssim / variances, 2 * luminance * scale])
-    difference, dissimilarity = (image - target).abs().permute(2, 0, 1), 1 - ssim
+    luminance = torch.addcmul(first, a, b, value=2)  # (l) 2 a b + C1
+    likeness = torch.add((_C1 + _C2) - luminance, ab, alpha=2)  # (s) 2 (ab - a b) + C2
+    means = torch.addcmul(torch.addcmul(first, a, a), b, b)  # (m) a^2 + b^2 + C1
+    variances = aa + bb - means + (_C1 + _C2)  # (v) aa - a^2 + bb - b^2 + C2
+    twice = 2 / (means * variances)
+    by_product = luminance * twice
+    twice_ssim = by_product * likeness
+    pulled = torch.addcmul(b * (likeness - luminance), a, twice_ssim * (means - variances), value=0.5)
+    slopes = torch.stack([pulled * twice, torch.addcdiv(zero, twice_ssim, variances, value=-0.5), by_product])
+    difference, dissimilarity = (image - target).abs().permute(2, 0, 1), torch.add(one, twice_ssim, alpha=-0.5)
     difference = difference if counted is None else difference * counted.permute(2, 0, 1)
     dissimilarity = dissimilarity if near is None else dissimilarity * near.permute(2, 0, 1)
-    return (1 - weight) * difference + weight * dissimilarity, slopes
+    return torch.lerp(difference, dissimilarity, weight), slopes
 
 
 def _slope(
@@ -175,10 +181,18 @@ def _slope(
 ) -> Tensor:
     """[H,W,3] the loss's gradient: of L1, and of -SSIM, whose derivatives `spread` [3,3,H,W] have been blurred."""
     by_mean, by_square, by_product = (part.permute(1, 2, 0) for part in spread)
-    similar = by_mean + 2 * image * by_square + target * by_product
+    similar = torch.addcmul(torch.addcmul(by_mean, image, by_square, value=2), target, by_product)
     sign = (image - target).sign() if counted is None else (image - target).sign() * counted
-    total: Tensor = ((1 - weight) * sign - weight * similar) / image.numel()
+    numbers = image.numel()
+    total = torch.add(sign * ((1 - weight) / numbers), similar, alpha=-weight / numbers)
     return total if inside is None else total * inside
+
+
+@functools.lru_cache(maxsize=8)
+def _numbers(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """[] 0, 1 and SSIM's first constant, made on the device."""
+    zero = torch.zeros((), dtype=dtype, device=device)
+    return zero, zero + 1, zero + _C1
 
 
 class _Planes(torch.autograd.Function):

@@ -15,12 +15,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from core.scene.anchors import LATENTS
 from core.scene.entropy_model import BINS, UNIT_BIN, magnitude_bits
 from core.scene.quantise import DEFAULT_OFFSET
 from core.train.kernels import rate as kernels
 
 SET_BITS = 4.0  # about what it costs that an anchor changes at all: its place in the dynamic set
 _TYPICAL = 0.5  # weight of the average anchor beside the anchor's own other values
+_LEAST = 1e-3  # expected magnitude
 _HIGHEST, _BELOW = 64, 0.01  # magnitudes count as at most so much below the highest of the table
 
 
@@ -61,64 +63,52 @@ class _Fused(torch.autograd.Function):
 
 
 class _OnDevice(torch.autograd.Function):
-    """`residual_bits_reference` in few launches: the gradient is written down."""
+    """`residual_bits_reference` in few launches: both parts side by side, and the gradient is written down."""
 
     @staticmethod
     def forward(ctx: Any, latent: Tensor, position: Tensor) -> Tensor:
-        of_latent, of_position = _row_sums(latent, position)
-        means = of_latent.mean(), of_position.mean()
-        bits, *ctx.gradients = _priced(latent, position, of_latent, of_position, *means, _table(latent.device))
-        total: Tensor = bits.sum()
-        return total
+        bits, ctx.gradient = _priced(torch.cat([latent, position], dim=1))
+        return bits
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, ...]:
-        return tuple(torch._foreach_mul(ctx.gradients, upstream))
+        return torch.split(ctx.gradient * upstream, [LATENTS, 3], dim=1)
 
 
-def _row_sums(latent: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
-    """[n] sums of what the magnitudes of each row round to, of latents and of positions."""
-    found = [_rounded(_magnitude(values)).sum(dim=1) for values in (latent, position)]
-    return found[0], found[1]
+def _priced(values: Tensor) -> tuple[Tensor, Tensor]:
+    """[] bits of the latents and positions [n,27] of n anchors, and their derivatives."""
+    table, steeper, parts, spread, own = _constants(values.device, values.dtype)
+    magnitude = values.abs()
+    size = magnitude.clamp(max=_HIGHEST - _BELOW)
+    rounded, lower = _rounded(size), size.floor()
+    sums = rounded @ parts
+    expected = torch.addcmul(torch.add(sums, sums.mean(dim=0), alpha=_TYPICAL) @ spread, rounded, own, value=-1)
+    bins = (expected.clamp_min(_LEAST).log2() * 4 + UNIT_BIN).round().clamp(0, BINS - 1)
+    place = torch.add(lower, bins, alpha=_HIGHEST).long().clamp(0, len(table) - 1)  # inside, whatever becomes of NaN
+    slope, largest = steeper[place], magnitude.amax(dim=1, keepdim=True)
+    bits = torch.addcmul(table[place], size - lower, slope).sum() + SET_BITS * largest.clamp(max=1).sum()
+    first = magnitude == largest  # shared among the largest, as torch shares the gradient of a maximum
+    shared = SET_BITS * (largest <= 1) / first.sum(dim=1, keepdim=True)
+    return bits, (slope * (magnitude <= _HIGHEST - _BELOW) + first * shared) * values.sign()
 
 
-def _priced(
-    latent: Tensor,
-    position: Tensor,
-    latent_rows: Tensor,
-    position_rows: Tensor,
-    latent_mean: Tensor,
-    position_mean: Tensor,
-    table: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """[n] bits of each anchor, and their derivatives by `latent` [n,24] and `position` [n,3].
+@functools.lru_cache(maxsize=4)
+def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
+    """What `_priced` multiplies by; kept on the device.
 
-    Args:
-        latent_rows, position_rows: [n] as `_row_sums` gives them; latent_mean, position_mean: [] their means.
+    Returns:
+        [BINS * _HIGHEST] bits of magnitudes from 0, a bin after the other; by how much the next magnitude costs more;
+        [27,2] which values are coded together; [2,27] and [27] that make the expected magnitude of a value from the
+        sums of those coded together, and from what it rounds to itself.
     """
-    of_latents, by_latents = _prices(latent, latent_rows, latent_mean, table)
-    of_positions, by_positions = _prices(position, position_rows, position_mean, table)
-    largest = torch.maximum(latent.abs().amax(dim=1), position.abs().amax(dim=1))[:, None]
-    first, second = latent.abs() == largest, position.abs() == largest
-    # shared among the largest, as torch shares the gradient of a maximum
-    slope = SET_BITS * (largest <= 1) / (first.sum(dim=1) + second.sum(dim=1))[:, None]
-    return (
-        of_latents + of_positions + SET_BITS * largest[:, 0].clamp(max=1),
-        by_latents + first * slope * latent.sign(),
-        by_positions + second * slope * position.sign(),
-    )
-
-
-def _prices(values: Tensor, rows: Tensor, mean: Tensor, table: Tensor) -> tuple[Tensor, Tensor]:
-    """[n] bits of values [n,C] coded row by row, and their derivatives [n,C]."""
-    size = _magnitude(values)
-    lower = size.floor().long().clamp(0, _HIGHEST - 1)  # in the table, whatever becomes of NaN
-    bins = _bins(rows[:, None] - _rounded(size), mean, values.shape[1])
-    cost = table[bins, lower]
-    steeper = table[bins, lower + 1] - cost
-    held = values.abs() <= _HIGHEST - _BELOW
-    return (cost + (size - lower) * steeper).sum(dim=1), steeper * values.sign() * held
+    bits = magnitude_bits(_HIGHEST)
+    parts = np.zeros((LATENTS + 3, 2))
+    parts[:LATENTS, 0], parts[LATENTS:, 1] = 1, 1
+    channels = parts.sum(axis=0)
+    spread = (parts / (_TYPICAL * channels + channels - 1)).T
+    arrays = bits[:, :-1].ravel(), np.diff(bits, axis=1).ravel(), parts, spread, spread.sum(axis=0)
+    return tuple(torch.from_numpy(array).to(device, dtype, non_blocking=True) for array in arrays)
 
 
 def _coded_bits(values: Tensor) -> Tensor:
@@ -144,7 +134,7 @@ def _rounded(size: Tensor) -> Tensor:
 def _bins(rest: Tensor, mean: Tensor, channels: int) -> Tensor:
     """[n,C] bin of each value, from what the rest of its row rounds to [n,C] and from the mean [] of all rows."""
     expected = (_TYPICAL * mean + rest) / (_TYPICAL * channels + channels - 1)
-    return (UNIT_BIN + 4 * expected.clamp_min(1e-3).log2()).round().long().clamp(0, BINS - 1)
+    return (UNIT_BIN + 4 * expected.clamp_min(_LEAST).log2()).round().long().clamp(0, BINS - 1)
 
 
 @functools.lru_cache(maxsize=4)
