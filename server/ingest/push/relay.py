@@ -120,7 +120,10 @@ def serving_socket(path: Path, serve: Callable[[Connection], None]) -> Iterator[
                 if not stopping.wait(_AGAIN_SECONDS):  # such as too many open files; later ones are taken again
                     _LOG.warning("a connection for pushed pictures cannot be taken (%s)", error)
                 continue
-            threading.Thread(target=serve, args=(pipe,), daemon=True, name="pushed").start()
+            if stopping.is_set():  # the one that wakes this
+                pipe.close()
+            else:
+                threading.Thread(target=serve, args=(pipe,), daemon=True, name="pushed").start()
 
     thread = threading.Thread(target=accept, daemon=True, name="push socket")
     thread.start()

@@ -87,8 +87,10 @@ def dial(address: LinkAddress) -> Connection:
     Raises:
         OSError: nobody listens there.
     """
-    found = socket.create_connection((address.host, address.port), timeout=_DIAL_SECONDS)
-    found.sendall(address.secret)
+    with contextlib.ExitStack() as on_fault:
+        found = on_fault.enter_context(socket.create_connection((address.host, address.port), timeout=_DIAL_SECONDS))
+        found.sendall(address.secret)
+        on_fault.pop_all()
     return _connection(found)
 
 

@@ -10,7 +10,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import Client, Connection, Pipe
@@ -125,6 +125,27 @@ def test_a_connection_is_cut_under_who_waits_on_it() -> None:
         threading.Timer(0.2, cut, (one,)).start()
         with pytest.raises((EOFError, OSError)):
             one.recv_bytes()
+
+
+def test_a_connection_that_breaks_while_it_is_opened_is_closed() -> None:
+    with socket.create_server((HOST, 0)) as listener, ThreadPoolExecutor(1) as taking:
+
+        def take() -> None:
+            listener.accept()[0].close()
+
+        taken = taking.submit(take)
+        address = LinkAddress(HOST, listener.getsockname()[1], bytes(1 << 26))  # more than what is on its way can hold
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):  # a socket left open would be a warning, so fail
+            dial(address)
+        taken.result(5)
+
+
+def test_nobody_is_served_at_the_end(tmp_path: Path) -> None:
+    served: list[Connection] = []
+    for _ in range(20):
+        with serving_socket(tmp_path / "pushed", served.append):
+            pass
+    assert not served
 
 
 def actor_that_sends(*messages: bytes) -> Callable[[LinkAddress], Future[None]]:
