@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from core.arrays import Float64
 from core.camera import Camera
 
 _OPACITY_MAX = 2.0
@@ -111,7 +112,7 @@ def _spread(quaternions: Tensor, scales: Tensor, seen: SeenFrom) -> Tensor:
     return spread
 
 
-def _axis_products(axis: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _axis_products(axis: Float64) -> Float64:
     """[16,3] by which the products q_i q_j of a unit quaternion (w x y z) give `axis` [3] turned back by it."""
     x, y, z = axis
     # R(q)^T axis = (w^2 - v.v) axis + 2 v (v.axis) - 2 w (v x axis)
