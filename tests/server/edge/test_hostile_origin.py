@@ -32,16 +32,18 @@ Speech = Callable[[ServerConnection], None]
 
 @dataclass(slots=True)
 class Origin:
-    """What it says: a list of streams, and over the websocket whatever `speak` sends."""
+    """What it says: a list of streams, which was `asked` for so often, and over the websocket whatever `speak` sends."""
 
     speak: Speech
     listing: str = json.dumps({"items": [STREAM], "next_cursor": None})
     port: int = 0
     hellos: list[dict[str, Any]] = field(default_factory=list)
+    asked: int = 0
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
         if not request.path.startswith("/v1/streams?"):
             return None
+        self.asked += 1
         return connection.respond(http.HTTPStatus.OK, self.listing)
 
     def talk(self, connection: ServerConnection) -> None:
@@ -209,5 +211,5 @@ def test_only_so_many_streams_as_the_limits_allow(clip: Clip) -> None:
         names = [f"s{number:02d}" for number in range(30)]
         origin.listing = json.dumps({"items": [STREAM | {"id": name} for name in names]})
         with running(settings(origin)) as edge:
-            wait(lambda: edge.registry.streams)
+            wait(lambda: origin.asked > 1)  # it asks again when it has taken all of the first list
             assert sorted(edge.registry.streams) == names[:16]
