@@ -32,7 +32,7 @@ Speech = Callable[[ServerConnection], None]
 
 @dataclass(slots=True)
 class Origin:
-    """What it says: a list of streams, which was `asked` for so often, and over the websocket whatever `speak` sends."""
+    """What it says: a list of streams, `asked` for so often, and over the websocket whatever `speak` sends."""
 
     speak: Speech
     listing: str = json.dumps({"items": [STREAM], "next_cursor": None})
