@@ -90,6 +90,10 @@ class _Node:
             self.failure = error
         except (WebSocketException, OSError) as error:
             _LOG.warning("camera %s: the connection broke at the end (%s)", self.camera.name, error)
+            self.pushed.dropped += 0 if self._connection is None else self._connection.waiting
+        finally:
+            if self._connection is not None:
+                self._connection.close()
 
     def _send(self, sequence: int, taken: Taken) -> None:
         try:
@@ -153,10 +157,9 @@ class _Connection:
         return self._answered
 
     def finish(self, pushed: Pushed) -> None:
-        """Wait for the last answers and close."""
+        """Wait for the last answers."""
         while self.waiting:
             self._take_answers(pushed, _ANSWER_SECONDS)
-        self.close()
 
     def close(self) -> None:
         """Close the connection."""

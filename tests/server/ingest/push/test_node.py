@@ -22,6 +22,7 @@ from websockets.typing import Subprotocol
 
 from core.errors import InputError, SessionError
 from server.ingest.cameras.address import Address, webcam_options
+from server.ingest.push import node
 from server.ingest.push.capture import CaptureCamera, find_cameras
 from server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, parse_push
 from server.ingest.push.node import Pushed, push
@@ -166,6 +167,26 @@ def test_a_broken_connection_is_made_anew(folder: Path, served: tuple[Server, st
     assert server.taken[-1].sequence == FPS - 1
     assert pushed.dropped >= 5
     assert pushed.acknowledged + pushed.dropped == FPS
+
+
+def test_a_server_that_falls_silent_is_left_and_what_it_did_not_take_is_counted(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(node, "_ANSWER_SECONDS", 0.2)
+    left = threading.Event()
+
+    def listen(connection: ServerConnection) -> None:
+        for _ in connection:
+            pass
+        left.set()
+
+    with serve(listen, "127.0.0.1", 0, subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)]) as silent:
+        threading.Thread(target=silent.serve_forever, daemon=True).start()
+        url = f"ws://127.0.0.1:{silent.socket.getsockname()[1]}/v1/streams/main/ingest"
+        (pushed,) = push(url, find_cameras([f"cam0={folder / 'cam0.ts'}"], FPS)).values()
+        assert left.wait(5)
+        silent.shutdown()
+    assert (pushed.acknowledged, pushed.dropped) == (0, FPS)
 
 
 def test_a_refusal_for_good_ends_it_with_the_reason(folder: Path, served: tuple[Server, str]) -> None:
