@@ -16,7 +16,7 @@ from core.camera import Camera
 from core.errors import BackendUnavailable
 from core.render.backends import cuda_fault
 from core.render.raster import Probe, Raster
-from core.render.sound import seen_from, sound
+from core.render.sound import device_camera, sound
 from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
@@ -45,12 +45,12 @@ def rasterise_cuda(
     parameters = [means, quaternions, scales, opacities, colours]
     if count == 0:  # gsplat's kernels want at least one Gaussian
         return _empty(means, camera, background, tile_mask, base)
-    seen = _seen_from(camera, means.device)
-    parameters = sound(parameters, seen, moving)
+    on_device = _device_camera(camera, means.device)
+    parameters = sound(parameters, on_device, moving)
     images, alphas, meta = rasterization(
         *parameters,
-        viewmats=seen.pose[None],
-        Ks=seen.intrinsics[None],
+        viewmats=on_device.pose[None],
+        Ks=on_device.intrinsics[None],
         width=camera.width,
         height=camera.height,
         **_RULES,
@@ -62,8 +62,8 @@ def rasterise_cuda(
     rows = meta["gaussian_ids"].long()
     probe = Probe(rows, None if moving == count else rows < moving)
     if (projected := meta["means2d"]).requires_grad:
-        # it must not know of `projected`: such a circle keeps all that the picture took until Python looks for circles
-        projected.register_hook(partial(probe.record, scale=seen.half))
+        # without `projected` in it: that reference cycle would keep the picture's memory until Python collects garbage
+        projected.register_hook(partial(probe.record, scale=on_device.half))
     if tile_mask is not None:
         image, light = _over(image, light, tile_mask, base)
     return Raster(image, light, probe)
@@ -104,7 +104,7 @@ def _empty(means: Tensor, camera: Camera, background: Tensor, tile_mask: Tensor 
     return Raster(image, light, Probe(torch.zeros(0, dtype=torch.int64, device=means.device)))
 
 
-_seen_from = functools.lru_cache(maxsize=64)(seen_from)  # sending it each time would make the host wait
+_device_camera = functools.lru_cache(maxsize=64)(device_camera)  # sending it each time would make the host wait
 
 
 @functools.cache

@@ -1,6 +1,6 @@
-"""Which Gaussians gsplat can draw, and should: the others are moved out of sight before it meets them.
+"""Which Gaussians gsplat can draw, and should; the others are moved out of sight before it gets them.
 
-In few launches, since on a GPU these, not the arithmetic, are what a picture takes (docs/benchmarks.md, on a GPU).
+Written to launch few kernels: on a GPU, launching them takes longer than their arithmetic (docs/benchmarks.md).
 """
 
 from __future__ import annotations
@@ -23,35 +23,37 @@ _MAX_ASIDE, _MAX_SLOPE, _MAX_SPREAD = 1.0, 1.0, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenFrom:
+class DeviceCamera:
     """A camera as `sound` and gsplat need it, float32 on the device.
 
     Attributes:
         pose: [4,4] from the world to the camera. intrinsics: [3,3]. centre: [3] in the world. half: [2] pixels, half
             the size of the picture.
-        turn, shift: [3,3] and [3]; places [N,3] times `turn`, plus `shift`, are in the camera's axes.
-        stretch, middle: [2]; slopes times `stretch`, plus `middle`, are half pictures from the picture's middle.
-        along: [16,3]; products of a unit quaternion's numbers, times this, are the view's axis in the Gaussian's own.
-        widest: [] scales that a unit of depth allows.
-        upright: [4] the quaternion of no turn. one, zero: [].
+        rotation, translation: [3,3] and [3]; means [N,3] @ rotation + translation are in camera coordinates.
+        slope_scale, slope_offset: [2]; (x/z, y/z) * slope_scale + slope_offset is the distance from the picture's
+            middle, in half pictures.
+        axis_products: [16,3]; the products q_i q_j of a unit quaternion @ axis_products are the view's axis in the
+            Gaussian's own coordinates.
+        scale_limit: [] largest scale a unit of depth.
+        identity: [4] the quaternion of no rotation. one, zero: [].
     """
 
     pose: Tensor
     intrinsics: Tensor
     centre: Tensor
     half: Tensor
-    turn: Tensor
-    shift: Tensor
-    stretch: Tensor
-    middle: Tensor
-    along: Tensor
-    widest: Tensor
-    upright: Tensor
+    rotation: Tensor
+    translation: Tensor
+    slope_scale: Tensor
+    slope_offset: Tensor
+    axis_products: Tensor
+    scale_limit: Tensor
+    identity: Tensor
     one: Tensor
     zero: Tensor
 
 
-def seen_from(camera: Camera, device: torch.device) -> SeenFrom:
+def device_camera(camera: Camera, device: torch.device) -> DeviceCamera:
     """`camera` on `device`, in one copy that nobody waits for."""
     pose, intrinsics = camera.world_to_camera, camera.intrinsics
     half, focal = np.array([camera.width, camera.height]) / 2, intrinsics.diagonal()[:2]
@@ -60,22 +62,22 @@ def seen_from(camera: Camera, device: torch.device) -> SeenFrom:
         "intrinsics": intrinsics,
         "centre": camera.centre,
         "half": half,
-        "turn": pose[:3, :3].T,
-        "shift": pose[:3, 3],
-        "stretch": focal / half,
-        "middle": intrinsics[:2, 2] / half - 1,
-        "along": _axis_products(pose[2, :3]),
-        "widest": np.array(_MAX_SCALE_PIXELS / focal.max()),
-        "upright": np.array([1, 0, 0, 0]),
+        "rotation": pose[:3, :3].T,
+        "translation": pose[:3, 3],
+        "slope_scale": focal / half,
+        "slope_offset": intrinsics[:2, 2] / half - 1,
+        "axis_products": _axis_products(pose[2, :3]),
+        "scale_limit": np.array(_MAX_SCALE_PIXELS / focal.max()),
+        "identity": np.array([1, 0, 0, 0]),
         "one": np.array(1),
         "zero": np.array(0),
     }
     numbers = np.concatenate([part.ravel() for part in parts.values()]).astype(np.float32)
     sent = torch.split(torch.from_numpy(numbers).to(device, non_blocking=True), [part.size for part in parts.values()])
-    return SeenFrom(**{name: one.view(part.shape) for (name, part), one in zip(parts.items(), sent, strict=True)})
+    return DeviceCamera(**{name: one.view(part.shape) for (name, part), one in zip(parts.items(), sent, strict=True)})
 
 
-def sound(parameters: list[Tensor], seen: SeenFrom, moving: int | None = None) -> list[Tensor]:
+def sound(parameters: list[Tensor], camera: DeviceCamera, moving: int | None = None) -> list[Tensor]:
     """The five parameters with those Gaussians moved out of sight that gsplat cannot draw, or should not.
 
     What is not finite, has no direction, is so large that projecting it overflows, lies far beside the picture or
@@ -86,28 +88,28 @@ def sound(parameters: list[Tensor], seen: SeenFrom, moving: int | None = None) -
         parameters: as `core.render.cuda.rasterise_cuda` takes them.
         moving: how many of the first rows get gradients; all by default.
     """
-    return list(_Sound.apply(*parameters, seen, moving))  # type: ignore[no-untyped-call]
+    return list(_Sound.apply(*parameters, camera, moving))  # type: ignore[no-untyped-call]
 
 
 def _is_sound(
-    means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, colours: Tensor, seen: SeenFrom
+    means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, colours: Tensor, camera: DeviceCamera
 ) -> Tensor:
     """[N] bool which Gaussians can be drawn; every comparison is false for NaN."""
     sizes = torch.cat([scales, means, quaternions, colours, opacities[:, None]], dim=1).abs()
-    at_camera = torch.addmm(seen.shift, means, seen.turn)
+    at_camera = torch.addmm(camera.translation, means, camera.rotation)
     depth = at_camera[:, 2].clamp_min(_NEAR)
     slope = at_camera[:, :2] / depth[:, None]
-    aside = torch.addcmul(seen.middle, slope, seen.stretch).abs().amax(dim=1)
+    aside = torch.addcmul(camera.slope_offset, slope, camera.slope_scale).abs().amax(dim=1)
     near_by = (aside <= 2 * _MAX_ASIDE) | (torch.linalg.vector_norm(slope, dim=1) <= _MAX_SLOPE)
-    small = (sizes.amax(dim=1) < _MAX_PARAMETER) & (sizes[:, :3].amax(dim=1) < seen.widest * depth)
-    good: Tensor = near_by & small & (_spread(quaternions, scales, seen) <= _MAX_SPREAD * depth)
+    small = (sizes.amax(dim=1) < _MAX_PARAMETER) & (sizes[:, :3].amax(dim=1) < camera.scale_limit * depth)
+    good: Tensor = near_by & small & (_spread(quaternions, scales, camera) <= _MAX_SPREAD * depth)
     return good
 
 
-def _spread(quaternions: Tensor, scales: Tensor, seen: SeenFrom) -> Tensor:
+def _spread(quaternions: Tensor, scales: Tensor, camera: DeviceCamera) -> Tensor:
     """[N] standard deviations of Gaussians along the view, NaN without a direction."""
     unit = quaternions / torch.linalg.vector_norm(quaternions, dim=1, keepdim=True)
-    own = (unit[:, :, None] * unit[:, None]).flatten(1) @ seen.along
+    own = (unit[:, :, None] * unit[:, None]).flatten(1) @ camera.axis_products
     spread: Tensor = torch.linalg.vector_norm(own * scales, dim=1)
     return spread
 
@@ -133,19 +135,19 @@ class _Sound(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> tuple[Tensor, ...]:
-        means, quaternions, scales, opacities, colours, seen, moving = given
-        good = wanted = _is_sound(means, quaternions, scales, opacities, colours, seen)
+        means, quaternions, scales, opacities, colours, camera, moving = given
+        good = wanted = _is_sound(means, quaternions, scales, opacities, colours, camera)
         if moving is not None and moving < len(good):
             wanted = torch.zeros_like(good)
             wanted[:moving] = good[:moving]
-        ctx.wanted, ctx.zero = wanted, seen.zero
+        ctx.wanted, ctx.zero = wanted, camera.zero
         rows = good[:, None]
         return (
-            torch.where(rows, means, seen.centre),
-            torch.where(rows, quaternions, seen.upright),
-            torch.where(rows, scales, seen.one),
-            torch.where(good, opacities.clamp(max=_OPACITY_MAX), seen.zero),
-            torch.where(rows, colours, seen.zero),
+            torch.where(rows, means, camera.centre),
+            torch.where(rows, quaternions, camera.identity),
+            torch.where(rows, scales, camera.one),
+            torch.where(good, opacities.clamp(max=_OPACITY_MAX), camera.zero),
+            torch.where(rows, colours, camera.zero),
         )
 
     @staticmethod

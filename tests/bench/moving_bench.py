@@ -122,7 +122,7 @@ class TrueSet:
         return Partition(chosen, chosen)
 
 
-def first_frame(clip: Clip, config: TrainConfig, kept: Path | None, device: str = "cpu") -> Scene:
+def first_frame(clip: Clip, config: TrainConfig, kept: Path | None, device: str) -> Scene:
     """The first frame, from the packet `kept` if there is one."""
     if kept is not None and kept.is_file():
         decoder = SceneDecoder()
@@ -137,7 +137,7 @@ def first_frame(clip: Clip, config: TrainConfig, kept: Path | None, device: str 
 
 
 def follow(
-    clip: Clip, config: TrainConfig, first: Scene, causes: dict[str, int], kept: list[int], device: str = "cpu"
+    clip: Clip, config: TrainConfig, first: Scene, causes: dict[str, int], kept: list[int], device: str
 ) -> Course:
     """Train all frames after the first and measure them; the pictures of frames `kept` stay."""
     truth = TrueSet(clip)

@@ -29,9 +29,9 @@ def on_gpu(patch: pytest.MonkeyPatch) -> Iterator[str]:
     patch.setattr(core.render.backends, "GPU", name)
     patch.setattr(core.render.cuda, "_gsplat", lambda: rasterization)
     patch.setattr(torch.Tensor, "pin_memory", lambda self: self)
-    core.render.cuda._seen_from.cache_clear()
+    core.render.cuda._device_camera.cache_clear()
     yield name
-    core.render.cuda._seen_from.cache_clear()
+    core.render.cuda._device_camera.cache_clear()
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from core.train.config import PredictConfig
 from core.train.motion.masks import dynamic_anchors, moved_pixels
 from core.train.motion.partition import Observation, Partition, all_static
 from core.train.motion.scores import change_scores, error_scores, shown_shares
-from core.train.pictures.side_by_side import side_by_side
+from core.train.pictures.parallel import map_pairs
 
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion
@@ -91,7 +91,7 @@ class Difference:
         moved = torch.zeros_like(seen.masks)
         changed = [number for number in seen.views.usable if seen.masks[number].any()]
         pairs = [(seen.filmed[number].cpu().numpy(), seen.views.targets[number].cpu().numpy()) for number in changed]
-        found = side_by_side(partial(moved_pixels, floor=self.noise_floor), pairs)
+        found = map_pairs(partial(moved_pixels, floor=self.noise_floor), pairs)
         for number, mask in zip(changed, found, strict=True):
             moved[number] = torch.from_numpy(mask).to(moved.device)
         return moved & seen.masks

@@ -12,7 +12,7 @@ from torch import Tensor
 from core.arrays import Float32, UInt8
 from core.camera import Camera
 from core.train.field.field import Field
-from core.train.pictures.side_by_side import side_by_side
+from core.train.pictures.parallel import map_pairs
 from core.train.pictures.views import Views
 
 _SMALLEST = 16  # pixels; the method refuses smaller pictures
@@ -49,7 +49,7 @@ def anchor_flow(field: Field, rows: Tensor, filmed: Tensor, views: Views, masks:
     seen, flow = torch.zeros(count, len(rows), device=device), torch.zeros(count, len(rows), 2, device=device)
     changed = [number for number in views.usable if masks[number].any()]
     pairs = [(filmed[number].cpu().numpy(), views.targets[number].cpu().numpy()) for number in changed]
-    for number, pixels in zip(changed, side_by_side(picture_flow, pairs), strict=True):
+    for number, pixels in zip(changed, map_pairs(picture_flow, pairs), strict=True):
         moved = torch.from_numpy(pixels).to(device)
         going = masks[number] & (moved.norm(dim=2) >= least)
         anchors, row, column = _pixels_of(field, rows, views.cameras[number])

@@ -13,7 +13,7 @@ from core.arrays import Bool, Int64
 from core.render.backends import Backend
 from core.train.field.field import Field
 from core.train.motion.masks import changed_pixels
-from core.train.pictures.side_by_side import side_by_side
+from core.train.pictures.parallel import map_pairs
 from core.train.pictures.views import Views
 
 
@@ -83,7 +83,7 @@ def change_masks(references: Tensor, views: Views, floor: float) -> Tensor:
     """
     masks = torch.zeros(references.shape[:3], dtype=torch.bool, device=references.device)
     pairs = [(references[number].cpu().numpy(), views.targets[number].cpu().numpy()) for number in views.usable]
-    changed = side_by_side(partial(changed_pixels, floor=floor), pairs)
+    changed = map_pairs(partial(changed_pixels, floor=floor), pairs)
     for number, mask in zip(views.usable, changed, strict=True):
         masks[number] = torch.from_numpy(mask).to(references.device)
     return masks

@@ -157,7 +157,8 @@ def _similarity(
     """The loss of each pixel [3,H,W], of blurred moments [5,3,H,W] and the pictures; and SSIM's derivatives [3,3,H,W]
     by the blurred image, its blurred square and the blurred product.
 
-    In few launches: what stands in brackets below is one of SSIM's four factors, of which it is l s / (m v).
+    SSIM is l s / (m v), its factors as named in brackets below (Wang et al. 2004, equation 13); written to launch few
+    kernels.
     """
     zero, one, first = _numbers(blurred.dtype, blurred.device)
     a, b, aa, bb, ab = blurred

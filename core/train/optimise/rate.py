@@ -63,7 +63,7 @@ class _Fused(torch.autograd.Function):
 
 
 class _OnDevice(torch.autograd.Function):
-    """`residual_bits_reference` in few launches: both parts side by side, and the gradient is written down."""
+    """`residual_bits_reference` in few launches: latents and positions together, with an explicit gradient."""
 
     @staticmethod
     def forward(ctx: Any, latent: Tensor, position: Tensor) -> Tensor:
@@ -98,9 +98,9 @@ def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
     """What `_priced` multiplies by; kept on the device.
 
     Returns:
-        [BINS * _HIGHEST] bits of magnitudes from 0, a bin after the other; by how much the next magnitude costs more;
-        [27,2] which values are coded together; [2,27] and [27] that make the expected magnitude of a value from the
-        sums of those coded together, and from what it rounds to itself.
+        [BINS * _HIGHEST] bits of each magnitude in each bin; [BINS * _HIGHEST] how many more bits the next magnitude
+        takes; [27,2] 1 where a value is a latent, and where it is a position; [2,27] and [27] factors of the sums over
+        latents and positions, and of the value itself, in the expected magnitude.
     """
     bits = magnitude_bits(_HIGHEST)
     parts = np.zeros((LATENTS + 3, 2))

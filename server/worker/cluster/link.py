@@ -87,11 +87,9 @@ def dial(address: LinkAddress) -> Connection:
     Raises:
         OSError: nobody listens there.
     """
-    with contextlib.ExitStack() as on_fault:
-        found = on_fault.enter_context(socket.create_connection((address.host, address.port), timeout=_DIAL_SECONDS))
+    with socket.create_connection((address.host, address.port), timeout=_DIAL_SECONDS) as found:
         found.sendall(address.secret)
-        on_fault.pop_all()
-    return _connection(found)
+        return _connection(found)  # which takes the socket over, so that only a broken one is closed here
 
 
 def cut(connection: Connection) -> None:

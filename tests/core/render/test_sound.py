@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from core.camera import pinhole
 from core.render.reference import rotation
-from core.render.sound import SeenFrom, seen_from, sound
+from core.render.sound import DeviceCamera, device_camera, sound
 from tests.core.render.scenes import NAMES
 from tests.core.render.test_extremes import CAMERA, CULLED, ODD, odd
 
@@ -20,7 +20,7 @@ from tests.core.render.test_extremes import CAMERA, CULLED, ODD, odd
 @pytest.mark.parametrize(("name", "value"), CULLED)
 def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) -> None:
     leaves = [torch.tensor(getattr(odd(name, value), n), requires_grad=True) for n in NAMES]
-    seen = seen_from(CAMERA, torch.device("cpu"))
+    seen = device_camera(CAMERA, torch.device("cpu"))
     found = sound(leaves, seen)
     kept = slice(ODD.stop, None)
     weak = name == "opacities" and math.isfinite(value)  # gsplat itself leaves those out
@@ -37,9 +37,9 @@ def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) 
 
 def marking(
     focal: tuple[float, float], middle: tuple[float, float], size: tuple[int, int], pose: NDArray[np.float64]
-) -> SeenFrom:
+) -> DeviceCamera:
     """A camera which moves what is out of sight to (7, 7, 7)."""
-    seen = seen_from(pinhole("marking", focal, middle, size, pose), torch.device("cpu"))
+    seen = device_camera(pinhole("marking", focal, middle, size, pose), torch.device("cpu"))
     return replace(seen, centre=torch.full((3,), 7.0))
 
 
