@@ -7,8 +7,8 @@ tokens wait for that, and reads an answer of any length. With 20 tokens of unkno
 503 after 0.5 s, it asked 21 times, and a token of a known key waited up to 10.8 s; this module asked once, 0.5 s
 (`python -m tests.bench.key_set_bench`, 22 November 2026).
 
-PyJWT is imported where it is used: with the cryptography beneath it takes 9 MB, which a server without JSON web tokens
-spares.
+PyJWT and httpx are imported where they are used: PyJWT takes 9 MB with the cryptography beneath it, which a server
+without JSON web tokens spares.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import asyncio
 import json
 import logging
 import time
-import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,8 @@ _AUDIENCE = "streamlod"
 _LEEWAY_SECONDS = 30
 _MAX_SET_BYTES = 65536  # bytes
 _MAX_KEYS = 32
-_FETCH_SECONDS = 5.0
+_FETCH_SECONDS = 5.0  # for all of an answer: a token of an unknown key waits as long
+_ASKED = {"Accept": "application/json", "Accept-Encoding": "identity"}
 _FRESH_SECONDS = 600.0  # a set is fetched again after that
 _PAUSE_SECONDS = 30.0  # between two attempts, however many tokens ask for unknown keys
 _MIN_SECRET_CHARACTERS = 32
@@ -97,7 +97,7 @@ class TokenKeys:
                 return
             self._tried_at = now
             try:
-                self._fetched = parse_keys(address, await asyncio.to_thread(_fetch, address))
+                self._fetched = parse_keys(address, await _fetch(address))
                 self._fetched_at = now
             except (InputError, OSError, ValueError) as error:
                 _LOG.warning("key set %s: not fetched, the earlier keys stay: %s", address, error)
@@ -223,15 +223,31 @@ def _claimed_id(token: str) -> str | None:
     return name if isinstance(name, str) else None
 
 
-class _Stay(urllib.request.HTTPRedirectHandler):
-    """Follows no redirection, which could lead to an address without TLS."""
+async def _fetch(address: str) -> bytes:
+    """The answer of a key server: at most one byte more than a set may have, so that `parse_keys` refuses a longer one.
 
-    def redirect_request(self, *_: Any) -> None:
-        return None
+    No redirection is followed, which could lead to an address without TLS.
 
+    Raises:
+        OSError: it refuses, its answer breaks off or is no HTTP, or all of it takes more than `_FETCH_SECONDS`.
+    """
+    import httpx
 
-def _fetch(address: str) -> bytes:
-    request = urllib.request.Request(address, headers={"Accept": "application/json"})
-    with urllib.request.build_opener(_Stay).open(request, timeout=_FETCH_SECONDS) as answer:
-        body: bytes = answer.read(_MAX_SET_BYTES + 1)
-        return body
+    body = bytearray()
+    try:
+        async with (
+            asyncio.timeout(_FETCH_SECONDS),
+            httpx.AsyncClient(timeout=_FETCH_SECONDS) as client,
+            client.stream("GET", address, headers=_ASKED) as answer,
+        ):
+            if not answer.is_success:
+                raise OSError(f"it answers {answer.status_code}")
+            async for chunk in answer.aiter_raw():
+                body += chunk[: _MAX_SET_BYTES + 1 - len(body)]
+                if len(body) > _MAX_SET_BYTES:
+                    break
+    except TimeoutError as error:
+        raise OSError(f"it takes more than {_FETCH_SECONDS:g} s") from error
+    except (httpx.HTTPError, httpx.InvalidURL) as error:
+        raise OSError(str(error) or type(error).__name__) from error
+    return bytes(body)

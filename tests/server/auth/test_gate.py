@@ -14,7 +14,7 @@ import ssl
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +127,12 @@ def publishing(answer: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
             asked.append(self.path)
             if "over" in answer:
                 answer["over"].wait(10)
+            if "raw" in answer:  # no HTTP, byte after byte
+                with suppress(OSError):  # hung up on
+                    for byte in answer["raw"]:
+                        self.wfile.write(bytes([byte]))
+                        time.sleep(answer["pause"])
+                return
             body = json.dumps(answer["body"]).encode()
             self.send_response(answer.get("status", 200))
             self.send_header("Location", "/elsewhere")
@@ -169,6 +175,9 @@ def test_a_key_set_is_fetched_kept_and_fetched_again_for_new_keys(clip: Clip, mo
             assert status(token(first, "EdDSA", "first")) == 401
             failures: tuple[dict[str, Any], ...]
             failures = {"body": {}}, {"body": {"keys": []}}, {"body": {}, "status": 500}, {"body": {}, "status": 302}
+            slow = b"HTTP/1.1 200 OK\r\n\r\n" + b" " * 1000  # a byte in time, and no end
+            failures += {"raw": b"rubbish\r\n\r\n", "pause": 0}, {"raw": slow, "pause": 0.1}
+            monkeypatch.setattr("server.auth.keys._FETCH_SECONDS", 0.8)
             for broken in failures:
                 answer.clear()
                 answer.update(broken)
