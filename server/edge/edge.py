@@ -35,6 +35,12 @@ class Edge:
 
     async def run(self) -> None:
         """Ask the origin for its streams again and again, until cancelled."""
+        try:
+            await self._follow()
+        finally:  # what a pull has open is closed before the server's event loop is
+            await asyncio.gather(*self._closing, return_exceptions=True)
+
+    async def _follow(self) -> None:
         told = set[str]()  # reasons, since it last answered
         while True:
             try:

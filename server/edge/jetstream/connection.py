@@ -60,6 +60,8 @@ class NatsConnection:
 
         async def say_fault(error: Exception) -> None:
             """Once for each fault: attempts fail several times a second, as does every message that is not allowed."""
+            if not self.client.is_connected:
+                self._hang_up()
             fault = str(error) or type(error).__name__
             if not isinstance(error, SlowConsumerError) and self._live not in fault.lower():  # JetStream goes on
                 self.fault = fault
@@ -86,6 +88,19 @@ class NatsConnection:
     async def close(self) -> None:
         """Give it up."""
         self._closing = True
-        with suppress(Exception):
-            async with asyncio.timeout(_CLOSE_SECONDS):
-                await self.client.close()
+        try:
+            with suppress(Exception):
+                async with asyncio.timeout(_CLOSE_SECONDS):
+                    await self.client.close()
+        finally:
+            self._hang_up()
+
+    def _hang_up(self) -> None:
+        """Close the socket, if there is one.
+
+        nats-py leaves it open where an attempt to connect again fails after the socket was connected (a NATS that says
+        nothing in time), and where closing is given up before it comes to that.
+        """
+        transport = self.client._transport
+        if transport is not None:
+            transport.close()  # type: ignore[no-untyped-call]

@@ -24,8 +24,10 @@ class SocketFolder:
     def __init__(self) -> None:
         _remove_abandoned(Path(tempfile.gettempdir()))
         self._path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        self._lock = os.open(self._path / _LOCK, os.O_CREAT | os.O_RDWR, 0o600)
+        made = self._path / "new"
+        self._lock = os.open(made, os.O_CREAT | os.O_RDWR, 0o600)
         _try_lock(self._lock)
+        made.rename(self._path / _LOCK)  # nobody finds it before it is held
 
     def new_socket(self) -> Path:
         """A path in the folder that nothing has used."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from server.ingest.push import socket_folder
 from server.ingest.push.socket_folder import SocketFolder
 
 _HOLD = """
@@ -38,3 +39,20 @@ def test_a_killed_process_leaves_nothing_for_long(tmp_path: Path, monkeypatch: p
     assert held.is_dir()
     SocketFolder().close()
     assert [path.name for path in tmp_path.iterdir()] == ["streamlod-of-something-else"]
+
+
+def test_a_folder_that_is_being_made_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process cleans up between the lock's file and the lock."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    take = socket_folder._try_lock
+
+    def after_another_cleaned_up(descriptor: int) -> bool:
+        monkeypatch.setattr(socket_folder, "_try_lock", take)
+        SocketFolder().close()
+        return take(descriptor)
+
+    monkeypatch.setattr(socket_folder, "_try_lock", after_another_cleaned_up)
+    folder = SocketFolder()
+    assert folder.new_socket().parent.is_dir()
+    folder.close()
