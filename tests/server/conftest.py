@@ -93,7 +93,7 @@ class Running:
     def client(self, **options: Any) -> httpx.Client:
         options = {
             "verify": False,
-            "timeout": 10,
+            "timeout": 30,
             **options,
         }  # there is no TLS, and loading authorities takes 20 ms for each client
         return httpx.Client(base_url=self.url, trust_env=False, **options)
@@ -102,7 +102,7 @@ class Running:
         with self.client() as client:
             return client.get(f"/v1/streams/{name}").json()  # type: ignore[no-any-return]
 
-    def wait(self, done: Callable[[dict[str, Any]], bool], name: str = "main", seconds: float = 20) -> dict[str, Any]:
+    def wait(self, done: Callable[[dict[str, Any]], bool], name: str = "main", seconds: float = 60) -> dict[str, Any]:
         limit = time.monotonic() + seconds
         with self.client() as client:  # one for all looks: a connection for each would take more than half the time
             while not done(found := client.get(f"/v1/streams/{name}").json()):
@@ -125,7 +125,7 @@ def running(settings: Settings, *specs: StreamSpec, port: int = 0, confined: boo
     thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])))
     thread.start()
     try:
-        limit = time.monotonic() + 10
+        limit = time.monotonic() + 60
         while not server.started:
             assert time.monotonic() < limit
             assert thread.is_alive()
@@ -155,11 +155,11 @@ class Viewer:
 
     def hello(self, **fields: Any) -> Self:
         self.send(**{"type": "hello", "versions": [1], "client": "test/1"} | fields)
-        self.welcome = json.loads(self.connection.recv(10))
+        self.welcome = json.loads(self.connection.recv(30))
         assert self.welcome["type"] == "welcome"
         return self
 
-    def step(self, seconds: float = 10) -> bytes | dict[str, Any]:
+    def step(self, seconds: float = 30) -> bytes | dict[str, Any]:
         """Take the next message; a packet is decoded."""
         message = self._receive(seconds)
         if isinstance(message, str):
@@ -191,7 +191,7 @@ class Viewer:
         if self.acknowledge:
             self.send(type="ack", bytes=self.received, epoch=1, version=0)
 
-    def until(self, name: str, seconds: float = 10) -> dict[str, Any]:
+    def until(self, name: str, seconds: float = 30) -> dict[str, Any]:
         """Step to the next event of that name."""
         while True:
             message = self.step(seconds)
@@ -228,3 +228,9 @@ def viewing(server: Running, name: str = "main", *, acknowledge: bool = True, **
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
     """Two seconds at 50 frames a second with two keyframes."""
     return make_clip(tmp_path_factory.mktemp("clip") / "scene.slod", 100, key_every=60)
+
+
+@pytest.fixture(scope="session")
+def slow_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    """The same at 10 frames a second: no test that counts epochs lasts until it begins again."""
+    return make_clip(tmp_path_factory.mktemp("clip") / "slow.slod", 100, key_every=60, frame_ns=100_000_000)

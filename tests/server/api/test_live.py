@@ -6,8 +6,8 @@ import contextlib
 import itertools
 import os
 import signal
-import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,7 +23,7 @@ from tests.codec.scenes import assert_same_level, assert_same_state
 from tests.server.conftest import Clip, Running, Viewer, make_clip, running, viewing
 
 PIECE = 32_768  # bytes of a keyframe in one websocket frame
-LIMITS = Limits(hello_seconds=0.4, messages_per_second=20, viewer_lag_seconds=30)
+LIMITS = Limits(messages_per_second=20, viewer_lag_seconds=30)
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +32,14 @@ def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run
     with running(Settings(state=state, limits=LIMITS), StreamSpec(play=clip.path)) as server:
         server.wait(lambda stream: stream["state"] == "live")
         yield server
+
+
+@contextmanager
+def watching(server: Running) -> Iterator[Viewer]:
+    """A viewer that has said hello; it comes when the stream is live: a hello is not waited for as long as a worker."""
+    server.wait(lambda stream: stream["state"] == "live")
+    with viewing(server) as viewer:
+        yield viewer.hello()
 
 
 def check(viewer: Viewer, clip: Clip) -> None:
@@ -59,13 +67,13 @@ def test_joins_coarse_first_and_follows_every_frame(server: Running, clip: Clip)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("frame_ns", "key_every", "lag_seconds"), [(20_000_000, 20, 30.0), (400_000_000, 5, 1.0)])
+@pytest.mark.parametrize(("frame_ns", "key_every", "lag_seconds"), [(20_000_000, 20, 30.0), (1_000_000_000, 4, 3.0)])
 def test_a_new_keyframe_comes_in_pieces_and_no_version_is_lost(
     tmp_path: Path, frame_ns: int, key_every: int, lag_seconds: float
 ) -> None:
     """No burst at the live edge: one message of many frames, then every version that has come since.
 
-    With 2.5 frames a second, a piece in a frame's time would take longer than the viewer may lag.
+    With a frame a second, a piece in a frame's time would take longer than the viewer may lag.
     """
     counts, limits = (200, 600, 2500), Limits(viewer_lag_seconds=lag_seconds)
     clip = make_clip(tmp_path / "scene.slod", 4 * key_every, counts=counts, key_every=key_every, frame_ns=frame_ns)
@@ -172,9 +180,13 @@ def test_a_viewer_of_later_versions_too_is_answered_with_one_in_common(server: R
         check(viewer, clip)
 
 
-def test_protocol_faults_close_with_their_code(server: Running) -> None:
-    with viewing(server) as viewer:
+def test_who_says_no_hello_is_shown_out() -> None:
+    limits = Limits(hello_seconds=0.4)
+    with running(Settings(limits=limits), StreamSpec(play=Path("nothing.slod"))) as server, viewing(server) as viewer:
         assert closed(viewer) == (4408, "no hello within 0.4 s")
+
+
+def test_protocol_faults_close_with_their_code(server: Running) -> None:
     for text, code in (
         ("{", 4400),
         ("[]", 4400),
@@ -201,49 +213,40 @@ def test_protocol_faults_close_with_their_code(server: Running) -> None:
     with viewing(server) as viewer:
         viewer.hello()
         with contextlib.suppress(ConnectionClosed):
-            for _ in range(80):
+            while True:
                 viewer.send(type="pause")
         assert closed(viewer)[0] == 4429
     assert server.stream()["state"] == "live"
 
 
-def test_worker_killed_in_mid_frame_is_replaced_and_viewers_stay(clip: Clip, tmp_path: Path) -> None:
-    with running(Settings(state=tmp_path), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
-        server.wait(lambda stream: stream["state"] == "live")
-        viewer.hello()
+def test_worker_killed_in_mid_frame_is_replaced_and_viewers_stay(slow_clip: Clip, tmp_path: Path) -> None:
+    with running(Settings(state=tmp_path), StreamSpec(play=slow_clip.path)) as server, watching(server) as viewer:
         viewer.until("caught_up")
         pid = server.registry.streams["main"].worker_pid
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
-        killed = time.monotonic()
         assert viewer.until("state")["state"] == "degraded"
         assert viewer.until("epoch")["epoch"] == 2
         viewer.step()
         while len(set(viewer.decoder.versions)) > 1:
             viewer.step()
-        assert time.monotonic() - killed < 10
-        check(viewer, clip)
+        check(viewer, slow_clip)
         found = server.wait(lambda stream: stream["state"] == "live")
         assert (found["restarts"], found["epoch"]) == (1, 2)
 
 
 def test_a_deleted_stream_closes_its_viewers(clip: Clip) -> None:
-    with running(Settings(), StreamSpec(play=clip.path)) as server, viewing(server) as viewer:
-        server.wait(lambda stream: stream["state"] == "live")
-        viewer.hello()
+    with running(Settings(), StreamSpec(play=clip.path)) as server, watching(server) as viewer:
         with server.client() as client:
             assert client.delete("/v1/streams/main").status_code == 204
         assert closed(viewer)[0] == 1000
 
 
 def test_stopping_the_server_tells_viewers_to_come_back(clip: Clip) -> None:
-    with running(Settings(), StreamSpec(play=clip.path)) as server:
-        server.wait(lambda stream: stream["state"] == "live")
-        with viewing(server) as viewer:
-            viewer.hello()
-            server.registry.draining = True
-            for session in server.registry.sessions:
-                session.end(SessionError(CloseCode.STOPPING, "the server is stopping"))
-            assert closed(viewer)[0] == 1001
-            with server.client() as client:
-                assert client.get("/readyz").status_code == 503
+    with running(Settings(), StreamSpec(play=clip.path)) as server, watching(server) as viewer:
+        server.registry.draining = True
+        for session in server.registry.sessions:
+            session.end(SessionError(CloseCode.STOPPING, "the server is stopping"))
+        assert closed(viewer)[0] == 1001
+        with server.client() as client:
+            assert client.get("/readyz").status_code == 503

@@ -185,11 +185,13 @@ def test_an_idle_stream_has_an_empty_manifest_and_other_methods_are_named(client
     assert client.delete("/v1/streams/idle").status_code == 204
 
 
-def test_streams_are_created_started_stopped_and_deleted(client: httpx.Client, server: Running, clip: Clip) -> None:
-    made = client.post("/v1/streams", json={"id": "second", "play": str(clip.path), "start": True})
+def test_streams_are_created_started_stopped_and_deleted(
+    client: httpx.Client, server: Running, slow_clip: Clip
+) -> None:
+    made = client.post("/v1/streams", json={"id": "second", "play": str(slow_clip.path), "start": True})
     assert (made.status_code, made.headers["location"]) == (201, "/v1/streams/second")
     server.wait(lambda stream: stream["state"] == "live", "second")
-    assert client.post("/v1/streams", json={"id": "second", "play": str(clip.path)}).status_code == 409
+    assert client.post("/v1/streams", json={"id": "second", "play": str(slow_clip.path)}).status_code == 409
     assert client.post("/v1/streams/second/stop").json()["state"] == "idle"
     assert client.post("/v1/streams/second/start").status_code == 202
     server.wait(lambda stream: stream["state"] == "live" and stream["epoch"] == 2, "second")
