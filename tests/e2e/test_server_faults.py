@@ -143,9 +143,9 @@ def test_a_clock_that_is_set_deletes_nothing_and_stops_nobody(clip: Clip, tmp_pa
     config.write_text("[retention]\nseconds = 1800\n")
     serve = ["serve", "--port", "0", "--play", str(clip.path), "--state-dir", f"{tmp_path}/state"]
     command = [sys.executable, "-c", _CLOCK, *serve, "--config", str(config)]
-    with started(command) as (process, port, _), live(port) as connection:
+    with started(command) as (process, port, _), ExitStack() as stack:
         wait_live(port)
-        viewer = Viewer(connection).hello()
+        viewer = Viewer(stack.enter_context(live(port))).hello()
         viewer.until("caught_up")
         for number in (signal.SIGUSR1, signal.SIGUSR2):
             process.send_signal(number)

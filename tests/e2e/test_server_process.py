@@ -12,8 +12,8 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -80,9 +80,9 @@ def live(port: int) -> Any:
 
 
 def test_playing_needs_little_memory_and_no_training_library(clip: Clip) -> None:
-    with serving("--play", clip.path) as (process, port), live(port) as connection:
+    with serving("--play", clip.path) as (process, port), ExitStack() as stack:
         wait_live(port)
-        viewer = Viewer(connection).hello()
+        viewer = Viewer(stack.enter_context(live(port))).hello()
         viewer.until("caught_up")
         total, maps = 0, ""
         for pid in family(process.pid):
@@ -102,16 +102,16 @@ def test_sigterm_tells_viewers_and_ends_within_ten_seconds_with_a_clean_log(clip
         stack.enter_context(live(port))  # has not said hello
         stuck = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
         stuck.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n" * 120)  # takes no answer
-        pool = stack.enter_context(ThreadPoolExecutor(1))
-        poll = pool.submit(get, port, "/v1/streams/main/manifest?after_epoch=9&wait_ms=9000")
-        time.sleep(0.2)
+        poll = stack.enter_context(closing(HTTPConnection("127.0.0.1", port, timeout=20)))
+        poll.request("GET", "/v1/streams/main/manifest?after_epoch=9&wait_ms=9000")
+        get(port, "/healthz")  # what came before this has arrived
         begin = time.monotonic()
         process.send_signal(signal.SIGTERM)
         with pytest.raises(ConnectionClosed) as caught:
             viewer.until("nothing that the server sends")
         assert caught.value.rcvd is not None
         assert caught.value.rcvd.code == 1001
-        assert json.loads(poll.result(5))["stream"] == "main"
+        assert json.load(poll.getresponse())["stream"] == "main"
         assert process.wait(10) == 0
         assert time.monotonic() - begin < 10
         assert process.stderr is not None

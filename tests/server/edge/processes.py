@@ -104,7 +104,7 @@ def free_ports(count: int) -> list[int]:
             probe.close()
 
 
-def wait(done: Any, seconds: float = 20) -> Any:
+def wait(done: Any, seconds: float = 60) -> Any:
     """What `done` returns once that is true."""
     limit = time.monotonic() + seconds
     while not (found := done()):

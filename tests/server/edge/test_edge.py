@@ -17,7 +17,7 @@ from tests.server.edge.processes import Node, begin, listening, wait, wait_live
 
 pytestmark = pytest.mark.cluster
 
-LINGER_SECONDS = 0.5
+LINGER_SECONDS = 2.0
 
 
 @pytest.fixture(scope="module")

@@ -113,12 +113,12 @@ def test_an_origin_and_an_edge_of_two_versions_serve_viewers_of_both(
 
 @pytest.mark.parametrize("step", ["upgrade", "rollback"])
 def test_viewers_of_an_edge_stay_while_the_origin_becomes_another_version(
-    older: Path, step: str, long_clip: Clip, tmp_path: Path
+    older: Path, step: str, slow_long_clip: Clip, tmp_path: Path
 ) -> None:
     """It goes on from the state folder of the version before, as the next epoch of the same incarnation."""
     before, after = (older, ROOT) if step == "upgrade" else (ROOT, older)
     (port,) = free_ports(1)
-    serve = ("serve", "--play", long_clip.path, "--state-dir", tmp_path / "state")
+    serve = ("serve", "--play", slow_long_clip.path, "--state-dir", tmp_path / "state")
     with ExitStack() as stack:
         origin = stack.enter_context(node(tmp_path, *serve, port=port, source=before))
         edge = stack.enter_context(node(tmp_path, "edge", "--origin", origin.url, source=before))
@@ -131,4 +131,4 @@ def test_viewers_of_an_edge_stay_while_the_origin_becomes_another_version(
         assert viewer.until("epoch", 30)["epoch"] == 2
         viewer.next_packet()
         scene = viewer.until_version(60)
-        assert state_hash(scene) == state_hash(long_clip.states[scene.version])
+        assert state_hash(scene) == state_hash(slow_long_clip.states[scene.version])

@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
+from server.edge.jetstream import reading
 from server.edge.jetstream.connection import NatsConnection
 from server.edge.jetstream.reading import Selection, read
 from tests.server.edge.jetstream.nats_servers import Nats, nats, needs_nats
@@ -19,12 +20,15 @@ MESSAGES = [b"%d" % number for number in range(20)]
 READS = 100
 
 
-def test_servers_that_have_not_heard_of_a_reader_yet_are_asked_again(tmp_path: Path) -> None:
+def test_servers_that_have_not_heard_of_a_reader_yet_are_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One read in a hundred meets such a server."""
+    monkeypatch.setattr(reading, "_SILENT_SECONDS", 15)  # three servers and this process share a machine
     with nats(tmp_path, 3) as servers:
-        asyncio.run(asyncio.wait_for(_write(servers), 20))
+        asyncio.run(asyncio.wait_for(_write(servers), 60))
         for number in range(3):
-            found = asyncio.run(asyncio.wait_for(_read_often(servers, number), 20))
+            found = asyncio.run(asyncio.wait_for(_read_often(servers, number), 60))
             assert found == [MESSAGES] * READS
 
 
