@@ -159,7 +159,7 @@ def test_a_list_of_streams_that_cannot_be_used_is_refused(
     with origin_that(behaves(clip)) as origin:
         origin.listing = LISTINGS[name]
         with caplog.at_level(logging.INFO), running(settings(origin)) as edge:
-            wait(lambda: "does not say which streams there are" in caplog.text)
+            wait(lambda: "does not say which streams there are" in caplog.text, 60)  # it asks up to a hundred times
             assert edge.registry.streams == {}
             with edge.client() as client:
                 assert client.get("/readyz").status_code == 503
