@@ -11,6 +11,7 @@ from typing import Annotated
 
 from fastapi import Depends, Query, Request, Response
 from fastapi.responses import StreamingResponse
+from pydantic import BeforeValidator
 
 from codec.container import FilePart, Piece, size_of
 from server.api.access import registry_of
@@ -20,6 +21,7 @@ from server.stream.time_range import TimeRange
 
 _CHUNK_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[Tt ]")
 IMMUTABLE = "max-age=31536000, immutable"
 FRESH = "no-cache"
 
@@ -127,9 +129,18 @@ def _read_part(part: FilePart, begin: int, count: int) -> bytes:
     return data
 
 
+def _with_date(value: object) -> object:
+    if isinstance(value, str) and not _DATE.match(value):  # pydantic takes numbers, for seconds or milliseconds
+        raise ValueError("is no RFC 3339 time, such as 2026-11-26T09:00:00Z")
+    return value
+
+
+_Time = Annotated[datetime | None, BeforeValidator(_with_date)]
+
+
 def _time_range(
-    begin: Annotated[datetime | None, Query(alias="from", description="RFC 3339 time, inclusive")] = None,
-    end: Annotated[datetime | None, Query(alias="to", description="RFC 3339 time, exclusive")] = None,
+    begin: Annotated[_Time, Query(alias="from", description="RFC 3339 time, inclusive")] = None,
+    end: Annotated[_Time, Query(alias="to", description="RFC 3339 time, exclusive")] = None,
 ) -> TimeRange:
     found = TimeRange(_nanoseconds(begin), _nanoseconds(end))
     if found.begin_ns is not None and found.end_ns is not None and found.end_ns <= found.begin_ns:

@@ -285,6 +285,9 @@ def test_recordings_are_listed_downloaded_by_time_and_deleted(clip: Clip, tmp_pa
         assert client.get("/v1/recordings/main/bitstream").status_code == 409  # several runs
         one = client.get("/v1/recordings/gone/bitstream", params={"epoch": 1})
         assert (one.status_code, one.headers["accept-ranges"]) == (200, "bytes")
+        for no_time in ("0.5", "1764147600", "2026-11-26", "yesterday"):
+            refused = client.get("/v1/streams/main/bitstream", params={"from": no_time})
+            assert (refused.status_code, "2026-11-26T09:00:00Z" in refused.text) == (422, True), no_time
         late = {"from": (datetime.now(UTC) + timedelta(hours=1)).isoformat(), "to": "3000-01-01T00:00:00Z"}
         last = client.get("/v1/recordings/main/bitstream", params=late)
         assert last.status_code == 200  # the last group lasts until another begins
