@@ -23,9 +23,9 @@ import pytest
 
 from core.errors import InputError, SessionError
 from server.ingest.push.message import Codec, PushMessage
-from server.ingest.push.relay import RelayedIntake
 from tests.attack.test_picture_bombs import encoded, hidden_behind, with_size
 from tests.attack.test_picture_costs import with_pixels
+from tests.server.ingest.push.serving import relayed
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 SIZE = (240, 136)
@@ -52,10 +52,6 @@ def rig(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     """The process, and where it takes pictures."""
     command = [sys.executable, "-c", _RIG, json.dumps(definition()), str(tmp_path / "s")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        limit = time.monotonic() + 30
-        while not (tmp_path / "s").exists():
-            assert time.monotonic() < limit
-            time.sleep(0.02)
         yield process, tmp_path / "s"
         process.kill()
 
@@ -106,7 +102,7 @@ class Camera(threading.Thread):
 
     def __init__(self, path: Path) -> None:
         super().__init__(daemon=True)
-        self._intake, self._picture = RelayedIntake(path), encoded(".jpg", SIZE)
+        self._intake, self._picture = relayed(path), encoded(".jpg", SIZE)
         self.start()
 
     def run(self) -> None:
@@ -122,7 +118,7 @@ def test_bombs_neither_end_a_rig_nor_take_memory(rig: tuple[subprocess.Popen[str
     process, path = rig
     assert process.stdout is not None
     Camera(path)
-    intake = RelayedIntake(path)
+    intake = relayed(path)
     while not process.stdout.readline().endswith(" 1\n"):  # it delivers
         pass
     before, refused, sent = peak_bytes(process.pid), list[str](), bombs()

@@ -155,7 +155,8 @@ def be_placed_and_wait(_: StreamSpec, pipe: Connection, *__: object) -> None:
     ],
 )
 def test_a_worker_elsewhere_is_watched_by_what_it_tells(entry: Callable[..., None], ending: Ending) -> None:
-    watched = WorkerSettings(heartbeat_seconds=1, attempts=1, first_delay_seconds=0.01)
+    heartbeat = 30 if entry is grow_elsewhere else 1  # of several faults, silence would be told first
+    watched = WorkerSettings(heartbeat_seconds=heartbeat, attempts=1, first_delay_seconds=0.01)
     owner = Reports()
     spec = StreamSpec(play=Path("none.slod"))
     asyncio.run(asyncio.wait_for(Supervisor(spec, watched, 1000, owner, entry=entry).run(), 60))

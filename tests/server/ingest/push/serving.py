@@ -1,18 +1,21 @@
-"""The websocket of capture nodes alone, served on loopback."""
+"""The websocket of capture nodes alone, served on loopback, and the way to a worker that takes their pictures."""
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
 from starlette.websockets import WebSocket
 
+from core.errors import InputError
+from server.ingest.push.relay import RelayedIntake
 from server.ingest.push.router import AnyIntake, push_router
-from tests.server.ingest.rig import free_ports
 
 
 @contextmanager
@@ -20,12 +23,26 @@ def serving_push(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) 
     """Serve `push_router` on a free port, which is given."""
     app = FastAPI()
     app.include_router(push_router(open_intake))
-    (port,) = free_ports(1)
-    server = uvicorn.Server(uvicorn.Config(app, port=port, log_level="error", ws="websockets-sansio", lifespan="off"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    yield port
-    server.should_exit = True
-    thread.join(10)
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws="websockets-sansio", lifespan="off"))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+        thread.start()
+        try:
+            while not server.started:
+                assert thread.is_alive()
+                time.sleep(0.01)
+            yield listener.getsockname()[1]
+        finally:
+            server.should_exit = True
+            thread.join(10)
+
+
+def relayed(path: Path) -> RelayedIntake:
+    """The worker's intake at `path`, once it listens; the path is there a little earlier."""
+    limit = time.monotonic() + 30
+    while True:
+        try:
+            return RelayedIntake(path)
+        except InputError:
+            assert time.monotonic() < limit
+            time.sleep(0.02)
