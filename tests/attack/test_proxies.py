@@ -17,6 +17,7 @@ from core.errors import InputError
 from server.pipeline.spec import StreamSpec
 from server.settings import Limits, Settings
 from tests.server.conftest import Clip, Running, running, viewing
+from tests.server.ports import held_ports
 
 _CONFIGURATIONS = Path(__file__).parents[2] / "docker" / "proxy"
 
@@ -72,35 +73,33 @@ def proxy(program: str, folder: Path, port: int) -> Iterator[int]:
     """The program with its configuration of docker/proxy, on a free port, in front of a server."""
     if shutil.which(program) is None:
         pytest.skip(f"{program} is not installed")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        own = free.getsockname()[1]
     source = {"nginx": "nginx.conf", "caddy": "Caddyfile"}[program]
     text = (_CONFIGURATIONS / source).read_text().replace("127.0.0.1:8000", f"127.0.0.1:{port}")
-    text = re.sub(r"(listen |^:)8080", rf"\g<1>{'127.0.0.1:' if program == 'nginx' else ''}{own}", text, flags=re.M)
-    if program == "nginx":
-        temporary = "".join(
-            f"{kind}_temp_path {folder}/{kind};" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
-        )
-        text = f"daemon off; pid {folder}/pid; events {{}} http {{ access_log off; {temporary} {text} }}"
-    else:
-        text = text.replace("auto_https off", "auto_https off\n\tdefault_bind 127.0.0.1")
-    (folder / source).write_text(text)
-    command = {
-        "nginx": ["nginx", "-e", f"{folder}/errors", "-p", str(folder), "-c", str(folder / source)],
-        "caddy": ["caddy", "run", "--adapter", "caddyfile", "--config", str(folder / source)],
-    }[program]
-    with (folder / "log").open("w") as log, subprocess.Popen(command, stdout=log, stderr=log) as process:
-        try:
-            limit = time.monotonic() + 15
-            while not is_open(own):
-                assert process.poll() is None, (folder / "log").read_text()
-                assert time.monotonic() < limit
-                time.sleep(0.1)
-            yield own
-        finally:
-            process.terminate()
-            process.wait(10)
+    with held_ports(1) as (own,):
+        text = re.sub(r"(listen |^:)8080", rf"\g<1>{'127.0.0.1:' if program == 'nginx' else ''}{own}", text, flags=re.M)
+        if program == "nginx":
+            temporary = "".join(
+                f"{kind}_temp_path {folder}/{kind};" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+            )
+            text = f"daemon off; pid {folder}/pid; events {{}} http {{ access_log off; {temporary} {text} }}"
+        else:
+            text = text.replace("auto_https off", "auto_https off\n\tdefault_bind 127.0.0.1")
+        (folder / source).write_text(text)
+        command = {
+            "nginx": ["nginx", "-e", f"{folder}/errors", "-p", str(folder), "-c", str(folder / source)],
+            "caddy": ["caddy", "run", "--adapter", "caddyfile", "--config", str(folder / source)],
+        }[program]
+        with (folder / "log").open("w") as log, subprocess.Popen(command, stdout=log, stderr=log) as process:
+            try:
+                limit = time.monotonic() + 15
+                while not is_open(own):
+                    assert process.poll() is None, (folder / "log").read_text()
+                    assert time.monotonic() < limit
+                    time.sleep(0.1)
+                yield own
+            finally:
+                process.terminate()
+                process.wait(10)
 
 
 @pytest.mark.parametrize("program", ["nginx", "caddy"])

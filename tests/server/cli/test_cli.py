@@ -219,17 +219,13 @@ def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:
 
 @pytest.mark.long
 def test_serve_and_view_until_interrupted(run: Run, tmp_path: Path, scene: Path) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "server.cli", "serve", "--play", str(scene), "--port", str(port)]
+    command = [sys.executable, "-m", "server.cli", "serve", "--play", str(scene), "--port", "0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
         assert server.stderr is not None
         try:
-            for line in server.stderr:
-                if "listening" in line:
-                    break
-            url = f"ws://127.0.0.1:{port}/v1/streams/main/live"
+            address = re.compile(r"listening at http://(127\.0\.0\.1:\d+)")
+            place = next(found[1] for line in server.stderr if (found := address.search(line)))
+            url = f"ws://{place}/v1/streams/main/live"
             poses = tmp_path / "pose.json"
             poses.write_text(json.dumps({"world_to_camera": np.eye(4).tolist(), "width": 64, "height": 36}))
             done = run("view", url, "--pose", poses, "--out", tmp_path / "views", "--frames", 3)

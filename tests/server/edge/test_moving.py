@@ -17,7 +17,8 @@ from client.connection.link import WatchOptions
 from client.connection.watch import watch
 from client.events import Disconnected, NewScene, Notice, Welcome
 from tests.server.conftest import Clip
-from tests.server.edge.processes import Node, begin, free_ports, listening, wait
+from tests.server.edge.processes import Node, begin, listening, wait
+from tests.server.ports import held_ports
 
 pytestmark = pytest.mark.cluster
 
@@ -63,12 +64,14 @@ def look(url: str, act: Callable[[], None], after: int, more: int, options: Watc
 def nodes(long_clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Node, Node, Node]]:
     """An origin that knows two edges, and the edges, which hear of each other from it."""
     folder: Path = tmp_path_factory.mktemp("edges")
-    ports = free_ports(3)
-    config = folder / "origin.toml"
-    config.write_text(f'edges = ["http://127.0.0.1:{ports[1]}", "http://127.0.0.1:{ports[2]}"]\n')
+    config, patient = folder / "origin.toml", folder / "edge.toml"
+    patient.write_text("drain_seconds = 10\n")  # a quarter of it for viewers to be at another edge
     with ExitStack() as stack:
-        started = [begin(folder, "serve", "--play", long_clip.path, "--config", config, port=ports[0])]
-        started += [begin(folder, "edge", "--origin", f"http://127.0.0.1:{ports[0]}", port=port) for port in ports[1:]]
+        origin, *edges = stack.enter_context(held_ports(3))
+        config.write_text(f'edges = ["http://127.0.0.1:{edges[0]}", "http://127.0.0.1:{edges[1]}"]\n')
+        started = [begin(folder, "serve", "--play", long_clip.path, "--config", config, port=origin)]
+        edge = ("edge", "--origin", f"http://127.0.0.1:{origin}", "--config", patient)
+        started += [begin(folder, *edge, port=port) for port in edges]
         for process, _ in started:
             stack.callback(process.wait)
             stack.callback(process.kill)
@@ -92,12 +95,13 @@ def test_origin_and_edges_name_the_edges(nodes: tuple[Node, Node, Node]) -> None
     assert asyncio.run(edges_of(live(nodes[0]), None)) == tuple(edges)
 
 
-def test_a_viewer_takes_the_edge_that_answers(nodes: tuple[Node, Node, Node]) -> None:
+def test_a_viewer_takes_the_edge_that_answers(nodes: tuple[Node, Node, Node], monkeypatch: pytest.MonkeyPatch) -> None:
     """Of three, one does not exist and one never answers."""
     path = "/v1/streams/main/live"
-    with socket.create_server(("127.0.0.1", 0)) as listener:  # nobody takes its connections
-        lost = [f"ws://127.0.0.1:{port}{path}" for port in (listener.getsockname()[1], *free_ports(1))]
+    with socket.create_server(("127.0.0.1", 0)) as silent, held_ports(1) as (missing,):
+        lost = [f"ws://127.0.0.1:{port}{path}" for port in (silent.getsockname()[1], missing)]
         assert asyncio.run(nearest(lost)) is None
+        monkeypatch.setattr("client.connection.edges._ANSWER_SECONDS", 20.0)
         assert asyncio.run(nearest([*lost, live(nodes[2])])) == live(nodes[2])
 
 
@@ -116,11 +120,14 @@ def test_an_edge_that_stops_is_left_without_a_gap(nodes: tuple[Node, Node, Node]
     assert len(seen.welcomes) == 2
     steps = {later - before for before, later in zip(seen.versions[60:], seen.versions[61:], strict=False)}
     assert steps <= {1, 0, -399}  # a keyframe may have its residual's version; the clip begins again after its last
-    assert stopped.process.wait(10) == 0
+    assert stopped.process.wait(20) == 0
 
 
-def test_a_killed_edge_is_replaced_by_the_other(nodes: tuple[Node, Node, Node]) -> None:
+def test_a_killed_edge_is_replaced_by_the_other(
+    nodes: tuple[Node, Node, Node], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It was chosen as the nearest of the edges that the origin names, where the first one has gone."""
+    monkeypatch.setattr("client.connection.edges._ANSWER_SECONDS", 20.0)
     killed = nodes[2]
     nodes[1].kill()  # so that the nearest is the one that is killed
     seen = look(live(nodes[0]), killed.kill, 50, 20, WatchOptions(nearest=True))

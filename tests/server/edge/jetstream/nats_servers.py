@@ -17,7 +17,8 @@ from urllib.request import urlopen
 import pytest
 
 from server.settings import JetStreamSettings, Retention, Settings
-from tests.server.edge.processes import free_ports
+from tests.server.edge.processes import free_ports  # noqa: F401  tests.bench takes it from here
+from tests.server.ports import held_ports
 
 RETENTION = Retention(bytes=50_000_000)
 # beside this Python too: `make test` does not put the virtual environment on the path
@@ -105,19 +106,19 @@ class Nats:
 @contextmanager
 def nats(folder: Path, count: int = 1, more: str = "") -> Iterator[Nats]:
     """So many servers, one cluster if there are several, with `more` in their configuration."""
-    ports = free_ports(3 * count)
     found = Nats()
-    routes = ", ".join(f'"nats://127.0.0.1:{port}"' for port in ports[2 * count :])
-    for number in range(count):
-        name = f"n{number}"
-        cluster = f"cluster {{ name: c, listen: 127.0.0.1:{ports[2 * count + number]}, routes: [{routes}] }}\n"
-        server = NatsServer(folder / name, name, ports[number], ports[count + number], more + cluster * (count > 1))
-        found.servers.append(server)
-        server.start()
-    try:
-        for server in found.servers:
-            server.wait()
-        yield found
-    finally:
-        for server in found.servers:
-            server.kill()
+    with held_ports(3 * count) as ports:  # which they have again when they come back
+        routes = ", ".join(f'"nats://127.0.0.1:{port}"' for port in ports[2 * count :])
+        for number in range(count):
+            name = f"n{number}"
+            cluster = f"cluster {{ name: c, listen: 127.0.0.1:{ports[2 * count + number]}, routes: [{routes}] }}\n"
+            server = NatsServer(folder / name, name, ports[number], ports[count + number], more + cluster * (count > 1))
+            found.servers.append(server)
+            server.start()
+        try:
+            for server in found.servers:
+                server.wait()
+            yield found
+        finally:
+            for server in found.servers:
+                server.kill()
