@@ -48,7 +48,7 @@ def test_a_replay_waits_for_nats_and_a_seek_that_cannot_be_read_does_no_harm(lon
                 while version_of(viewer) != 80:  # from the keyframe at 50 on, then as fast as it was filmed
                     viewer.step()
                 server.kill()
-                stopped_at = follow(viewer, 1.0)[-1]
+                stopped_at = follow(viewer, 3.0)[-1]
                 assert 80 <= stopped_at <= 80 + _READ_AHEAD + 50  # 50 versions a second, until NATS was dead
                 assert client.get("/v1/streams/main/packets/1/20").status_code == 503
                 server.start()
@@ -58,7 +58,7 @@ def test_a_replay_waits_for_nats_and_a_seek_that_cannot_be_read_does_no_harm(lon
                 viewer.until_version(stopped_at + 20)
 
                 server.kill()
-                follow(viewer, 1.0)
+                follow(viewer, 3.0)
                 before = version_of(viewer)
                 viewer.send(type="seek", to={"epoch": 1, "version": 210})
                 place = viewer.until("position")

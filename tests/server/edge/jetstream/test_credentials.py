@@ -76,6 +76,8 @@ def test_a_node_shows_its_credentials(clip: Clip, tmp_path: Path, caplog: pytest
         with running(settings, spec) as server, running(settings) as other, running(open_settings) as stranger:
             server.wait(lambda stream: stream["state"] == "ended")
             wait(lambda: "main" in other.registry.streams)
+            outbox: Any = server.registry.streams["main"].bus.outbox
+            wait(lambda: outbox.waiting_bytes == 0)
             assert packets_in(stored(settings)) == clip.packets
             with stranger.client() as client:
                 ready = client.get("/readyz")

@@ -6,18 +6,20 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
-from server.edge.jetstream.messages import Names
+from server.edge.jetstream.messages import Names, parse_id
 from server.protocol.packets import Position
 from tests.server.conftest import Clip
-from tests.server.edge.jetstream.nats_servers import Nats, NatsServer, free_ports, nats, needs_nats
+from tests.server.edge.jetstream.nats_servers import Nats, NatsServer, nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, recording, stored, stored_at, waiting_bytes
 from tests.server.edge.processes import Node, begin, listening, node, wait, wait_live
+from tests.server.ports import held_ports
 
 pytestmark = needs_nats
 
@@ -42,7 +44,8 @@ def nodes(request: pytest.FixtureRequest, long_clip: Clip, tmp_path_factory: pyt
         config = shared.config(folder / "shared.toml")
         publish = ("serve", "--play", long_clip.path, "--state-dir", folder / "state", "--config", config)
         serve = ("serve", "--config", config)
-        begun = [begin(folder, *publish, port=free_ports(1)[0]), begin(folder, *serve, port=free_ports(1)[0])]
+        ports = stack.enter_context(held_ports(2))  # which they have again when they come back
+        begun = [begin(folder, *publish, port=ports[0]), begin(folder, *serve, port=ports[1])]
         found = Nodes(folder, shared, listening(begun[0]), listening(begun[1]), publish, serve)
         stack.callback(lambda: [each.kill() for each in (found.publishing, found.serving)])
         wait_live(found.publishing)
@@ -96,10 +99,16 @@ def keeps_coming_without_jetstream(nodes: Nodes, victim: NatsServer, served: lis
     return check
 
 
+def stored_beyond(place: Position, nodes: Nodes) -> list[tuple[str, bytes]]:
+    """What is stored, once something after `place` is; packets keep coming, so that some may wait at any time."""
+    messages = stored(nodes.shared.settings())
+    last = parse_id(messages[-1][0]) if messages else None
+    return messages if last is not None and last.position > place else []
+
+
 def check_all_came(nodes: Nodes, published: list[bytes], served: list[bytes]) -> None:
     """Both recordings are a part of what is stored, without a hole; the clip's packets recur, so places do, too."""
-    wait(lambda: waiting_bytes(nodes.publishing) == 0)
-    messages = stored(nodes.shared.settings())
+    messages = wait(partial(stored_beyond, newest(nodes.publishing), nodes), 60)
     assert len({name for name, _ in messages}) == len(messages)
     packets = packets_in(messages)
     for seen in (published, served):
@@ -157,7 +166,7 @@ def test_the_node_that_publishes_is_killed_and_comes_back(nodes: Nodes) -> None:
     with recording(nodes.serving.port, served) as viewer:
         keeps_coming(served)
         incarnation, port = nodes.publishing.stream()["incarnation"], nodes.publishing.port
-        wait(lambda: waiting_bytes(nodes.publishing) == 0)  # what is sent directly then need not be stored
+        wait(lambda: waiting_bytes(nodes.publishing) == 0, 60)  # what is sent directly then need not be stored
         nodes.publishing.kill()
         nodes.publishing = listening(begin(nodes.folder, *nodes.publish, port=port))
         wait_live(nodes.publishing)

@@ -44,7 +44,14 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nats]:
 def publishing(one: Nats, long_clip: Clip) -> Iterator[Running]:
     with running(one.settings(), StreamSpec(play=long_clip.path, loop=False, id="played")) as server:
         server.wait(lambda stream: stream["state"] == "ended", "played", 30)
+        wait_stored(server, "played")
         yield server
+
+
+def wait_stored(server: Running, name: str = "main") -> None:
+    """Until NATS has all that a stream's node has published so far."""
+    outbox: Any = server.registry.streams[name].bus.outbox
+    wait(lambda: outbox.waiting_bytes == 0)
 
 
 def stream_limits(shared: Nats, stream: str) -> list[tuple[Any, Any]]:
@@ -143,6 +150,7 @@ def test_large_keyframes_travel_in_pieces(tmp_path: Path) -> None:
                 group = client.get("/v1/streams/large/manifest").json()["gops"][0]
                 assert group["bytes"] == len(clip.packets[0]) + len(clip.packets[1])
                 (tmp_path / "group.slod").write_bytes(client.get(group["path"]).content)
+            wait_stored(server, "large")
             pieces = [len(body) for _, body in stored(small.settings(), "large")]
             assert max(pieces) < SMALL_PAYLOAD < sum(pieces) == sum(map(len, clip.packets))
         with SlodReader(tmp_path / "group.slod") as reader:
@@ -187,8 +195,8 @@ def test_of_two_nodes_with_one_stream_one_publishes(
         with running(other, spec) as second:
             second.wait(lambda stream: stream["state"] == "live", "twice")
             time.sleep(2.5)
+            wait_stored(second, "twice")
             outbox: Any = second.registry.streams["twice"].bus.outbox
-            wait(lambda: outbox.waiting_bytes == 0)
             assert outbox.lost_packets == 0
             assert stream_limits(one, "twice") == limits
             found = {name.split("/")[0] for name, _ in stored(one.settings(), "twice")}
@@ -212,7 +220,7 @@ def test_without_nats_a_node_serves_its_own_viewers_and_keeps_a_bounded_queue(tm
             assert outbox.lost_packets > 0
             away.servers[0].start()
             away.servers[0].wait()
-            wait(lambda: outbox.waiting_bytes == 0)
+            wait_stored(server)
             packets = packets_in(stored(settings))
             assert packets
             begin = large.packets.index(packets[0])
