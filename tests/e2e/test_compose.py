@@ -124,16 +124,18 @@ def test_the_head_is_started_again_beside_its_server() -> None:
     """The command of the container, with a process that sleeps in the place of the server and ports that are free."""
     pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
     (port,) = free_ports(1)
-    head, serve = CLUSTER["origin"]["command"][0].strip().splitlines()
+    *before, serve = CLUSTER["origin"]["command"][0].replace("$$", "$").strip().splitlines()
     assert serve.startswith("exec streamlod serve ")
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     environment = os.environ | CLUSTER["origin"]["environment"] | {"PATH": path}
     with tempfile.TemporaryDirectory() as folder:  # a short path, as its sockets need
         places = f"--port {port} --node-ip-address 127.0.0.2 --temp-dir {folder}"
-        command = head.replace("--port 6379", places) + "\nexec sleep 300"
+        command = "\n".join(before).replace("--port 6379", places).replace('127.0.0.1", 6379', f'127.0.0.2", {port}')
+        command += f"\necho > {folder}/served\nexec sleep 300"
         process = subprocess.Popen(["/bin/sh", "-c", command], env=environment, start_new_session=True)
         try:
             (first,) = wait(lambda: heads_at(port), 60)
+            wait(Path(folder, "served").exists, 60)  # once the head answers
             os.kill(first, signal.SIGKILL)
             wait(lambda: heads_at(port) - {first}, 60)
             assert process.poll() is None

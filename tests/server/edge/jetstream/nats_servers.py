@@ -17,7 +17,6 @@ from urllib.request import urlopen
 import pytest
 
 from server.settings import JetStreamSettings, Retention, Settings
-from tests.server.edge.processes import free_ports  # noqa: F401  tests.bench takes it from here
 from tests.server.ports import held_ports
 
 RETENTION = Retention(bytes=50_000_000)
