@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +30,11 @@ class BuildPage(BuildHookInterface):  # type: ignore[type-arg]
         page = Path(self.root) / PAGE
         source = page / "decode" / "kernel.wat"
         target = source.with_suffix(".wasm")
-        target.write_bytes(wasmtime.wat2wasm(source.read_text()))
+        assembled = wasmtime.wat2wasm(source.read_text())
+        if not target.exists() or target.read_bytes() != assembled:
+            beside = target.with_name(f"kernel-{os.getpid()}")  # without a suffix, so that nobody serves or packs it
+            beside.write_bytes(assembled)
+            beside.replace(target)  # whole at once: other processes may be reading it
         build_data["artifacts"].append(f"{PAGE}/decode/{target.name}")
         if self.target_name != "wheel" or version != "standard":
             return

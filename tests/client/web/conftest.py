@@ -41,7 +41,9 @@ def kernel() -> bytes:
     assembled = bytes(wasmtime.wat2wasm((WEB / "decode" / "kernel.wat").read_text()))
     target = WEB / "decode" / "kernel.wasm"
     if not target.exists() or target.read_bytes() != assembled:
-        target.write_bytes(assembled)
+        beside = target.with_name(f"kernel-{os.getpid()}")  # without a suffix, so that nobody serves or packs it
+        beside.write_bytes(assembled)
+        beside.replace(target)  # whole at once: other processes may be reading it
     return assembled
 
 
