@@ -222,34 +222,30 @@ def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None, page
     return app
 
 
-def free_port() -> int:
-    """A TCP port that is free now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @contextlib.contextmanager
-def serving(app: ASGIApp, port: int | None = None) -> Iterator[str]:
-    """Serve in a thread; yields the address."""
-    port = port or free_port()
+def serving(app: ASGIApp, port: int = 0) -> Iterator[str]:
+    """Serve in a thread, at a free port by default; yields the address."""
     config = uvicorn.Config(
         app,
-        host="127.0.0.1",
-        port=port,
         log_level="error",
         ws="websockets-sansio",
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=1,
     )
     server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    deadline = time.monotonic() + 10
-    while not server.started and time.monotonic() < deadline:
-        time.sleep(0.02)
-    try:
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        server.should_exit = True
-        thread.join(5)
+    with socket.socket() as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", port))
+        thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+        thread.start()
+        try:
+            limit = time.monotonic() + 60
+            while not server.started:
+                assert thread.is_alive()
+                assert time.monotonic() < limit
+                time.sleep(0.02)
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            server.should_exit = True
+            thread.join(60)
+            assert not thread.is_alive()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import pytest
@@ -11,18 +13,21 @@ from server.pipeline.spec import StreamSpec
 from server.settings import EdgeSettings, Settings
 from tests.client.web.test_browser import shows
 from tests.server.conftest import Clip, Running, make_clip, running
-from tests.server.edge.processes import free_ports, wait
+from tests.server.edge.processes import wait
+from tests.server.ports import held_ports
 
 pytestmark = [pytest.mark.browser, pytest.mark.cluster]
 
-# The longest time between two versions [ms], and all phases, from here on.
+# The longest time between two versions [ms], and all phases, from here on. Time in which the page does not run is not
+# counted: versions that come meanwhile are not seen.
 WATCH = """() => {
-  let version = 0, at = performance.now();
+  let version = 0, last = performance.now(), silent = 0;
   window.gap = 0;
   setInterval(() => {
     const state = streamlod.state, now = performance.now();
-    if (state.version !== version) [version, at] = [state.version, now];
-    window.gap = Math.max(window.gap, now - at);
+    silent = state.version === version ? silent + Math.min(now - last, 50) : 0;
+    [version, last] = [state.version, now];
+    window.gap = Math.max(window.gap, silent);
     (window.phases ??= new Set()).add(state.phase);
   }, 10);
 }"""
@@ -37,10 +42,20 @@ def pages_at(server: Running) -> int:
     return sum(session.client.startswith("streamlod-web") for session in list(server.registry.sessions))
 
 
+def goes_to_an_edge(page: Any, url: str, is_there: Callable[[], object]) -> None:
+    """Open the page, again where it stays: it gives edges two seconds to answer, which a busy machine may exceed."""
+    limit = time.monotonic() + 60
+    while time.monotonic() < limit and not is_there():
+        page.goto(url)
+        with suppress(AssertionError):
+            wait(is_there)
+    assert is_there()
+
+
 def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, long_clip: Clip) -> None:
-    ports = free_ports(3)
-    addresses = [f"http://127.0.0.1:{port}" for port in ports]
     with ExitStack() as stack:
+        ports = stack.enter_context(held_ports(3))
+        addresses = [f"http://127.0.0.1:{port}" for port in ports]
         known = Settings(edges=tuple(addresses[1:]))
         origin = stack.enter_context(running(known, StreamSpec(play=long_clip.path), port=ports[0]))
         origin.registry.streams["main"].source = "cameras"  # the page goes to edges for what is live
@@ -51,8 +66,8 @@ def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, 
         for each in edges:
             wait(lambda each=each: each.registry.edges and not each.registry.unready)
         page = stack.enter_context(chromium.new_context()).new_page()
-        page.goto(f"{origin.url}/?stream=main")
-        wait(lambda: sum(map(pages_at, edges)) == 1 and not pages_at(origin), 60)
+        goes_to_an_edge(page, f"{origin.url}/?stream=main", lambda: sum(map(pages_at, edges)) == 1)
+        wait(lambda: not pages_at(origin), 60)
         shows(page, "s.version > 0")
 
         page.evaluate(WATCH)
@@ -69,8 +84,8 @@ def test_the_page_watches_at_an_edge_and_leaves_it_when_it_stops(chromium: Any, 
 
 
 def test_the_page_goes_back_where_an_edge_refuses_what_its_origin_serves(chromium: Any, long_clip: Clip) -> None:
-    ports = free_ports(2)
     with ExitStack() as stack:
+        ports = stack.enter_context(held_ports(2))
         known = Settings(edges=(f"http://127.0.0.1:{ports[1]}",))
         origin = stack.enter_context(running(known, StreamSpec(play=long_clip.path), port=ports[0]))
         origin.registry.streams["main"].source = "cameras"  # the page goes to edges for what is live
@@ -78,8 +93,8 @@ def test_the_page_goes_back_where_an_edge_refuses_what_its_origin_serves(chromiu
         edge = stack.enter_context(running(Settings(edge=of_another, origins=(origin.url,)), port=ports[1]))
         wait(lambda: not edge.registry.unready)
         page = stack.enter_context(chromium.new_context()).new_page()
-        page.goto(f"{origin.url}/?stream=main")
-        wait(lambda: edge.registry.turned_away["4404"] and pages_at(origin) == 1, 60)
+        goes_to_an_edge(page, f"{origin.url}/?stream=main", lambda: edge.registry.turned_away["4404"])
+        wait(lambda: pages_at(origin) == 1, 60)
         shows(page, "s.version > 0 && !['missing', 'reconnecting', 'connecting'].includes(s.phase)")
         page.wait_for_timeout(1500)
         assert pages_at(origin) == 1  # and stays there
