@@ -14,7 +14,7 @@ from PIL import Image
 from codec.container import SlodWriter
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import shows
+from tests.client.web.test_browser import WAIT, eventually, shows
 
 pytestmark = pytest.mark.browser
 
@@ -104,6 +104,7 @@ new MutationObserver((changes) => { resizes += changes.length; })
 """
 
 
+@pytest.mark.timeout(300)  # a busy machine drags more than once
 def test_a_slow_device_answers_and_refines_at_rest(page: Any, url: str) -> None:
     """Four times slower, 20 000 splats: a drag is answered, and what rests has full resolution and all splats again."""
     page.set_viewport_size({"width": 640, "height": 480})
@@ -113,10 +114,15 @@ def test_a_slow_device_answers_and_refines_at_rest(page: Any, url: str) -> None:
     session.send("Emulation.setCPUThrottlingRate", {"rate": 4})
     splats = page.evaluate("streamlod.state.splats")
     page.evaluate(COUNT_RESIZES)
-    waits = page.evaluate(SLOW_DRAG)
-    settled = sorted(waits[-20:])[10]
-    assert settled < 500, waits  # a busy machine; the bench has the figure
-    assert page.evaluate("resizes") < 20, "steps of quality, but no picture in full between two moves"
+
+    def drag() -> None:
+        page.evaluate("resizes = 0")
+        waits = page.evaluate(SLOW_DRAG)
+        settled = sorted(waits[-20:])[10]
+        assert settled < 500, waits  # a busy machine; the bench has the figure
+        assert page.evaluate("resizes") < 20, "steps of quality, but no picture in full between two moves"
+
+    eventually(drag)  # what else the machine does makes pauses, too
     width = "document.getElementById('canvas').width"
-    page.wait_for_function(f"{width} === 640", timeout=10_000)
+    page.wait_for_function(f"{width} === 640", **WAIT)
     assert page.evaluate("streamlod.state.splats") == splats
