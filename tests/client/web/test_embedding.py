@@ -21,7 +21,7 @@ from codec.decoder import SceneDecoder
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import WAIT, QuietHandler, shows
+from tests.client.web.test_browser import KEEP_TOASTS, WAIT, QuietHandler, eventually, said, shows
 from tests.server.conftest import running
 
 pytestmark = pytest.mark.browser
@@ -59,10 +59,12 @@ def site(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
         thread = threading.Thread(target=host.serve_forever)
         thread.start()
         origin = f"http://localhost:{host.server_port}"
-        with running(Settings(frame_ancestors=(origin,)), StreamSpec(play=recording, loop=False)) as server:
-            yield Site(server.url, origin, folder)
-        host.shutdown()
-        thread.join()
+        try:
+            with running(Settings(frame_ancestors=(origin,)), StreamSpec(play=recording, loop=False)) as server:
+                yield Site(server.url, origin, folder)
+        finally:
+            host.shutdown()
+            thread.join()
 
 
 def test_every_call_is_answered(page: Any, site: Site) -> None:
@@ -132,8 +134,13 @@ def test_other_sites_may_not_frame_it(page: Any, site: Site) -> None:
     """An origin that is not listed gets no page into its frame."""
     page.goto(site.write("other.html").replace("localhost", "127.0.0.1"))
     page.wait_for_function("player.shadowRoot?.querySelector('iframe')", **WAIT)
-    page.wait_for_timeout(1500)
-    assert all("chrome-error" in frame.url or frame is page.main_frame for frame in page.frames)
+
+    def refuses() -> None:
+        page.wait_for_timeout(100)  # in which Playwright hears of frames
+        inside = [frame.url for frame in page.frames if frame is not page.main_frame]
+        assert ["chrome-error" in url for url in inside] == [True]
+
+    eventually(refuses)
     page.complaints.forgive("frame-ancestors")
 
 
@@ -146,6 +153,7 @@ def without_distance(camera: str) -> list[str]:
 def test_links_keep_the_moment(page: Any, clip: Clip, recording: Path) -> None:
     """A copied link opens paused at the frame and view that were shown: live, and from a file."""
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.add_init_script(KEEP_TOASTS)
     page.set_viewport_size({"width": 900, "height": 500})
     behaviour = Behaviour(newest=14)
     with serving(create_app(clip, behaviour, recording.parent)) as url:
@@ -156,7 +164,7 @@ def test_links_keep_the_moment(page: Any, clip: Clip, recording: Path) -> None:
             camera = page.evaluate("streamlod.state.camera")
             page.click("#b-share")
             page.locator("#share-menu button", has_text="Copy link to this moment").click()
-            page.locator("#toast", has_text="moment copied").wait_for(**WAIT)
+            said(page, "moment copied")
             link = page.evaluate("navigator.clipboard.readText()")
             behaviour.newest = 20
             page.goto(link)
@@ -165,7 +173,7 @@ def test_links_keep_the_moment(page: Any, clip: Clip, recording: Path) -> None:
             assert without_distance(opened) == without_distance(camera)
         page.click("#b-share")
         page.locator("#share-menu button", has_text="Copy embed code").click()
-        page.locator("#toast", has_text="other pages").wait_for(**WAIT)
+        said(page, "other pages")
         code = page.evaluate("navigator.clipboard.readText()")
         address = html.unescape(re.search('src="(.+?)"', code)[1])  # type: ignore[index]
         assert address.startswith(url)
@@ -205,9 +213,8 @@ def test_missing_cors_is_named(page: Any, site: Site, clip: Clip, recording: Pat
         fault.get_by_text(f"{site.url} does not answer, or does not let pages of other sites").wait_for(**WAIT)
         page.goto(f"{own}/?src={other}/files/clip.slod")
         fault.get_by_text("hides the header Content-Range from pages of other sites (CORS)").wait_for(**WAIT)
-    with running(Settings(origins=(own,)), StreamSpec(play=recording, loop=False)) as server:
-        server.wait(lambda stream: stream["state"] == "ended")
-        with serving(create_app(clip, Behaviour()), int(own.rpartition(":")[2])):
+        with running(Settings(origins=(own,)), StreamSpec(play=recording, loop=False)) as server:
+            server.wait(lambda stream: stream["state"] == "ended")
             page.goto(f"{own}/?src={server.url}/v1/streams/main/bitstream")
             shows(page, "s.version === 39")
     page.complaints.forgive("CORS policy")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
-from tests.client.web.test_browser import INSPECT, WAIT, picture, shows
+from tests.client.web.test_browser import INSPECT, KEEP_TOASTS, WAIT, picture, said, shows
 
 pytestmark = pytest.mark.browser
 
@@ -102,6 +102,7 @@ def test_fades_outside_and_offers_a_way_back(page: Any, clip: Clip) -> None:
 def test_the_rigs_cameras_are_named_and_lead_there(page: Any, clip: Clip) -> None:
     """With the rig shown, each camera has its name in the picture; a click goes there."""
     page.set_viewport_size({"width": 900, "height": 600})
+    page.add_init_script(KEEP_TOASTS)
     with serving(create_app(clip, Behaviour(newest=3))) as url:
         page.goto(f"{url}/?quality=high")
         shows(page, "s.version === 3")
@@ -113,7 +114,7 @@ def test_the_rigs_cameras_are_named_and_lead_there(page: Any, clip: Clip) -> Non
         name = page.locator("#rig button", has_text="cam01")
         name.wait_for(**WAIT)
         name.click()
-        page.locator("#toast", has_text="cam01").wait_for(**WAIT)
+        said(page, "cam01")
         eye = clip.states[3].header.cameras[1].centre
         at = "streamlod.state.camera.split(',').slice(0, 3).map(Number)"
         page.wait_for_function(f"(eye) => Math.hypot(...{at}.map((x, i) => x - eye[i])) < 0.01", arg=list(eye), **WAIT)
@@ -121,13 +122,16 @@ def test_the_rigs_cameras_are_named_and_lead_there(page: Any, clip: Clip) -> Non
 
 def test_swings_slowly_when_nobody_touches_it(chromium: Any, clip: Clip) -> None:
     """After a while without a hand the view begins to move by itself, and stops for one."""
-    context = chromium.new_context(viewport={"width": 320, "height": 240}, reduced_motion="no-preference")
-    page = context.new_page()
-    page.clock.install()
-    with serving(create_app(clip, Behaviour(fps=2))) as url:
+    with (
+        chromium.new_context(viewport={"width": 320, "height": 240}, reduced_motion="no-preference") as context,
+        serving(create_app(clip, Behaviour(fps=2))) as url,
+    ):
+        page = context.new_page()
+        page.clock.install()
         page.goto(f"{url}/?quality=high")
         shows(page, "s.version >= 1")
         page.evaluate(INSPECT)
+        page.mouse.move(50, 50)  # nobody has touched it from here on
         before = page.evaluate("streamlod.state.camera")
         page.clock.fast_forward(4000)
         page.wait_for_function("document.body.classList.contains('idle')", **WAIT)
@@ -141,4 +145,3 @@ def test_swings_slowly_when_nobody_touches_it(chromium: Any, clip: Clip) -> None
         stopped = page.evaluate("streamlod.state.camera")
         page.wait_for_timeout(600)
         assert page.evaluate("streamlod.state.camera") == stopped
-    context.close()
