@@ -12,7 +12,10 @@ import pytest
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.http11 import Request, Response
 
+import client.connection.edges
+import client.connection.moving_link
 import client.connection.watch
+import client.playback
 from client.connection.link import SUBPROTOCOL, WatchOptions
 from client.connection.watch import back_off, watch
 from client.events import Disconnected, Event, NewScene, Welcome
@@ -25,7 +28,11 @@ Behaviour = Callable[[ServerConnection], Awaitable[None]]
 
 @pytest.fixture(autouse=True)
 def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between two attempts; and where the machine is busy, nothing is given up, or acknowledged early."""
     monkeypatch.setattr(client.connection.watch, "_MIN_DELAY", 0.01)
+    monkeypatch.setattr(client.connection.edges, "_ANSWER_SECONDS", 30.0)
+    monkeypatch.setattr(client.connection.moving_link, "_MOVE_SECONDS", 30.0)
+    monkeypatch.setattr(client.playback, "_ACK_SECONDS", 60.0)
 
 
 def events_from(*behaviours: Behaviour, options: WatchOptions | None = None) -> list[Event]:

@@ -18,7 +18,7 @@ from core.errors import InputError, RequestRefused
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.attack.test_rights import write_tokens
-from tests.server.conftest import Clip, Running, clip, running, viewing
+from tests.server.conftest import Clip, Running, clip, make_clip, running, viewing
 
 __all__ = ["clip"]
 
@@ -30,10 +30,16 @@ def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run
         yield server
 
 
-def test_a_stream_from_its_creation_to_its_end(server: Running, clip: Clip, tmp_path: Path) -> None:
+@pytest.fixture
+def slow_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    """Twenty seconds: a stream of it is still live when it is stopped."""
+    return make_clip(tmp_path_factory.mktemp("clip") / "slow.slod", 100, frame_ns=200_000_000)
+
+
+def test_a_stream_from_its_creation_to_its_end(server: Running, slow_clip: Clip, tmp_path: Path) -> None:
     with ServerClient(server.url) as client:
         assert client.server()["protocol_versions"] == [1]
-        made = client.create("new", {"play": str(clip.path)})
+        made = client.create("new", {"play": str(slow_clip.path)})
         assert (made.id, made.state, made.version) == ("new", "idle", None)
         assert [stream.id for stream in client.streams()] == ["main", "new"]
         changed = client.change("new", {"loop": False}, etag=made.etag)
@@ -70,7 +76,7 @@ def test_viewers_and_events(server: Running) -> None:
                 if event.type == "viewer.left":
                     return
 
-        reader = threading.Thread(target=read)
+        reader = threading.Thread(target=read, daemon=True)
         reader.start()
         viewer.hello()
         with ServerClient(server.url) as other:
