@@ -213,7 +213,7 @@ def test_protocol_faults_close_with_their_code(server: Running) -> None:
     with viewing(server) as viewer:
         viewer.hello()
         with contextlib.suppress(ConnectionClosed):
-            while True:
+            for _ in range(200):  # many seconds' worth; without end, they would be in the way of the server's close
                 viewer.send(type="pause")
         assert closed(viewer)[0] == 4429
     assert server.stream()["state"] == "live"
