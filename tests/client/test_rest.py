@@ -18,9 +18,9 @@ from core.errors import InputError, RequestRefused
 from server.pipeline.spec import StreamSpec
 from server.settings import Settings
 from tests.attack.test_rights import write_tokens
-from tests.server.conftest import Clip, Running, clip, make_clip, running, viewing
+from tests.server.conftest import Clip, Running, clip, running, slow_clip, viewing
 
-__all__ = ["clip"]
+__all__ = ["clip", "slow_clip"]
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +28,6 @@ def server(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run
     with running(Settings(state=tmp_path_factory.mktemp("state")), StreamSpec(play=clip.path)) as server:
         server.wait(lambda stream: stream["state"] == "live" and stream["version"] > 3)
         yield server
-
-
-@pytest.fixture
-def slow_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
-    """Twenty seconds: a stream of it is still live when it is stopped."""
-    return make_clip(tmp_path_factory.mktemp("clip") / "slow.slod", 100, frame_ns=200_000_000)
 
 
 def test_a_stream_from_its_creation_to_its_end(server: Running, slow_clip: Clip, tmp_path: Path) -> None:

@@ -232,5 +232,5 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
 
 @pytest.fixture(scope="session")
 def slow_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
-    """The same at 10 frames a second: no test that counts epochs lasts until it begins again."""
+    """The same at 10 frames a second, for tests that must not see it end or begin again."""
     return make_clip(tmp_path_factory.mktemp("clip") / "slow.slod", 100, key_every=60, frame_ns=100_000_000)

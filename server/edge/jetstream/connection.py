@@ -60,7 +60,7 @@ class NatsConnection:
 
         async def say_fault(error: Exception) -> None:
             """Once for each fault: attempts fail several times a second, as does every message that is not allowed."""
-            if not self.client.is_connected:
+            if not self.client.is_connected:  # an attempt to connect has failed
                 self._hang_up()
             fault = str(error) or type(error).__name__
             if not isinstance(error, SlowConsumerError) and self._live not in fault.lower():  # JetStream goes on

@@ -27,7 +27,7 @@ class SocketFolder:
         made = self._path / "new"
         self._lock = os.open(made, os.O_CREAT | os.O_RDWR, 0o600)
         _try_lock(self._lock)
-        made.rename(self._path / _LOCK)  # nobody finds it before it is held
+        made.rename(self._path / _LOCK)  # only now may others try it, and it is held
 
     def new_socket(self) -> Path:
         """A path in the folder that nothing has used."""

@@ -175,6 +175,7 @@ def test_a_key_set_is_fetched_kept_and_fetched_again_for_new_keys(clip: Clip, mo
             assert status(token(first, "EdDSA", "first")) == 401
             failures: tuple[dict[str, Any], ...]
             failures = {"body": {}}, {"body": {"keys": []}}, {"body": {}, "status": 500}, {"body": {}, "status": 302}
+            failures += ({"body": {"keys": ["x" * 70_000]}},)
             slow = b"HTTP/1.1 200 OK\r\n\r\n" + b" " * 1000  # a byte in time, and no end
             failures += {"raw": b"rubbish\r\n\r\n", "pause": 0}, {"raw": slow, "pause": 0.1}
             monkeypatch.setattr("server.auth.keys._FETCH_SECONDS", 0.8)

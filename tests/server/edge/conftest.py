@@ -15,6 +15,6 @@ def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
 
 @pytest.fixture(scope="session")
 def slow_long_clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
-    """The same in 24 seconds: no test that counts epochs lasts until it begins again."""
+    """The same in 24 seconds, for tests that must not see it begin again."""
     folder = tmp_path_factory.mktemp("clip")
     return make_clip(folder / "slow.slod", 400, key_every=50, frame_ns=60_000_000)

@@ -140,7 +140,7 @@ def test_viewers_of_an_edge_that_drains_go_on_at_the_other_one(long_clip: Clip, 
 def ended(viewer: Viewer) -> int | None:
     """The code with which a viewer's connection was closed, or None if packets still come.
 
-    Those that came before the end are read first, so many as there are.
+    Three seconds are enough for one that was sent away to read what had come before that.
     """
     end = time.monotonic() + 3
     try:
