@@ -25,7 +25,8 @@ from tests.bench.pictures import longest_gap
 from tests.server.conftest import make_clip
 from tests.server.edge.jetstream.nats_servers import Nats, nats
 from tests.server.edge.jetstream.recorder import waiting_bytes
-from tests.server.edge.processes import Node, begin, free_ports, listening, wait
+from tests.server.edge.processes import Node, begin, listening, wait
+from tests.server.ports import free_ports
 
 _ELECTION_SECONDS = 12.0  # in which the NATS servers that are left have a leader again
 _SETTLE_SECONDS = 60.0

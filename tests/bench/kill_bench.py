@@ -33,7 +33,7 @@ from tests.bench.abuse_bench import drain, filming, write_film
 from tests.bench.idle_bench import cpu_seconds
 from tests.e2e.test_server_process import family, serving
 from tests.server.conftest import Clip, Viewer, make_clip
-from tests.server.ingest.rig import free_ports
+from tests.server.ports import free_ports
 
 _MAX_SECONDS = 400.0
 _CHECKED = 200  # newest packets of a stream that are compared

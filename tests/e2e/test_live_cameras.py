@@ -24,7 +24,8 @@ from core.metrics import psnr
 from core.synthetic import SyntheticSpec, write_clip
 from tests.e2e.test_server_process import PROGRAM, family, get, live, serving
 from tests.server.conftest import Viewer
-from tests.server.ingest.rig import NEEDS_FFMPEG, free_ports, rtsp, sending
+from tests.server.ingest.rig import NEEDS_FFMPEG, rtsp, sending
+from tests.server.ports import free_ports
 
 _LOG = logging.getLogger(__name__)
 CAMERAS = ("cam00", "cam01", "cam02", "cam03")

@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed
 
 from tests.e2e.test_server_process import live, serving, wait_live
 from tests.server.conftest import Clip, Viewer, make_clip
-from tests.server.ingest.rig import free_ports
+from tests.server.ports import free_ports
 
 OBSERVE = Path(__file__).parents[2] / "docker" / "observe"
 NOT_OF_A_RECORDED_FILE = {"streamlod_train_seconds", "streamlod_worker_info"}  # there is no training

@@ -8,6 +8,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 
+def free_ports(count: int) -> list[int]:
+    """Ports of loopback that nobody has now; another program may take them before they are used."""
+    with ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [probe.getsockname()[1] for probe in probes]
+
+
 @contextmanager
 def held_ports(count: int) -> Iterator[list[int]]:
     """Ports of loopback that nobody else gets while the context lasts; nobody listens there yet.

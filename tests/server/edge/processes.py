@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -91,17 +90,6 @@ def listening(begun: tuple[subprocess.Popen[bytes], Path]) -> Node:
         assert time.monotonic() < limit, log.read_text()
         time.sleep(0.02)
     return Node(process, int(found[1]), log)
-
-
-def free_ports(count: int) -> list[int]:
-    probes = [socket.socket() for _ in range(count)]
-    try:
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [probe.getsockname()[1] for probe in probes]
-    finally:
-        for probe in probes:
-            probe.close()
 
 
 def wait(done: Any, seconds: float = 60) -> Any:

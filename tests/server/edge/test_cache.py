@@ -22,6 +22,7 @@ from server.pipeline.spec import StreamSpec
 from server.settings import EdgeSettings, Settings
 from tests.server.conftest import Clip, Running, Viewer, running, viewing
 from tests.server.edge.processes import wait
+from tests.server.ports import free_ports
 
 pytestmark = [
     pytest.mark.cluster,
@@ -46,13 +47,6 @@ class Proxy:
         return [line.split() for line in self.log.read_text().splitlines()]
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def is_open(port: int) -> bool:
     with socket.socket() as peer:
         return peer.connect_ex(("127.0.0.1", port)) == 0
@@ -60,7 +54,7 @@ def is_open(port: int) -> bool:
 
 @contextmanager
 def nginx(folder: Path, origin: int, edges: tuple[int, int]) -> Iterator[Proxy]:
-    own, log = free_port(), folder / "access.log"
+    (own,), log = free_ports(1), folder / "access.log"
     text = CONFIGURATION.read_text().replace("/var/cache/nginx/streamlod", str(folder / "cache"))
     for place, port in ((8000, origin), (8001, edges[0]), (8002, edges[1])):
         text = re.sub(rf"127\.0\.0\.1:{place}\b", f"127.0.0.1:{port}", text)

@@ -20,7 +20,8 @@ import pytest
 
 from core.scene.anchors import Scene
 from tests.server.conftest import Clip
-from tests.server.edge.processes import Node, free_ports, node, wait
+from tests.server.edge.processes import Node, node, wait
+from tests.server.ports import free_ports
 
 pytestmark = pytest.mark.cluster
 

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping
@@ -49,17 +48,6 @@ def number_of(image: UInt8) -> int:
     """The number that a picture carries."""
     block = WIDTH // _BITS
     return sum(1 << bit for bit in range(_BITS) if image[4:12, bit * block + 3 : (bit + 1) * block - 3].mean() > 128)
-
-
-def free_ports(count: int) -> list[int]:
-    """Ports on which nobody listens."""
-    sockets = [socket.socket() for _ in range(count)]
-    for each in sockets:
-        each.bind(("127.0.0.1", 0))
-    ports = [int(each.getsockname()[1]) for each in sockets]
-    for each in sockets:
-        each.close()
-    return ports
 
 
 def write_definition(folder: Path, sources: list[str], policy: object = "require_all", **fields: object) -> Path:

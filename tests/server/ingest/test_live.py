@@ -21,13 +21,13 @@ from server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.rig import (
     FPS,
     NEEDS_FFMPEG,
-    free_ports,
     number_of,
     rtsp,
     sending,
     write_clip,
     write_definition,
 )
+from tests.server.ports import free_ports
 
 PERIOD_NS = 1_000_000_000 / FPS
 

@@ -9,7 +9,7 @@ from server.ingest.cameras.address import parse_address
 from server.ingest.cameras.reader import Reader
 from server.ingest.sync.timeline import Timeline
 from tests.attack.test_http_cameras import Faults
-from tests.server.ingest.rig import free_ports
+from tests.server.ports import free_ports
 
 
 def test_a_reader_that_listens_says_so_as_soon_as_cameras_may_connect() -> None:
