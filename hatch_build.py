@@ -12,7 +12,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-PAGE = Path("client/web")
+PAGE = Path("streamlod/client/web")
 SHADER = re.compile(r"#version.*?`", re.DOTALL)  # GLSL in a script
 CAST = re.compile(r"(?<=[=(,;:?!&|{}\[+-])\(([a-z][\w.#]*(?:\([^()]*\))?)\)(?=[.,;)\]}])")  # what a type was said of
 CONSTANTS = re.compile(r"\blet \w+=[^;{}`]*(?:;let \w+=[^;{}`]*)+;")  # declared one after the other

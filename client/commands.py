@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from client.connection.link import WatchOptions
-from client.evaluation.file_scores import DecodedScore, evaluate_file
-from client.evaluation.report.plots import frames_plot
-from client.inspection import describe_file
-from client.recording import decode_frames, decode_version, versions
-from client.viewing import record_stream
-from client.viewpoints import CameraPath, camera_named, orbit, read_poses
-from codec.export import FORMATS, bake, write_snapshot
-from core.arrays import Float64
-from core.errors import InputError
-from core.files import write_text
-from core.scene.anchors import Scene, SceneHeader
+from streamlod.client.connection.link import WatchOptions
+from streamlod.client.evaluation.file_scores import DecodedScore, evaluate_file
+from streamlod.client.evaluation.report.plots import frames_plot
+from streamlod.client.inspection import describe_file
+from streamlod.client.recording import decode_frames, decode_version, versions
+from streamlod.client.viewing import record_stream
+from streamlod.client.viewpoints import CameraPath, camera_named, orbit, read_poses
+from streamlod.codec.export import FORMATS, bake, write_snapshot
+from streamlod.core.arrays import Float64
+from streamlod.core.errors import InputError
+from streamlod.core.files import write_text
+from streamlod.core.scene.anchors import Scene, SceneHeader
 
 AVERAGE = "average"
 TOKEN_VARIABLE = "STREAMLOD_TOKEN"

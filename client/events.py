@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from codec.packet.info import PacketInfo
-from core.scene.anchors import Scene
+from streamlod.codec.packet.info import PacketInfo
+from streamlod.core.scene.anchors import Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from codec.container import SlodReader
-from codec.decoder import SceneDecoder
-from codec.packet.bytes import parse
-from codec.packet.info import PacketInfo, describe
-from codec.packet.packet import PacketKind
-from core.errors import BitstreamError, InputError
-from core.scene.anchors import Scene
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.bytes import parse
+from streamlod.codec.packet.info import PacketInfo, describe
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.errors import BitstreamError, InputError
+from streamlod.core.scene.anchors import Scene
 
 _MAX_NUMBERS = 10  # of damaged packets that are listed
 

@@ -6,11 +6,11 @@ import json
 import re
 from typing import Any
 
-from client.events import Event, NewScene, Notice, Welcome
-from codec.decoder import SceneDecoder
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from core.close_codes import CloseCode
-from core.errors import BitstreamError, SessionError
+from streamlod.client.events import Event, NewScene, Notice, Welcome
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import BitstreamError, SessionError
 
 PROTOCOL_VERSION = 1
 _ACK_SECONDS = 1.0

@@ -10,9 +10,9 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from core.arrays import UInt8
-from core.errors import InputError
-from core.files import put_in_place, temporary_beside, write_bytes
+from streamlod.core.arrays import UInt8
+from streamlod.core.errors import InputError
+from streamlod.core.files import put_in_place, temporary_beside, write_bytes
 
 _QUALITY = "18"  # x264's constant rate factor: visually near lossless
 

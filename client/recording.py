@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from codec.container import Entry, SlodReader
-from codec.decoder import SceneDecoder
-from codec.packet.packet import PacketKind
-from core.errors import BitstreamError, InputError
-from core.scene.anchors import Scene
+from streamlod.codec.container import Entry, SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.errors import BitstreamError, InputError
+from streamlod.core.scene.anchors import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)

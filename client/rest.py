@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import httpx
 
-from client.rest_answers import (
+from streamlod.client.rest_answers import (
     FeedEvent,
     RecordingInfo,
     StreamInfo,
@@ -22,8 +22,8 @@ from client.rest_answers import (
     object_in,
     read,
 )
-from core.errors import InputError, RequestRefused
-from core.files import put_in_place, temporary_beside
+from streamlod.core.errors import InputError, RequestRefused
+from streamlod.core.files import put_in_place, temporary_beside
 
 _SECONDS = 30.0
 _MAX_ITEMS = 200  # of a page

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -8,17 +8,17 @@ from collections.abc import Callable
 from contextlib import aclosing
 from pathlib import Path
 
-from client.connection.link import WatchOptions
-from client.connection.watch import watch
-from client.events import Event, NewScene, Notice, Welcome
-from client.recorder import Recorder, open_recorder
-from client.viewpoints import CameraPath
-from core.arrays import UInt8
-from core.camera import Camera
-from core.errors import InputError
-from core.render.splatter import Splatter, draw_cloud
-from core.scene.anchors import SceneHeader
-from core.scene.interpolate import can_interpolate, interpolate
+from streamlod.client.connection.link import WatchOptions
+from streamlod.client.connection.watch import watch
+from streamlod.client.events import Event, NewScene, Notice, Welcome
+from streamlod.client.recorder import Recorder, open_recorder
+from streamlod.client.viewpoints import CameraPath
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
+from streamlod.core.render.splatter import Splatter, draw_cloud
+from streamlod.core.scene.anchors import SceneHeader
+from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
 _log = logging.getLogger(__name__)
 _QUIET_SECONDS = 2.0  # a stream that has ended is over when no packet comes for so long

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float64
-from core.camera import Camera, look_at, pinhole
-from core.errors import InputError
-from core.scene.anchors import SceneHeader
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.errors import InputError
+from streamlod.core.scene.anchors import SceneHeader
 
 CameraPath = Callable[[int], Camera]  # picture number to camera
 _MAX_POSE_FILE_BYTES = 16_000_000

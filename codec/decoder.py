@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.chunks import level as chunks
-from codec.chunks.change import Elapsed
-from codec.chunks.header import decode_header, decode_weights
-from codec.packet.bytes import parse
-from codec.packet.info import PacketInfo, describe
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits, Room
-from codec.packet.packet import ChunkKind, Packet, PacketKind
-from core.arrays import Int32, Int64
-from core.errors import BitstreamError
-from core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
-from core.scene.residual import LevelResidual, apply_level
+from streamlod.codec.chunks import level as chunks
+from streamlod.codec.chunks.change import Elapsed
+from streamlod.codec.chunks.header import decode_header, decode_weights
+from streamlod.codec.packet.bytes import parse
+from streamlod.codec.packet.info import PacketInfo, describe
+from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits, Room
+from streamlod.codec.packet.packet import ChunkKind, Packet, PacketKind
+from streamlod.core.arrays import Int32, Int64
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
+from streamlod.core.scene.residual import LevelResidual, apply_level
 
 ABSENT = -1
 _HASH = struct.Struct("<I")

@@ -6,14 +6,14 @@ import struct
 
 import numpy as np
 
-from codec.chunks import level as chunks
-from codec.chunks.change import Elapsed
-from codec.chunks.header import encode_header, encode_weights
-from codec.chunks.padding import padded
-from codec.packet.bytes import build
-from codec.packet.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.residual import LevelResidual, Residual, apply_level
+from streamlod.codec.chunks import level as chunks
+from streamlod.codec.chunks.change import Elapsed
+from streamlod.codec.chunks.header import encode_header, encode_weights
+from streamlod.codec.chunks.padding import padded
+from streamlod.codec.packet.bytes import build
+from streamlod.codec.packet.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.residual import LevelResidual, Residual, apply_level
 
 HASH_INTERVAL = 30  # versions between state hashes in packets from one version to the next
 

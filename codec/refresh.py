@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import Scene
-from core.scene.residual import difference
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
 
 Reason = Literal["time", "churn", "catch-up"]
 

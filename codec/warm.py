@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.coder.trend import add_trend
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import (
+from streamlod.codec.coder.trend import add_trend
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import (
     FEATURE_LATENTS,
     HIDDEN,
     OFFSET_LATENTS,
@@ -20,8 +20,8 @@ from core.scene.anchors import (
     SceneHeader,
     empty_level,
 )
-from core.scene.octree import Octree
-from core.scene.residual import difference
+from streamlod.core.scene.octree import Octree
+from streamlod.core.scene.residual import difference
 
 
 def warm_up() -> None:

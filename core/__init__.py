@@ -4,6 +4,6 @@ The ground floor (this package's own modules) needs numpy alone; `core.render`, 
 `core.data` need the training libraries. Nothing here imports `codec`, `server` or `client`.
 """
 
-from core.runtime import prepare_environment
+from streamlod.core.runtime import prepare_environment
 
 prepare_environment()

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.arrays import Float64, check_array
-from core.errors import InputError
+from streamlod.core.arrays import Float64, check_array
+from streamlod.core.errors import InputError
 
 _ROTATION_TOLERANCE = 1e-3
 _NO_DISTORTION = np.zeros(5)

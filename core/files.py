@@ -10,7 +10,7 @@ import os
 import secrets
 from pathlib import Path
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 
 def temporary_beside(path: Path) -> Path:

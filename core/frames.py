@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Bool, Float32, UInt8, check_array
+from streamlod.core.arrays import Bool, Float32, UInt8, check_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

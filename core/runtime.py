@@ -57,10 +57,10 @@ def kernel_sources(root: Path) -> dict[str, bytes]:
     sources = {}
     for package in ("core", "codec"):
         for path in (root / package).rglob("*.py"):
-            sources[".".join(path.relative_to(root).with_suffix("").parts)] = path.read_bytes()
+            sources[".".join(("streamlod", *path.relative_to(root).with_suffix("").parts))] = path.read_bytes()
     imported = {name: _imported(source.decode()) & sources.keys() for name, source in sources.items()}
     waiting = [name for name, source in sources.items() if re.search(rb"\bnjit\(", source)]
-    waiting += [name for name, modules in imported.items() if "codec.coder.compiled" in modules]
+    waiting += [name for name, modules in imported.items() if "streamlod.codec.coder.compiled" in modules]
     found: set[str] = set()
     while waiting:
         name = waiting.pop()

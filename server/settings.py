@@ -10,9 +10,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from codec.packet.limits import DecoderLimits
-from core.errors import InputError
-from server.pipeline.new_stream import NewStream
+from streamlod.codec.packet.limits import DecoderLimits
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.new_stream import NewStream
 
 MEGABYTE = 1_000_000
 _ORIGIN = re.compile(r"https?://[A-Za-z0-9.*-]+(:\d{1,5})?")

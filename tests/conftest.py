@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import core  # noqa: F401  first of all: it sets what torch and numba read when they load
+import streamlod.core  # noqa: F401  first of all: it sets what torch and numba read when they load
 from tests.device import pretend
 from tests.device.fixture import gpu
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from server.cli.main import app
+from streamlod.server.cli.main import app
 
 ROOT = Path(__file__).parents[1]
 HISTORY = {"docs/history.md", "CHANGELOG.md"}  # name commands as they were then

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from client.playback import edges_in
+from streamlod.client.playback import edges_in
 
 _MAX_ANSWER_BYTES = 1 << 20
 _ANSWER_SECONDS = 2.0

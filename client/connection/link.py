@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-from client.events import Event
-from client.playback import Playback
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from core.errors import SessionError
+from streamlod.client.events import Event
+from streamlod.client.playback import Playback
+from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from streamlod.core.errors import SessionError
 
 SUBPROTOCOL = "streamlod.v1"
 _OPEN_SECONDS = 10.0

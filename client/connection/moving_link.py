@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 from websockets.exceptions import WebSocketException
 
-from client.connection.edges import at_edges, nearest
-from client.connection.link import StreamLink, WatchOptions
-from client.events import Event, NewScene, Notice, Welcome
-from client.playback import Playback
-from core.errors import SessionError
+from streamlod.client.connection.edges import at_edges, nearest
+from streamlod.client.connection.link import StreamLink, WatchOptions
+from streamlod.client.events import Event, NewScene, Notice, Welcome
+from streamlod.client.playback import Playback
+from streamlod.core.errors import SessionError
 
 _log = logging.getLogger(__name__)
 _MOVE_SECONDS = 5.0  # for the new connection to be where the old one is

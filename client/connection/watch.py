@@ -10,12 +10,12 @@ from urllib.parse import urlsplit
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
 
-from client.connection.edges import at_edges, edges_of, nearest
-from client.connection.link import WatchOptions
-from client.connection.moving_link import MovingLink
-from client.events import Disconnected, Event, NewScene, Welcome
-from core.close_codes import REFUSALS, CloseCode
-from core.errors import InputError, SessionError
+from streamlod.client.connection.edges import at_edges, edges_of, nearest
+from streamlod.client.connection.link import WatchOptions
+from streamlod.client.connection.moving_link import MovingLink
+from streamlod.client.events import Disconnected, Event, NewScene, Welcome
+from streamlod.core.close_codes import REFUSALS, CloseCode
+from streamlod.core.errors import InputError, SessionError
 
 _log = logging.getLogger(__name__)
 

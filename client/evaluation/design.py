@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from core.train import PRESETS, KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, preset
+from streamlod.core.train import PRESETS, KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, preset
 
 BASE = "balanced"
 

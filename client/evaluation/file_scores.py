@@ -15,16 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from client.evaluation.measure.moving import MovingPixels, MovingScore, mean_moving, moving_figures, moving_score
-from client.evaluation.measure.scores import PictureScore, draw, load_perception, mean_score, score
-from client.evaluation.report.output import result_folder, side_by_side
-from client.recorder import write_png
-from client.recording import RecordedFrame, decode_frames
-from core.arrays import UInt8
-from core.data import Dataset, open_dataset
-from core.errors import InputError
-from core.scene.anchors import SceneHeader
-from core.synthetic import read_spec
+from streamlod.client.evaluation.measure.moving import (
+    MovingPixels,
+    MovingScore,
+    mean_moving,
+    moving_figures,
+    moving_score,
+)
+from streamlod.client.evaluation.measure.scores import PictureScore, draw, load_perception, mean_score, score
+from streamlod.client.evaluation.report.output import result_folder, side_by_side
+from streamlod.client.recorder import write_png
+from streamlod.client.recording import RecordedFrame, decode_frames
+from streamlod.core.arrays import UInt8
+from streamlod.core.data import Dataset, open_dataset
+from streamlod.core.errors import InputError
+from streamlod.core.scene.anchors import SceneHeader
+from streamlod.core.synthetic import read_spec
 
 
 @dataclass(frozen=True, slots=True)

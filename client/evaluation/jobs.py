@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, Literal, TypeVar
 
-from core.errors import BackendUnavailable
+from streamlod.core.errors import BackendUnavailable
 
 T = TypeVar("T")
 Jobs = Literal["local", "ray"]

@@ -17,19 +17,19 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from core.arrays import Float32, UInt8
-from core.camera import Camera
-from core.frames import FrameSet, PointCloud
-from core.render.differentiable import rasterise
-from core.render.raster import Raster
-from core.scene.expand import near_radius
-from core.train.field.exposure import neutral
-from core.train.keyframe.random_background import over_colour
-from core.train.optimise.adam import RowAdam
-from core.train.optimise.losses import photometric_loss
-from core.train.optimise.mean import MeanOfSteps
-from core.train.optimise.schedule import ViewOrder
-from core.train.pictures.views import Views
+from streamlod.core.arrays import Float32, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.render.raster import Raster
+from streamlod.core.scene.expand import near_radius
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.keyframe.random_background import over_colour
+from streamlod.core.train.optimise.adam import RowAdam
+from streamlod.core.train.optimise.losses import photometric_loss
+from streamlod.core.train.optimise.mean import MeanOfSteps
+from streamlod.core.train.optimise.schedule import ViewOrder
+from streamlod.core.train.pictures.views import Views
 
 _COLOUR_RATE = 0.0025 * 2.0
 _SHRINK = math.log(1.6)  # of the two halves of a split Gaussian

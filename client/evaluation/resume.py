@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 _log = logging.getLogger(__name__)
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from core.errors import InputError
-from core.train import TrainConfig, preset
-from core.train.config import LevelSelection
+from streamlod.core.errors import InputError
+from streamlod.core.train import TrainConfig, preset
+from streamlod.core.train.config import LevelSelection
 
 ABLATIONS = ("lod", "partition", "quantisation", "dropout", "heads", "star", "cue")
 _FINER = 16  # rounding to a 16th of a step changes nothing that a picture shows

@@ -11,22 +11,22 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from client.evaluation.jobs import Jobs, in_order
-from client.evaluation.measure.footage import Footage, chosen_split, open_footage
-from client.evaluation.measure.machine import machine
-from client.evaluation.measure.scores import Perception, load_perception
-from client.evaluation.report.output import result_folder, side_by_side, write_json
-from client.evaluation.report.plots import study_plots
-from client.evaluation.report.quoted import quoted_json
-from client.evaluation.report.report import study_report
-from client.evaluation.resume import earlier_report
-from client.evaluation.rows import Row, study_rows
-from client.evaluation.summary import run_figures, spread
-from client.evaluation.systems import PERCEIVED, FirstFrames, run_system
-from client.recorder import write_png
-from core.arrays import UInt8
-from core.files import write_text
-from core.synthetic import SyntheticSpec, read_spec
+from streamlod.client.evaluation.jobs import Jobs, in_order
+from streamlod.client.evaluation.measure.footage import Footage, chosen_split, open_footage
+from streamlod.client.evaluation.measure.machine import machine
+from streamlod.client.evaluation.measure.scores import Perception, load_perception
+from streamlod.client.evaluation.report.output import result_folder, side_by_side, write_json
+from streamlod.client.evaluation.report.plots import study_plots
+from streamlod.client.evaluation.report.quoted import quoted_json
+from streamlod.client.evaluation.report.report import study_report
+from streamlod.client.evaluation.resume import earlier_report
+from streamlod.client.evaluation.rows import Row, study_rows
+from streamlod.client.evaluation.summary import run_figures, spread
+from streamlod.client.evaluation.systems import PERCEIVED, FirstFrames, run_system
+from streamlod.client.recorder import write_png
+from streamlod.core.arrays import UInt8
+from streamlod.core.files import write_text
+from streamlod.core.synthetic import SyntheticSpec, read_spec
 
 _log = logging.getLogger(__name__)
 SCHEMA = 3

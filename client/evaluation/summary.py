@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from client.evaluation.measure.moving import MOVING_METRICS, mean_moving, moving_figures
-from client.evaluation.measure.scores import METRICS
-from client.evaluation.measure.sizes import stream_bytes
-from client.evaluation.systems import SystemRun, TrainedScore
+from streamlod.client.evaluation.measure.moving import MOVING_METRICS, mean_moving, moving_figures
+from streamlod.client.evaluation.measure.scores import METRICS
+from streamlod.client.evaluation.measure.sizes import stream_bytes
+from streamlod.client.evaluation.systems import SystemRun, TrainedScore
 
 # The figures of a run that tables show; means over its frames unless the name says otherwise. The rendering speed is a
 # median, so that another process of the machine spoils a few frames and not the figure.

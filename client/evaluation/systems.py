@@ -9,19 +9,32 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from client.evaluation.measure.footage import Footage
-from client.evaluation.measure.memory import forget_peak, peak_bytes
-from client.evaluation.measure.moving import MovingPixels, MovingScore, moving_score
-from client.evaluation.measure.scores import Perception, PictureScore, draw, score
-from client.evaluation.measure.sizes import PacketSize, packet_size, shannon_keyframe_bytes, shannon_residual_bytes
-from client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
-from core.arrays import UInt8
-from core.errors import ModelError
-from core.frames import FrameSet
-from core.scene.anchors import Scene
-from core.scene.residual import difference
-from core.synthetic import SyntheticSpec
-from core.train import FrameReport, KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, TrainedFrame, Trainer
+from streamlod.client.evaluation.measure.footage import Footage
+from streamlod.client.evaluation.measure.memory import forget_peak, peak_bytes
+from streamlod.client.evaluation.measure.moving import MovingPixels, MovingScore, moving_score
+from streamlod.client.evaluation.measure.scores import Perception, PictureScore, draw, score
+from streamlod.client.evaluation.measure.sizes import (
+    PacketSize,
+    packet_size,
+    shannon_keyframe_bytes,
+    shannon_residual_bytes,
+)
+from streamlod.client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
+from streamlod.core.arrays import UInt8
+from streamlod.core.errors import ModelError
+from streamlod.core.frames import FrameSet
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
+from streamlod.core.synthetic import SyntheticSpec
+from streamlod.core.train import (
+    FrameReport,
+    KeyframeConfig,
+    ModelConfig,
+    PredictConfig,
+    TrainConfig,
+    TrainedFrame,
+    Trainer,
+)
 
 _log = logging.getLogger(__name__)
 PERCEIVED = 4  # frames of a clip, evenly spread, on which the slow LPIPS is measured

@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from client.evaluation.design import BASE, Point, one_at_a_time
-from client.evaluation.measure.footage import Footage, chosen_split, footage_frames, open_footage
-from client.evaluation.measure.machine import machine
-from client.evaluation.report.figures import Axis, Dot, scatter
-from client.evaluation.report.output import result_folder, write_json
-from client.evaluation.report.pareto import pareto_front
-from client.evaluation.report.tables import number, table
-from client.evaluation.resume import as_json, earlier_report
-from client.evaluation.summary import mean, run_figures
-from client.evaluation.systems import FirstFrames, SystemRun, run_system
-from core.files import write_text
+from streamlod.client.evaluation.design import BASE, Point, one_at_a_time
+from streamlod.client.evaluation.measure.footage import Footage, chosen_split, footage_frames, open_footage
+from streamlod.client.evaluation.measure.machine import machine
+from streamlod.client.evaluation.report.figures import Axis, Dot, scatter
+from streamlod.client.evaluation.report.output import result_folder, write_json
+from streamlod.client.evaluation.report.pareto import pareto_front
+from streamlod.client.evaluation.report.tables import number, table
+from streamlod.client.evaluation.resume import as_json, earlier_report
+from streamlod.client.evaluation.summary import mean, run_figures
+from streamlod.client.evaluation.systems import FirstFrames, SystemRun, run_system
+from streamlod.core.files import write_text
 
 _log = logging.getLogger(__name__)
 SCHEMA = 5

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codec.coder import change_model
-from codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, scale_of, words_of
-from codec.coder.rans import MAX_VALUE, Array
-from core.arrays import Int16, Int32, Int64, UInt8
-from core.scene.anchors import LATENTS, AnchorLevel
-from core.scene.entropy_model import MAX_SCALE, SCALES
+from streamlod.codec.coder import change_model
+from streamlod.codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, scale_of, words_of
+from streamlod.codec.coder.rans import MAX_VALUE, Array
+from streamlod.core.arrays import Int16, Int32, Int64, UInt8
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel
+from streamlod.core.scene.entropy_model import MAX_SCALE, SCALES
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,15 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.chunks.plain import row_count
-from codec.coder import class_model
-from codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
-from codec.coder.rans import MAX_VALUE
-from codec.coder.trend import add_trend, trend_errors
-from codec.packet.limits import Room
-from core.arrays import Int32, Int64
-from core.errors import BitstreamError
-from core.scene.quantise import trailing_zeros
+from streamlod.codec.chunks.plain import row_count
+from streamlod.codec.coder import class_model
+from streamlod.codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
+from streamlod.codec.coder.rans import MAX_VALUE
+from streamlod.codec.coder.trend import add_trend, trend_errors
+from streamlod.codec.packet.limits import Room
+from streamlod.core.arrays import Int32, Int64
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.quantise import trailing_zeros
 
 _AS_IS, _CENTRED, _TREND = 0, 1, 2
 _COUNT = struct.Struct("<I")

@@ -6,13 +6,13 @@ import struct
 
 import numpy as np
 
-from codec.chunks.plain import row_count
-from codec.coder import octree_model
-from codec.coder.entropy import corrupt, encode_items, words_of
-from codec.packet.limits import Room
-from core.arrays import Int32
-from core.errors import BitstreamError
-from core.scene.octree import morton_key
+from streamlod.codec.chunks.plain import row_count
+from streamlod.codec.coder import octree_model
+from streamlod.codec.coder.entropy import corrupt, encode_items, words_of
+from streamlod.codec.packet.limits import Room
+from streamlod.core.arrays import Int32
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.octree import morton_key
 
 _HEAD = struct.Struct("<BIiiiB")
 _MAX_DEPTH = 21

@@ -7,11 +7,11 @@ import struct
 
 import numpy as np
 
-from codec.packet.limits import DecoderLimits
-from core.arrays import Float32
-from core.camera import Camera
-from core.errors import BitstreamError, InputError
-from core.scene.anchors import (
+from streamlod.codec.packet.limits import DecoderLimits
+from streamlod.core.arrays import Float32
+from streamlod.core.camera import Camera
+from streamlod.core.errors import BitstreamError, InputError
+from streamlod.core.scene.anchors import (
     FEATURE_LATENTS,
     HIDDEN,
     OFFSET_LATENTS,
@@ -21,7 +21,7 @@ from core.scene.anchors import (
     AnchorWeights,
     SceneHeader,
 )
-from core.scene.octree import Octree
+from streamlod.core.scene.octree import Octree
 
 _COUNTS = struct.Struct("<BBBBB3x")
 _GEOMETRY = struct.Struct("<6d")

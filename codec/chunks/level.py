@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.chunks import change, columns, geometry, plain
-from codec.chunks.change import Elapsed
-from codec.chunks.matrices import (
+from streamlod.codec.chunks import change, columns, geometry, plain
+from streamlod.codec.chunks.change import Elapsed
+from streamlod.codec.chunks.matrices import (
     added_channels,
     added_matrix,
     base_channels,
@@ -16,10 +16,10 @@ from codec.chunks.matrices import (
     shifted_channels,
     shifted_of,
 )
-from codec.packet.limits import Room
-from core.arrays import Bool, Int32, Int64
-from core.errors import BitstreamError
-from core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
+from streamlod.codec.packet.limits import Room
+from streamlod.core.arrays import Bool, Int32, Int64
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
 
 CHANGE_COLUMNS = 1 + 3 + LATENTS
 _ENTROPY_CODINGS = (1, 4)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Int16, Int32, Int64
-from core.errors import BitstreamError
-from core.scene.anchors import LATENTS, SCALINGS, AnchorLevel, SceneHeader
+from streamlod.core.arrays import Int16, Int32, Int64
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.anchors import LATENTS, SCALINGS, AnchorLevel, SceneHeader
 
 _UNSHIFTED = 1 + 3  # extra level and position
 _INT16 = np.iinfo(np.int16)

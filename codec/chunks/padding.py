@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from codec.chunks import geometry, plain
-from codec.chunks.level import CHANGE_COLUMNS
-from codec.chunks.matrices import added_channels, base_channels
-from codec.packet.limits import MAX_NUMBERS_A_BYTE
-from codec.packet.packet import PADDING, Chunk, ChunkKind, make_chunk
-from core.scene.anchors import SceneHeader
+from streamlod.codec.chunks import geometry, plain
+from streamlod.codec.chunks.level import CHANGE_COLUMNS
+from streamlod.codec.chunks.matrices import added_channels, base_channels
+from streamlod.codec.packet.limits import MAX_NUMBERS_A_BYTE
+from streamlod.codec.packet.packet import PADDING, Chunk, ChunkKind, make_chunk
+from streamlod.core.scene.anchors import SceneHeader
 
 
 def padded(chunks: list[Chunk], header: SceneHeader, rows: int) -> list[Chunk]:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Int32
-from core.errors import BitstreamError
+from streamlod.core.arrays import Int32
+from streamlod.core.errors import BitstreamError
 
 CODING = 0
 _HEAD = struct.Struct("<BI")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.coder.column_model import columns_items, take_columns
-from codec.coder.compiled import compiled
-from codec.coder.rans import Array, begin, finish, magnitude_bin, put_flag, put_value, take_flag, take_value
+from streamlod.codec.coder.column_model import columns_items, take_columns
+from streamlod.codec.coder.compiled import compiled
+from streamlod.codec.coder.rans import Array, begin, finish, magnitude_bin, put_flag, put_value, take_flag, take_value
 
 BLOCK = 64
 BLOCK_MODELS, ROW_MODELS, LATENT_MODELS = 8, 16, 2

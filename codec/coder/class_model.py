@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.coder.column_model import columns_items, take_columns
-from codec.coder.compiled import compiled
-from codec.coder.rans import Array, begin, finish, put_flag, take_flag
+from streamlod.codec.coder.column_model import columns_items, take_columns
+from streamlod.codec.coder.compiled import compiled
+from streamlod.codec.coder.rans import Array, begin, finish, put_flag, take_flag
 
 MAX_CLASSES = 8
 

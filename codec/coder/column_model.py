@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from codec.coder.compiled import compiled
-from codec.coder.rans import (
+from streamlod.codec.coder.compiled import compiled
+from streamlod.codec.coder.rans import (
     MIN_STATE,
     STARTS,
     SYMBOL_OF,
@@ -17,7 +17,7 @@ from codec.coder.rans import (
     put_value,
     take_value,
 )
-from core.scene.entropy_model import ESCAPE, FREQUENCIES
+from streamlod.core.scene.entropy_model import ESCAPE, FREQUENCIES
 
 MAX_ENERGY = 65535
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from codec.coder.rans import Array, rans_encode
-from core.arrays import Float64, Int64
-from core.errors import BitstreamError
-from core.scene.entropy_model import MAGNITUDE_UNIT, MAX_SCALE, SCALES
+from streamlod.codec.coder.rans import Array, rans_encode
+from streamlod.core.arrays import Float64, Int64
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.entropy_model import MAGNITUDE_UNIT, MAX_SCALE, SCALES
 
 FEW_ITEMS = 8000  # below, one lane saves 12 bytes that matter more than speed
 _STEPS = 4  # of a scale, between neighbouring nibbles: half an octave

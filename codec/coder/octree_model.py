@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.coder.compiled import compiled
-from codec.coder.rans import Array, begin, finish, put_flag, take_flag
+from streamlod.codec.coder.compiled import compiled
+from streamlod.codec.coder.rans import Array, begin, finish, put_flag, take_flag
 
 OCTREE_MODELS = 16 * 256
 

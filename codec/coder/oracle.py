@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from core.errors import BitstreamError
-from core.scene.entropy_model import BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, HALVED_FROM
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.entropy_model import BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, HALVED_FROM
 
 _THRESHOLDS = [int(t) for t in BIN_THRESHOLDS]
 _ROWS = [[int(f) for f in row] for row in FREQUENCIES]

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.coder.compiled import compiled
-from core.arrays import Int64
-from core.scene.entropy_model import BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, HALVED_FROM, SYMBOLS
+from streamlod.codec.coder.compiled import compiled
+from streamlod.core.arrays import Int64
+from streamlod.core.scene.entropy_model import BIN_THRESHOLDS, BINS, ESCAPE, FREQUENCIES, HALVED_FROM, SYMBOLS
 
 Array = NDArray[Any]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.coder.compiled import compiled
-from codec.coder.rans import Array
+from streamlod.codec.coder.compiled import compiled
+from streamlod.codec.coder.rans import Array
 
 _SHIFT = 3  # the mean of about 2^3 rows; its sum is kept, so that nothing is lost
 

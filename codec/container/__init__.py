@@ -3,9 +3,9 @@
 `SlodReader` and `SlodWriter` read and write files; `joined` makes one of others (`FilePart`) without copying.
 """
 
-from codec.container.join import FilePart, Piece, joined, size_of
-from codec.container.layout import Entry
-from codec.container.reader import SlodReader
-from codec.container.writer import SlodWriter
+from streamlod.codec.container.join import FilePart, Piece, joined, size_of
+from streamlod.codec.container.layout import Entry
+from streamlod.codec.container.reader import SlodReader
+from streamlod.codec.container.writer import SlodWriter
 
 __all__ = ["Entry", "FilePart", "Piece", "SlodReader", "SlodWriter", "joined", "size_of"]

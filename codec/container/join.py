@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from codec.container.layout import FILE_HEAD, SIZE, Entry, entry_of, file_end, record
-from codec.container.reader import SlodReader
-from codec.packet.info import PacketInfo
+from streamlod.codec.container.layout import FILE_HEAD, SIZE, Entry, entry_of, file_end, record
+from streamlod.codec.container.reader import SlodReader
+from streamlod.codec.packet.info import PacketInfo
 
 
 @dataclass(frozen=True, slots=True)

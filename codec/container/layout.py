@@ -7,9 +7,9 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from codec.packet.info import PacketInfo
-from codec.packet.packet import PacketKind
-from core.errors import BitstreamError
+from streamlod.codec.packet.info import PacketInfo
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.errors import BitstreamError
 
 FILE_MAGIC = b"SLOD"
 FILE_VERSION = 1

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
-from codec.container.layout import (
+from streamlod.codec.container.layout import (
     FILE_HEAD,
     FOOTER,
     FOOTER_MAGIC,
@@ -22,10 +22,10 @@ from codec.container.layout import (
     entries_in,
     entry_of,
 )
-from codec.packet.info import peek
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from codec.packet.packet import PacketKind
-from core.errors import BitstreamError, InputError
+from streamlod.codec.packet.info import peek
+from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.errors import BitstreamError, InputError
 
 
 class SlodReader:

@@ -6,10 +6,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from codec.container.layout import FILE_HEAD, SIZE, Entry, entry_of, file_end, record
-from codec.container.reader import SlodReader
-from codec.packet.info import peek
-from core.files import put_in_place, temporary_beside
+from streamlod.codec.container.layout import FILE_HEAD, SIZE, Entry, entry_of, file_end, record
+from streamlod.codec.container.reader import SlodReader
+from streamlod.codec.packet.info import peek
+from streamlod.core.files import put_in_place, temporary_beside
 
 
 class SlodWriter:

@@ -5,9 +5,9 @@ ply.py    the layout of the original 3D Gaussian splatting code
 spz.py    the compressed format SPZ, version 3
 """
 
-from codec.export.bake import bake
-from codec.export.files import FORMATS, write_snapshot
-from codec.export.ply import encode_ply
-from codec.export.spz import encode_spz
+from streamlod.codec.export.bake import bake
+from streamlod.codec.export.files import FORMATS, write_snapshot
+from streamlod.codec.export.ply import encode_ply
+from streamlod.codec.export.spz import encode_spz
 
 __all__ = ["FORMATS", "bake", "encode_ply", "encode_spz", "write_snapshot"]

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.arrays import Float32, Float64
-from core.scene.anchors import Scene
-from core.scene.expand import expand_slots, visible
-from core.scene.gaussians import GaussianCloud, concatenate
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand_slots, visible
+from streamlod.core.scene.gaussians import GaussianCloud, concatenate
 
 
 def bake(scene: Scene, viewpoints: Float64) -> GaussianCloud:

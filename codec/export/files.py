@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from codec.export.ply import encode_ply
-from codec.export.spz import encode_spz
-from core.errors import InputError
-from core.files import write_bytes
-from core.scene.gaussians import GaussianCloud
+from streamlod.codec.export.ply import encode_ply
+from streamlod.codec.export.spz import encode_spz
+from streamlod.core.errors import InputError
+from streamlod.core.files import write_bytes
+from streamlod.core.scene.gaussians import GaussianCloud
 
 FORMATS = ("ply", "spz")
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.arrays import Float32
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float32
+from streamlod.core.scene.gaussians import GaussianCloud
 
 SH_C0 = 0.28209479177387814  # Y_00, so that colour = 0.5 + SH_C0 * f_dc
 _PROPERTIES = (

@@ -11,9 +11,9 @@ import struct
 
 import numpy as np
 
-from codec.export.ply import SH_C0, unit_quaternions
-from core.arrays import Float32, Float64, UInt8
-from core.scene.gaussians import GaussianCloud
+from streamlod.codec.export.ply import SH_C0, unit_quaternions
+from streamlod.core.arrays import Float32, Float64, UInt8
+from streamlod.core.scene.gaussians import GaussianCloud
 
 _MAGIC = 0x5053474E  # "NGSP"
 _VERSION = 3

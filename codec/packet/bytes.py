@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 import zlib
 
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from codec.packet.packet import Chunk, Packet, PacketKind
-from codec.packet.rules import check_directory, check_fields
-from core.errors import BitstreamError
+from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from streamlod.codec.packet.packet import Chunk, Packet, PacketKind
+from streamlod.codec.packet.rules import check_directory, check_fields
+from streamlod.core.errors import BitstreamError
 
 MAGIC = b"SLPK"
 FORMAT_VERSION = 1

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from codec.packet.bytes import ENTRY, HEADER_BYTES, parse
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketHeader
+from streamlod.codec.packet.bytes import ENTRY, HEADER_BYTES, parse
+from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from streamlod.codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketHeader
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from codec.packet.bytes import build, parse
-from codec.packet.packet import Packet
+from streamlod.codec.packet.bytes import build, parse
+from streamlod.codec.packet.packet import Packet
 
 
 def select_levels(packet: bytes, mask: int) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from core.errors import BitstreamError
+from streamlod.core.errors import BitstreamError
 
 MAX_NUMBERS_A_BYTE = 64  # part of the format, not of one decoder: rows x columns of a table, for each byte of its level
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 
-from codec.packet.packet import FIRST_EXTENSION, MAX_LEVELS, SCENE_CHUNKS, ChunkKind, PacketKind
-from core.errors import BitstreamError
+from streamlod.codec.packet.packet import FIRST_EXTENSION, MAX_LEVELS, SCENE_CHUNKS, ChunkKind, PacketKind
+from streamlod.core.errors import BitstreamError
 
 _KEY_CHUNKS = frozenset({ChunkKind.HEADER, ChunkKind.WEIGHTS, ChunkKind.GEOMETRY, ChunkKind.BASE, ChunkKind.HASH})
 _RESIDUAL_CHUNKS = frozenset({ChunkKind.CHANGE, ChunkKind.REMOVED, ChunkKind.ADDED, ChunkKind.HASH})

@@ -10,10 +10,10 @@ A reader returns a `RawRecording`: cameras as calibrated, raw pictures. `open_da
 selects cameras, undoes lens distortion and scales down.
 """
 
-from core.data.dataset import Dataset
-from core.data.open import LAYOUTS, open_dataset
-from core.data.prefetch import prefetch
-from core.data.splits import Split, linspace_split, read_split
+from streamlod.core.data.dataset import Dataset
+from streamlod.core.data.open import LAYOUTS, open_dataset
+from streamlod.core.data.prefetch import prefetch
+from streamlod.core.data.splits import Split, linspace_split, read_split
 
 __all__ = [
     "LAYOUTS",

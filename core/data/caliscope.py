@@ -20,16 +20,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from core.arrays import UInt8
-from core.camera import Camera
-from core.data.colmap.reader import fitted
-from core.data.dataset import RawRecording
-from core.data.files import blaming, numbers, read_text
-from core.data.lens import opencv_camera
-from core.data.names import in_numeric_order
-from core.data.sources import read_exactly
-from core.data.video import VideoInfo, probe_video
-from core.errors import InputError
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data.colmap.reader import fitted
+from streamlod.core.data.dataset import RawRecording
+from streamlod.core.data.files import blaming, numbers, read_text
+from streamlod.core.data.lens import opencv_camera
+from streamlod.core.data.names import in_numeric_order
+from streamlod.core.data.sources import read_exactly
+from streamlod.core.data.video import VideoInfo, probe_video
+from streamlod.core.errors import InputError
 
 FILE = "camera_array.toml"
 TIMES = "timestamps.csv"

@@ -12,12 +12,12 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import UInt8
-from core.camera import Camera
-from core.data.lens import Development, development
-from core.data.names import listed
-from core.errors import InputError
-from core.frames import FrameSet, PointCloud
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data.lens import Development, development
+from streamlod.core.data.names import listed
+from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet, PointCloud
 
 MAX_DOWNSCALE = 64
 FPS_OF_PICTURES = 30.0  # folders of pictures do not say their rate

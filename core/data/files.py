@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float64
-from core.errors import InputError
+from streamlod.core.arrays import Float64
+from streamlod.core.errors import InputError
 
 MAX_TEXT_BYTES = 256 << 20
 

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float64, UInt8
-from core.camera import Camera
-from core.errors import InputError
+from streamlod.core.arrays import Float64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
 
 _BORDER_SAMPLES = 65
 _MAX_ZOOM = 4.0  # a lens that needs more than this to fill a picture is not described by five coefficients

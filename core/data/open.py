@@ -6,13 +6,13 @@ import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from core.data import caliscope, transforms
-from core.data.caliscope import read_caliscope
-from core.data.colmap.reader import is_colmap, read_colmap
-from core.data.dataset import Dataset, RawRecording, dataset
-from core.data.transforms import read_transforms
-from core.data.video_folder import read_video_folder, video_files
-from core.errors import InputError
+from streamlod.core.data import caliscope, transforms
+from streamlod.core.data.caliscope import read_caliscope
+from streamlod.core.data.colmap.reader import is_colmap, read_colmap
+from streamlod.core.data.dataset import Dataset, RawRecording, dataset
+from streamlod.core.data.transforms import read_transforms
+from streamlod.core.data.video_folder import read_video_folder, video_files
+from streamlod.core.errors import InputError
 
 _log = logging.getLogger(__name__)
 

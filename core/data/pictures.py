@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from core.arrays import UInt8
-from core.data.announced import AnnouncedPicture, announced_picture
-from core.data.files import read_bytes
-from core.errors import InputError
+from streamlod.core.arrays import UInt8
+from streamlod.core.data.announced import AnnouncedPicture, announced_picture
+from streamlod.core.data.files import read_bytes
+from streamlod.core.errors import InputError
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 MAX_SIDE = 16384

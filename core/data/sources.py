@@ -6,11 +6,11 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from core.arrays import UInt8
-from core.data.dataset import FPS_OF_PICTURES
-from core.data.pictures import read_picture
-from core.data.video import VideoInfo, probe_video, read_video
-from core.errors import InputError
+from streamlod.core.arrays import UInt8
+from streamlod.core.data.dataset import FPS_OF_PICTURES
+from streamlod.core.data.pictures import read_picture
+from streamlod.core.data.video import VideoInfo, probe_video, read_video
+from streamlod.core.errors import InputError
 
 _FPS_TOLERANCE = 0.01
 

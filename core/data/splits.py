@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from core.data.files import read_json
-from core.data.names import in_numeric_order, listed
-from core.errors import InputError
+from streamlod.core.data.files import read_json
+from streamlod.core.data.names import in_numeric_order, listed
+from streamlod.core.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)

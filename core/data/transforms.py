@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float64
-from core.camera import Camera
-from core.data.colmap.reader import fitted
-from core.data.dataset import RawRecording, Source
-from core.data.files import blaming, number, numbers, read_json
-from core.data.names import listed, numeric_key
-from core.data.pictures import SUFFIXES as PICTURE_SUFFIXES
-from core.data.pictures import picture_size
-from core.data.sources import Pictures, videos
-from core.data.video import SUFFIXES as VIDEO_SUFFIXES
-from core.errors import InputError
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera
+from streamlod.core.data.colmap.reader import fitted
+from streamlod.core.data.dataset import RawRecording, Source
+from streamlod.core.data.files import blaming, number, numbers, read_json
+from streamlod.core.data.names import listed, numeric_key
+from streamlod.core.data.pictures import SUFFIXES as PICTURE_SUFFIXES
+from streamlod.core.data.pictures import picture_size
+from streamlod.core.data.sources import Pictures, videos
+from streamlod.core.data.video import SUFFIXES as VIDEO_SUFFIXES
+from streamlod.core.errors import InputError
 
 FILE = "transforms.json"
 MAX_FRAMES = 4096

@@ -11,9 +11,9 @@ import av
 import av.container
 import numpy as np
 
-from core.arrays import UInt8
-from core.data.pictures import MAX_SIDE
-from core.errors import InputError
+from streamlod.core.arrays import UInt8
+from streamlod.core.data.pictures import MAX_SIDE
+from streamlod.core.errors import InputError
 
 SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
 

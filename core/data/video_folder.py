@@ -21,16 +21,16 @@ from pathlib import Path
 
 import numpy as np
 
-from core.arrays import Float64
-from core.camera import Camera
-from core.data.colmap.model import find_model, read_model, read_points
-from core.data.colmap.reader import fitted
-from core.data.dataset import RawRecording
-from core.data.files import blaming, number, read_array, read_json
-from core.data.names import files_in, listed
-from core.data.sources import videos
-from core.data.video import SUFFIXES
-from core.errors import InputError
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera
+from streamlod.core.data.colmap.model import find_model, read_model, read_points
+from streamlod.core.data.colmap.reader import fitted
+from streamlod.core.data.dataset import RawRecording
+from streamlod.core.data.files import blaming, number, read_array, read_json
+from streamlod.core.data.names import files_in, listed
+from streamlod.core.data.sources import videos
+from streamlod.core.data.video import SUFFIXES
+from streamlod.core.errors import InputError
 
 PATTERNS = {"n3dv": re.compile(r"cam\d+"), "meetroom": re.compile(r"cam_\d+")}
 _MAX_NUMBER = 1e12

@@ -5,7 +5,7 @@ of an optional package, or, as a last resort, random points. A method is a froze
 (`method`); a new one is a module in `methods` that names it. A file of points (`points_file`) will do as well.
 """
 
-from core.initialise.first import METHODS, first_points
-from core.initialise.points_file import read_points
+from streamlod.core.initialise.first import METHODS, first_points
+from streamlod.core.initialise.points_file import read_points
 
 __all__ = ["METHODS", "first_points", "read_points"]

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from core.camera import Camera
-from core.errors import InputError
-from core.initialise.consistency import Trust, trusted
-from core.initialise.equalise import with_equal_means
-from core.initialise.sweep import DepthMap, sweep_views
-from core.initialise.views import WorkingViews, inside, project, unproject
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
+from streamlod.core.initialise.consistency import Trust, trusted
+from streamlod.core.initialise.equalise import with_equal_means
+from streamlod.core.initialise.sweep import DepthMap, sweep_views
+from streamlod.core.initialise.views import WorkingViews, inside, project, unproject
 
 COARSE_HEIGHT, COARSE_PLANES = 120, 96
 _COARSE = Trust(tolerance=0.05, cost_by_one=0.6)

@@ -15,10 +15,10 @@ from scipy.ndimage import minimum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from core.arrays import Bool, Float32, Float64, Int64
-from core.frames import PointCloud
-from core.initialise.sweep import DepthMap
-from core.initialise.views import WorkingViews, inside, project
+from streamlod.core.arrays import Bool, Float32, Float64, Int64
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.views import WorkingViews, inside, project
 
 MAX_POINTS = 200_000  # that a cloud keeps: far more than a first frame has anchors
 _MANY_VIEWS = 9  # from so many views on, two must agree

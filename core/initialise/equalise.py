@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Float64
-from core.initialise.consistency import Trust, trusted
-from core.initialise.sweep import DepthMap
-from core.initialise.views import WorkingViews, inside, project
+from streamlod.core.arrays import Float64
+from streamlod.core.initialise.consistency import Trust, trusted
+from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.views import WorkingViews, inside, project
 
 _DARKEST, _BRIGHTEST = 0.05, 0.95  # colours between these say something about a gain
 _COARSE = Trust(cost_by_one=0.6)  # exposures differ as yet, which costs

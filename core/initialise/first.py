@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from core.camera import Camera
-from core.errors import InputError, ModelError
-from core.frames import FrameSet, PointCloud
-from core.initialise.method import Method, PointSources
-from core.initialise.methods import known_methods
-from core.initialise.points_file import SUFFIXES, read_points
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError, ModelError
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.initialise.method import Method, PointSources
+from streamlod.core.initialise.methods import known_methods
+from streamlod.core.initialise.points_file import SUFFIXES, read_points
 
 _KNOWN = known_methods()
 METHODS = tuple(_KNOWN)

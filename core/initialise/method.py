@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from core.camera import Camera
-from core.errors import InputError
-from core.frames import FrameSet, PointCloud
-from core.initialise.bounds import estimate_bounds
-from core.initialise.views import WorkingViews, working_views
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.initialise.bounds import estimate_bounds
+from streamlod.core.initialise.views import WorkingViews, working_views
 
 
 @dataclass(frozen=True, slots=True, eq=False)

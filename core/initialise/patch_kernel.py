@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from core.arrays import Float32, Float64
+from streamlod.core.arrays import Float32, Float64
 
 RADIUS, STRIDE = 4, 2  # a window of 9x9 pixels, of which every second one is looked at: 25 samples
 SAMPLES = (2 * RADIUS // STRIDE + 1) ** 2

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32, Float64
-from core.camera import Camera
-from core.initialise.patch_kernel import SAMPLES, UNSEEN, Pairs, improve, plane_costs, window_weights
-from core.initialise.sweep import DepthMap, neighbours, pair_geometry
-from core.initialise.views import WorkingViews, pixel_centres
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.initialise.patch_kernel import SAMPLES, UNSEEN, Pairs, improve, plane_costs, window_weights
+from streamlod.core.initialise.sweep import DepthMap, neighbours, pair_geometry
+from streamlod.core.initialise.views import WorkingViews, pixel_centres
 
 _CHANGE = 0.1  # of the depth, tried in the first pass; half of it in each pass after it
 _COUNTED = 2  # sources whose costs are averaged (patch_kernel.py)

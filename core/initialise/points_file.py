@@ -12,9 +12,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32
-from core.errors import InputError
-from core.frames import PointCloud
+from streamlod.core.arrays import Float32
+from streamlod.core.errors import InputError
+from streamlod.core.frames import PointCloud
 
 SUFFIXES = (".ply", ".npz")
 MAX_POINTS = 20_000_000

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from core.arrays import Float32, Float64
-from core.camera import Camera
-from core.errors import InputError
-from core.frames import PointCloud
-from core.initialise.consistency import consistent_points
-from core.initialise.sweep import DepthMap
-from core.initialise.views import WorkingViews, inside, pixel_centres
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.consistency import consistent_points
+from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres
 
 _PATCH = 14  # DINOv2, which VGGT and Depth Anything 3 begin with, takes pictures whose sides are multiples of this
 _DOUBTFUL = 0.2  # the fraction of pixels, those of least confidence, that is not used

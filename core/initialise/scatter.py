@@ -6,10 +6,10 @@ import logging
 
 import numpy as np
 
-from core.arrays import Bool, Float32, Float64
-from core.errors import ModelError
-from core.frames import PointCloud
-from core.initialise.views import WorkingViews, inside, project, unproject
+from streamlod.core.arrays import Bool, Float32, Float64
+from streamlod.core.errors import ModelError
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.views import WorkingViews, inside, project, unproject
 
 _COUNT = 8000
 _ATTEMPTS = 20

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32, Float64
-from core.camera import Camera
-from core.initialise.sweep_kernel import best_planes, cost_volume
-from core.initialise.views import WorkingViews, pixel_centres, unproject
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.initialise.sweep_kernel import best_planes, cost_volume
+from streamlod.core.initialise.views import WorkingViews, pixel_centres, unproject
 
 _NEIGHBOURS, _BEST = 4, 2
 _PARALLAX = 1.0  # pixels between neighbouring planes, as the second nearest view sees them

@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from core.arrays import Float32, Float64, Int64
+from streamlod.core.arrays import Float32, Float64, Int64
 
 HALF = 2  # half a window: 5x5 pixels
 _SPAN = 2 * HALF + 1

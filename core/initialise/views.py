@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from core.arrays import Bool, Float32, Float64
-from core.camera import Camera
-from core.errors import InputError
-from core.frames import FrameSet
+from streamlod.core.arrays import Bool, Float32, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d, max_pool2d, relu
 
-from core.arrays import Float32, UInt8
-from core.metrics.lpips_weights import MIN_SIDE, Net, find_weights
-from core.metrics.pictures import unit_pair
+from streamlod.core.arrays import Float32, UInt8
+from streamlod.core.metrics.lpips_weights import MIN_SIDE, Net, find_weights
+from streamlod.core.metrics.pictures import unit_pair
 
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)

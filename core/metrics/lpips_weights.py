@@ -17,8 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from core.arrays import Float32
-from core.errors import BackendUnavailable, InputError
+from streamlod.core.arrays import Float32
+from streamlod.core.errors import BackendUnavailable, InputError
 
 Net = Literal["alex", "vgg"]
 MIN_SIDE = 32  # pixels of a picture; below, AlexNet's last feature map is empty

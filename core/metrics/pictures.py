@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from core.arrays import Float32, Float64, UInt8
+from streamlod.core.arrays import Float32, Float64, UInt8
 
 MAX_PSNR = 100.0  # dB: equal pictures would have infinity, which no mean and no JSON file can hold
 Distance = Callable[[UInt8, UInt8], float]  # of a picture to the truth, such as LPIPS

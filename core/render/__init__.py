@@ -14,15 +14,19 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from core.render.backends import Backend, select
+from streamlod.core.render.backends import Backend, select
 
 if TYPE_CHECKING:
-    from core.render.differentiable import rasterise
-    from core.render.raster import Probe, Raster
+    from streamlod.core.render.differentiable import rasterise
+    from streamlod.core.render.raster import Probe, Raster
 
 __all__ = ["Backend", "Probe", "Raster", "rasterise", "select"]
 
-_LAZY = {"Probe": "core.render.raster", "Raster": "core.render.raster", "rasterise": "core.render.differentiable"}
+_LAZY = {
+    "Probe": "streamlod.core.render.raster",
+    "Raster": "streamlod.core.render.raster",
+    "rasterise": "streamlod.core.render.differentiable",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,7 @@ import shutil
 from pathlib import Path
 from typing import Literal
 
-from core.errors import BackendUnavailable
+from streamlod.core.errors import BackendUnavailable
 
 Backend = Literal["cpu", "cuda", "reference"]
 _REMEDY = "choose the device cpu"

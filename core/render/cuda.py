@@ -12,12 +12,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.errors import BackendUnavailable
-from core.render.backends import cuda_fault
-from core.render.raster import Probe, Raster
-from core.render.sound import device_camera, sound
-from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
+from streamlod.core.camera import Camera
+from streamlod.core.errors import BackendUnavailable
+from streamlod.core.render.backends import cuda_fault
+from streamlod.core.render.raster import Probe, Raster
+from streamlod.core.render.sound import device_camera, sound
+from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
 _RULES = {"near_plane": 0.01, "far_plane": 1e10, "eps2d": 0.1, "rasterize_mode": "classic", "packed": True}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from core.camera import Camera
-from core.errors import InputError
-from core.render.backends import Backend
-from core.render.raster import Raster
-from core.render.tiles import tile_grid
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.raster import Raster
+from streamlod.core.render.tiles import tile_grid
 
 
 def rasterise(
@@ -57,14 +57,14 @@ def rasterise(
     arguments = (means, quaternions, scales, opacities, colours, camera, background, gradient_rows, tile_mask, base)
     # Imported when used: numba takes 0.3 s, gsplat may compile for minutes.
     if backend == "cpu":
-        from core.render.cpu.autograd import rasterise_cpu
+        from streamlod.core.render.cpu.autograd import rasterise_cpu
 
         return rasterise_cpu(*arguments)
     if backend == "cuda":
-        from core.render.cuda import rasterise_cuda
+        from streamlod.core.render.cuda import rasterise_cuda
 
         return rasterise_cuda(*arguments)
-    from core.render.reference import rasterise_reference
+    from streamlod.core.render.reference import rasterise_reference
 
     return rasterise_reference(*arguments)
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.arrays import Float32, Float64
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.scene.gaussians import GaussianCloud
 
 MIN_OPACITY = 0.2
 MIN_DEPTH = 0.02  # world units

@@ -8,9 +8,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.render.raster import Probe, Raster
-from core.render.tiles import TILE_HEIGHT, TILE_WIDTH
+from streamlod.core.camera import Camera
+from streamlod.core.render.raster import Probe, Raster
+from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.999
 OPACITY_MAX = 2.0

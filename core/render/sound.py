@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float64
-from core.camera import Camera
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera
 
 _OPACITY_MAX = 2.0
 _MAX_PARAMETER = 1e15  # of a parameter; the picture's arithmetic overflows some way beyond

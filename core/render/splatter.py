@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32, Int64, UInt8
-from core.camera import Camera
-from core.render.cpu import render
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.expand import expand, expand_slots, visible, without_near
-from core.scene.gaussians import GaussianCloud, concatenate
+from streamlod.core.arrays import Float32, Int64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.expand import expand, expand_slots, visible, without_near
+from streamlod.core.scene.gaussians import GaussianCloud, concatenate
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Bool, Float32, Int16, Int32, check_array
-from core.camera import Camera
-from core.scene.octree import Octree
+from streamlod.core.arrays import Bool, Float32, Int16, Int32, check_array
+from streamlod.core.camera import Camera
+from streamlod.core.scene.octree import Octree
 
 FEATURE_LATENTS = 12  # paper section V-A: latent size 12 for features and for offsets
 OFFSET_LATENTS = 12

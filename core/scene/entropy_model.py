@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32, Int64
+from streamlod.core.arrays import Float32, Int64
 
 BINS = 31
 UNIT_BIN = 24  # bin of expected magnitude 1

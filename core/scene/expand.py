@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Bool, Float32, Float64, Int64
-from core.camera import Camera
-from core.scene.anchors import FEATURE_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
-from core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud, concatenate
-from core.scene.octree import level_for_distance
+from streamlod.core.arrays import Bool, Float32, Float64, Int64
+from streamlod.core.camera import Camera
+from streamlod.core.scene.anchors import FEATURE_LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from streamlod.core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud, concatenate
+from streamlod.core.scene.octree import level_for_distance
 
 EXTRA_LEVEL_UNIT = 1 / 64
 NEAR_SHARE = 0.15  # of the distance to the nearest camera: what is nearer to a viewer than this is not drawn

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32, check_array
+from streamlod.core.arrays import Float32, check_array
 
 MAX_LOG_SCALE = 20.0  # of an anchor's size: exp stays finite in float32 whatever the bitstream says
 

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Float32, Float64
-from core.scene.anchors import AnchorLevel, Scene, append_rows
-from core.scene.expand import expand_slots, visible, without_near
-from core.scene.gaussians import GaussianCloud, concatenate
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.scene.anchors import AnchorLevel, Scene, append_rows
+from streamlod.core.scene.expand import expand_slots, visible, without_near
+from streamlod.core.scene.gaussians import GaussianCloud, concatenate
 
 
 def can_interpolate(before: Scene, after: Scene) -> bool:

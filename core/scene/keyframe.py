@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32, Int16, Int64
-from core.scene.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader, identify
-from core.scene.expand import dequantise
-from core.scene.octree import morton_key
-from core.scene.quantise import trailing_zeros
+from streamlod.core.arrays import Float32, Int16, Int64
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader, identify
+from streamlod.core.scene.expand import dequantise
+from streamlod.core.scene.octree import morton_key
+from streamlod.core.scene.quantise import trailing_zeros
 
 _INT16 = np.iinfo(np.int16)
 _COARSEST = 7  # exponent of two; coarser rows count as this

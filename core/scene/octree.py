@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32, Float64, Int32, Int64, check_array
+from streamlod.core.arrays import Float32, Float64, Int32, Int64, check_array
 
 MAX_LEVELS = 16
 _MOTION_LEVELS = 3  # the level whose cells measure motion, counted from the finest one

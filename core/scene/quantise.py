@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Int16, Int32, Int64
+from streamlod.core.arrays import Int16, Int32, Int64
 
 DEFAULT_OFFSET = 0.34  # measured: docs/bitstream.md; 0.5 would be plain rounding
 

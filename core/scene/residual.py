@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Int16, Int32, Int64, check_array
-from core.scene.anchors import LATENTS, AnchorLevel, Scene, append_rows
+from streamlod.core.arrays import Int16, Int32, Int64, check_array
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, Scene, append_rows
 
 _INT16, _INT32 = np.iinfo(np.int16), np.iinfo(np.int32)
 

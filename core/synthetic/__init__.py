@@ -5,8 +5,8 @@ and things that move (`movers`). Compiled `casting`, `lighting` and `textures` m
 (`render`), offered as a data set or as files (`clip`).
 """
 
-from core.synthetic.clip import open_synthetic, read_spec, write_clip
-from core.synthetic.render import (
+from streamlod.core.synthetic.clip import open_synthetic, read_spec, write_clip
+from streamlod.core.synthetic.render import (
     GroundTruth,
     is_dynamic,
     moving_surface,
@@ -14,7 +14,7 @@ from core.synthetic.render import (
     render_image,
     surface_motion,
 )
-from core.synthetic.spec import SyntheticSpec, cameras
+from streamlod.core.synthetic.spec import SyntheticSpec, cameras
 
 __all__ = [
     "GroundTruth",

@@ -10,8 +10,8 @@ import math
 import numba
 import numpy as np
 
-from core.arrays import Float64, Int32
-from core.synthetic.shapes import (
+from streamlod.core.arrays import Float64, Int32
+from streamlod.core.synthetic.shapes import (
     BOX,
     CAPSULE,
     CYLINDER,

@@ -16,13 +16,13 @@ from typing import Any
 import av
 import numpy as np
 
-from core.arrays import Float64, UInt8
-from core.camera import Camera
-from core.data.dataset import Dataset, RawRecording, dataset
-from core.data.files import read_json
-from core.errors import InputError
-from core.synthetic.render import depth_bounds, render_frame, render_image
-from core.synthetic.spec import SyntheticSpec, cameras, exposures
+from streamlod.core.arrays import Float64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data.dataset import Dataset, RawRecording, dataset
+from streamlod.core.data.files import read_json
+from streamlod.core.errors import InputError
+from streamlod.core.synthetic.render import depth_bounds, render_frame, render_image
+from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
 
 _QUALITY = "16"  # constant rate factor of H.264: artefacts stay below the camera noise
 _SPEC = Path("ground_truth") / "spec.json"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float64
-from core.synthetic.parts import Part, Vector
-from core.synthetic.shapes import Lamps
+from streamlod.core.arrays import Float64
+from streamlod.core.synthetic.parts import Part, Vector
+from streamlod.core.synthetic.shapes import Lamps
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ import math
 import numba
 import numpy as np
 
-from core.arrays import Bool, Float64, Int32, Int64
-from core.synthetic.shapes import (
+from streamlod.core.arrays import Bool, Float64, Int32, Int64
+from streamlod.core.synthetic.shapes import (
     CAPSULE,
     CYLINDER,
     ELLIPSOID,

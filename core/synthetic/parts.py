@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.arrays import Float64, Int32
-from core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, SKY, Lamps, SolidParts
-from core.synthetic.textures import GLOW, PLAIN, SCREEN, VIEW
+from streamlod.core.arrays import Float64, Int32
+from streamlod.core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM, SKY, Lamps, SolidParts
+from streamlod.core.synthetic.textures import GLOW, PLAIN, SCREEN, VIEW
 
 Vector = tuple[float, float, float]
 _IDENTITY = np.eye(3)

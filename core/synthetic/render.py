@@ -12,15 +12,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
-from core.camera import Camera
-from core.synthetic.casting import balls_round, cast, cones_round
-from core.synthetic.kind import Kind
-from core.synthetic.lighting import AIR, distances, light, touched
-from core.synthetic.parts import SceneArrays, assemble
-from core.synthetic.shapes import FAR
-from core.synthetic.spec import SyntheticSpec, cameras, exposures
-from core.synthetic.textures import paint
+from streamlod.core.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.synthetic.casting import balls_round, cast, cones_round
+from streamlod.core.synthetic.kind import Kind
+from streamlod.core.synthetic.lighting import AIR, distances, light, touched
+from streamlod.core.synthetic.parts import SceneArrays, assemble
+from streamlod.core.synthetic.shapes import FAR
+from streamlod.core.synthetic.spec import SyntheticSpec, cameras, exposures
+from streamlod.core.synthetic.textures import paint
 
 _T = TypeVar("_T", bound=np.generic)
 _SPAN = 32  # neighbouring pixels that are rendered again together, or not

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numba
 
-from core.arrays import Bool, Float64, Int32
+from streamlod.core.arrays import Bool, Float64, Int32
 
 ROOM, BOX, ELLIPSOID, CAPSULE, CYLINDER, SKY = 0, 1, 2, 3, 4, 5
 PACKET = 128  # neighbouring rays that share one list of candidate parts

@@ -8,11 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from core.arrays import Float64
-from core.camera import Camera, look_at, pinhole
-from core.errors import InputError
-from core.synthetic.kind import CameraArc, Kind
-from core.synthetic.kinds import KINDS
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.errors import InputError
+from streamlod.core.synthetic.kind import CameraArc, Kind
+from streamlod.core.synthetic.kinds import KINDS
 
 _MAX_PIXELS = 4096 * 4096
 

@@ -9,8 +9,8 @@ import math
 
 import numba
 
-from core.arrays import Float64, Int32
-from core.synthetic.noise import Colour, fbm, line, mix, scale, scatter, step
+from streamlod.core.arrays import Float64, Int32
+from streamlod.core.synthetic.noise import Colour, fbm, line, mix, scale, scatter, step
 
 PLAIN, WOOD, PLANKS, BRICK, WALLPAPER, RUG, POSTER, BOOKS = 0, 1, 2, 3, 4, 5, 6, 7
 FABRIC, BEACH_BALL, GLOBE, FACE, SHIRT, LEAF, GLOW, VIEW, CHECKER, FUR, WALLS = 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from core.train.setting import given, octree_gs, reading, setting
+from streamlod.core.train.setting import given, octree_gs, reading, setting
 
 LevelSelection = Literal["all", "distance"]
 Heads = Literal["shared", "separate"]

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from core.arrays import Bool
-from core.scene.anchors import Scene
-from core.scene.residual import Residual
+from streamlod.core.arrays import Bool
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import Residual
 
 
 @dataclass(frozen=True, slots=True)

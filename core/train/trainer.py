@@ -10,40 +10,40 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.errors import ModelError
-from core.frames import FrameSet, PointCloud
-from core.render import backends, select
-from core.scene.anchors import LATENTS, Scene
-from core.scene.keyframe import as_keyframe
-from core.scene.residual import apply
-from core.train.config import PredictConfig, TrainConfig
-from core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
-from core.train.control.rate_control import RateControl, RatePlan
-from core.train.field.convert import scene_of
-from core.train.field.exposure import fitted, neutral
-from core.train.field.field import Field
-from core.train.field.rendered import rendered
-from core.train.field.rounding import Precision
-from core.train.growth.later import AnchorAllowance, later_growth
-from core.train.growth.near_space import near_space
-from core.train.keyframe.seeding import seed_field
-from core.train.keyframe.trainer import KeyframeTrainer
-from core.train.motion.cues import MotionCue, cue_of
-from core.train.motion.partition import Observation, Partition, change_masks
-from core.train.motion.steady import moves_steadily
-from core.train.optimise.loop import run_steps
-from core.train.optimise.optimisers import optimiser
-from core.train.pictures.uploading import Uploader
-from core.train.pictures.views import Views
-from core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
-from core.train.refresh.config import refresh_config
-from core.train.refresh.pending import PendingRefresh
-from core.train.residual.references import as_filmed, renewed_references
-from core.train.residual.search import guessed_positions
-from core.train.residual.state import State, fresh_state
-from core.train.residual.trainer import ResidualTrainer
-from core.train.residual.update import no_update, residual_of, strongest_changes
+from streamlod.core.camera import Camera
+from streamlod.core.errors import ModelError
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.render import backends, select
+from streamlod.core.scene.anchors import LATENTS, Scene
+from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.core.scene.residual import apply
+from streamlod.core.train.config import PredictConfig, TrainConfig
+from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
+from streamlod.core.train.control.rate_control import RateControl, RatePlan
+from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.field.exposure import fitted, neutral
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rendered import rendered
+from streamlod.core.train.field.rounding import Precision
+from streamlod.core.train.growth.later import AnchorAllowance, later_growth
+from streamlod.core.train.growth.near_space import near_space
+from streamlod.core.train.keyframe.seeding import seed_field
+from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.motion.cues import MotionCue, cue_of
+from streamlod.core.train.motion.partition import Observation, Partition, change_masks
+from streamlod.core.train.motion.steady import moves_steadily
+from streamlod.core.train.optimise.loop import run_steps
+from streamlod.core.train.optimise.optimisers import optimiser
+from streamlod.core.train.pictures.uploading import Uploader
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
+from streamlod.core.train.refresh.config import refresh_config
+from streamlod.core.train.refresh.pending import PendingRefresh
+from streamlod.core.train.residual.references import as_filmed, renewed_references
+from streamlod.core.train.residual.search import guessed_positions
+from streamlod.core.train.residual.state import State, fresh_state
+from streamlod.core.train.residual.trainer import ResidualTrainer
+from streamlod.core.train.residual.update import no_update, residual_of, strongest_changes
 
 _REPORT_EVERY = 25
 _ALWAYS_ROOM = 0.25  # share of the most anchors that a scene may always grow to: it may have begun empty

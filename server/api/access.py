@@ -12,14 +12,14 @@ from fastapi import Depends, Request
 from starlette.requests import HTTPConnection
 from starlette.websockets import WebSocket
 
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from server.api.registry import Registry
-from server.auth.gate import Gate, Grant, Right
-from server.http.problems import Problem
-from server.http.site_policy import is_own_host
-from server.stream.stream import Stream
-from server.stream.worker_stream import WorkerStream
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.api.registry import Registry
+from streamlod.server.auth.gate import Gate, Grant, Right
+from streamlod.server.http.problems import Problem
+from streamlod.server.http.site_policy import is_own_host
+from streamlod.server.stream.stream import Stream
+from streamlod.server.stream.worker_stream import WorkerStream
 
 _SAFE = {"GET", "HEAD"}  # a foreign page may send them, but cannot read the answer
 RECHECK_SECONDS = 5.0  # between two looks at the token of a websocket

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 from fastapi import Depends, Header
 
-from server.api.access import StreamOf
-from server.http.problems import Problem
-from server.stream.stream import Stream
-from server.stream.worker_stream import WorkerStream
+from streamlod.server.api.access import StreamOf
+from streamlod.server.http.problems import Problem
+from streamlod.server.stream.stream import Stream
+from streamlod.server.stream.worker_stream import WorkerStream
 
 
 def tag_headers(stream: Stream) -> dict[str, str]:

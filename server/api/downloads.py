@@ -8,15 +8,15 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from codec.container import joined, size_of
-from core.errors import InputError, StreamlodError
-from server.api.access import StreamOf, need_download
-from server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
-from server.http.problems import PROBLEMS, Problem
-from server.protocol.packets import Position
-from server.stream.bus import GroupFile
-from server.stream.store import Segment
-from server.stream.stream import Stream
+from streamlod.codec.container import joined, size_of
+from streamlod.core.errors import InputError, StreamlodError
+from streamlod.server.api.access import StreamOf, need_download
+from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
+from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.protocol.packets import Position
+from streamlod.server.stream.bus import GroupFile
+from streamlod.server.stream.store import Segment
+from streamlod.server.stream.stream import Stream
 
 _PACKET_TYPE, _FILE_TYPE = "application/vnd.streamlod.packet", "application/vnd.streamlod"
 _MAX_NUMBER = 2**32 - 1

@@ -11,13 +11,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
-from core.errors import SessionError
-from server.api.access import grant_of, need, registry_of, until_withdrawn
-from server.api.registry import Registry
-from server.auth.gate import Grant, Right
-from server.http.head import is_head
-from server.http.problems import PROBLEMS, Problem
-from server.stream.feed import ServerEvent
+from streamlod.core.errors import SessionError
+from streamlod.server.api.access import grant_of, need, registry_of, until_withdrawn
+from streamlod.server.api.registry import Registry
+from streamlod.server.auth.gate import Grant, Right
+from streamlod.server.http.head import is_head
+from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.stream.feed import ServerEvent
 
 _TYPE = "text/event-stream"
 _HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}  # the latter for nginx

@@ -11,16 +11,16 @@ from fastapi import APIRouter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
 
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from server.api.access import address_of, admit, registry_of, until_withdrawn
-from server.api.registry import Registry
-from server.auth.gate import Right
-from server.http.websocket import CONNECTION, Connection
-from server.protocol.messages import SUBPROTOCOL, Hello, parse_control, parse_hello
-from server.protocol.packets import text_frame
-from server.viewer.session import ViewerSession
-from server.viewer.thin_session import ThinSession
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.api.access import address_of, admit, registry_of, until_withdrawn
+from streamlod.server.api.registry import Registry
+from streamlod.server.auth.gate import Right
+from streamlod.server.http.websocket import CONNECTION, Connection
+from streamlod.server.protocol.messages import SUBPROTOCOL, Hello, parse_control, parse_hello
+from streamlod.server.protocol.packets import text_frame
+from streamlod.server.viewer.session import ViewerSession
+from streamlod.server.viewer.thin_session import ThinSession
 
 _LOG = logging.getLogger(__name__)
 _MAX_REASON_BYTES = 123  # bytes, RFC 6455 section 5.5

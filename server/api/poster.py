@@ -13,15 +13,15 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
-from core.camera import Camera
-from core.render.splatter import Splatter
-from core.scene.anchors import Scene
-from server.api.access import StreamOf, need, refusal, registry_of
-from server.api.ranges import FRESH, Download, respond
-from server.auth.gate import Right
-from server.http.problems import PROBLEMS, Problem
-from server.stream.stream import Stream
-from server.viewer.renderer import Grade, PictureRenderer, RenderedPicture, fitted
+from streamlod.core.camera import Camera
+from streamlod.core.render.splatter import Splatter
+from streamlod.core.scene.anchors import Scene
+from streamlod.server.api.access import StreamOf, need, refusal, registry_of
+from streamlod.server.api.ranges import FRESH, Download, respond
+from streamlod.server.auth.gate import Right
+from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.stream.stream import Stream
+from streamlod.server.viewer.renderer import Grade, PictureRenderer, RenderedPicture, fitted
 
 MAX_POSTER_PIXELS = 640 * 480
 _GRADE = Grade(1, 80)

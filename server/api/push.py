@@ -6,14 +6,14 @@ import asyncio
 
 from starlette.websockets import WebSocket
 
-from core.close_codes import CloseCode
-from core.errors import InputError, SessionError
-from server.api.access import admit, until_withdrawn
-from server.auth.gate import Right
-from server.http.websocket import CONNECTION, Connection
-from server.ingest.push.message import MAX_MESSAGE_BYTES
-from server.ingest.push.relay import RelayedIntake
-from server.ingest.push.router import push_router
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import InputError, SessionError
+from streamlod.server.api.access import admit, until_withdrawn
+from streamlod.server.auth.gate import Right
+from streamlod.server.http.websocket import CONNECTION, Connection
+from streamlod.server.ingest.push.message import MAX_MESSAGE_BYTES
+from streamlod.server.ingest.push.relay import RelayedIntake
+from streamlod.server.ingest.push.router import push_router
 
 
 async def open_intake(websocket: WebSocket, stream_id: str) -> RelayedIntake:

@@ -13,11 +13,11 @@ from fastapi import Depends, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BeforeValidator
 
-from codec.container import FilePart, Piece, size_of
-from server.api.access import registry_of
-from server.http.head import is_head
-from server.http.problems import Problem
-from server.stream.time_range import TimeRange
+from streamlod.codec.container import FilePart, Piece, size_of
+from streamlod.server.api.access import registry_of
+from streamlod.server.http.head import is_head
+from streamlod.server.http.problems import Problem
+from streamlod.server.stream.time_range import TimeRange
 
 _CHUNK_BYTES = 1 << 20
 _RANGE = re.compile(r"bytes=(\d*)-(\d*)")

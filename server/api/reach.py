@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from core.errors import InputError
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _OPTIONS_IN_QUERY = ("tcp", "udp", "srt")  # whose addresses tell FFmpeg more than where to

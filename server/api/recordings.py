@@ -8,14 +8,14 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from server.api.access import grant_of, need, registry_of
-from server.api.downloads import group_files, recorded_file
-from server.api.ranges import WallClock, respond
-from server.api.registry import Registry
-from server.api.schemas import RecordingBody, RecordingList
-from server.auth.gate import Right
-from server.http.problems import PROBLEMS, Problem
-from server.stream.store import Recording, Segment
+from streamlod.server.api.access import grant_of, need, registry_of
+from streamlod.server.api.downloads import group_files, recorded_file
+from streamlod.server.api.ranges import WallClock, respond
+from streamlod.server.api.registry import Registry
+from streamlod.server.api.schemas import RecordingBody, RecordingList
+from streamlod.server.auth.gate import Right
+from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.stream.store import Recording, Segment
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"], responses=_ANSWERS)

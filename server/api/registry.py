@@ -10,21 +10,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from core.close_codes import CloseCode
-from core.errors import InputError, SessionError, StorageError
-from server.auth.gate import Gate
-from server.ingest.push.socket_folder import SocketFolder
-from server.pipeline.spec import StreamSpec, spec_from_json
-from server.settings import Settings
-from server.stream.bus import Outbox
-from server.stream.feed import Feed
-from server.stream.store import Recording, Store
-from server.stream.stream import Stream
-from server.stream.traces import Traces
-from server.stream.worker_stream import WorkerStream
-from server.viewer.renderer import PictureRenderer
-from server.viewer.session import ViewerSession
-from server.viewer.thin_session import ThinSession
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import InputError, SessionError, StorageError
+from streamlod.server.auth.gate import Gate
+from streamlod.server.ingest.push.socket_folder import SocketFolder
+from streamlod.server.pipeline.spec import StreamSpec, spec_from_json
+from streamlod.server.settings import Settings
+from streamlod.server.stream.bus import Outbox
+from streamlod.server.stream.feed import Feed
+from streamlod.server.stream.store import Recording, Store
+from streamlod.server.stream.stream import Stream
+from streamlod.server.stream.traces import Traces
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.viewer.renderer import PictureRenderer
+from streamlod.server.viewer.session import ViewerSession
+from streamlod.server.viewer.thin_session import ThinSession
 
 _LOG = logging.getLogger(__name__)
 _RETAIN_SECONDS = 30.0  # between two looks for what is too old

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from server.auth.links import MAX_LINK_SECONDS
+from streamlod.server.auth.links import MAX_LINK_SECONDS
 
 _STREAM_EXAMPLE: dict[str, Any] = {
     "id": "main", "name": "main", "incarnation": "9f86d081884c7d65", "source": "cameras", "loop": False,

@@ -7,12 +7,12 @@ from typing import Any
 
 from fastapi import APIRouter, Request
 
-from core.version import streamlod_version
-from server.api.access import need, registry_of
-from server.api.schemas import Capabilities, ServerBody
-from server.auth.gate import Right
-from server.http.problems import PROBLEMS
-from server.protocol.messages import PROTOCOL_VERSION
+from streamlod.core.version import streamlod_version
+from streamlod.server.api.access import need, registry_of
+from streamlod.server.api.schemas import Capabilities, ServerBody
+from streamlod.server.auth.gate import Right
+from streamlod.server.http.problems import PROBLEMS
+from streamlod.server.protocol.messages import PROTOCOL_VERSION
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 429)}
 router = APIRouter(tags=["server"], responses=_ANSWERS, dependencies=[need(Right.READ)])

@@ -11,22 +11,22 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
-from codec.container import SlodReader
-from core.errors import BitstreamError, InputError, StorageError
-from server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
-from server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
-from server.api.reach import check_reach
-from server.api.registry import Registry
-from server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
-from server.auth.gate import Right
-from server.http.problems import PROBLEMS, Problem
-from server.pipeline.new_stream import NewStream, StreamChange
-from server.pipeline.spec import StreamSpec
-from server.protocol.packets import Position
-from server.stream.bus import RetainedGroup
-from server.stream.sealing import masked
-from server.stream.stream import Stream
-from server.stream.worker_stream import WorkerStream
+from streamlod.codec.container import SlodReader
+from streamlod.core.errors import BitstreamError, InputError, StorageError
+from streamlod.server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
+from streamlod.server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
+from streamlod.server.api.reach import check_reach
+from streamlod.server.api.registry import Registry
+from streamlod.server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
+from streamlod.server.auth.gate import Right
+from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.pipeline.new_stream import NewStream, StreamChange
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.packets import Position
+from streamlod.server.stream.bus import RetainedGroup
+from streamlod.server.stream.sealing import masked
+from streamlod.server.stream.stream import Stream
+from streamlod.server.stream.worker_stream import WorkerStream
 
 _USUAL: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (400, 401, 403, 404, 415, 422, 429)}
 
@@ -262,7 +262,7 @@ def _check_source(spec: StreamSpec) -> None:
             return
     assert spec.job is not None
     if isinstance(spec.job.live, dict):
-        from server.ingest.cameras.definition import read_definition
+        from streamlod.server.ingest.cameras.definition import read_definition
 
         read_definition(spec.job.live)
     for name, path in (("data", spec.job.data), ("live", spec.job.live)):

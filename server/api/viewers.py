@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
 
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from server.api.access import StreamOf, need, registry_of
-from server.api.schemas import ViewerBody, ViewerList
-from server.auth.gate import Right
-from server.http.problems import PROBLEMS, Problem
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.api.access import StreamOf, need, registry_of
+from streamlod.server.api.schemas import ViewerBody, ViewerList
+from streamlod.server.auth.gate import Right
+from streamlod.server.http.problems import PROBLEMS, Problem
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
 router = APIRouter(

@@ -14,10 +14,10 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError
-from server.auth.keys import TokenKeys, is_address
-from server.auth.links import LinkSigner
-from server.settings import Settings
+from streamlod.core.errors import InputError
+from streamlod.server.auth.keys import TokenKeys, is_address
+from streamlod.server.auth.links import LinkSigner
+from streamlod.server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
 _MAX_ADDRESSES = 10_000

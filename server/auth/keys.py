@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from core.errors import InputError
-from server.settings import Settings
+from streamlod.core.errors import InputError
+from streamlod.server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
 _AUDIENCE = "streamlod"

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import urlencode
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 MAX_LINK_SECONDS = 7 * 24 * 3600
 _MIN_KEY_CHARACTERS = 32

@@ -1,5 +1,5 @@
-"""`python -m server.cli`."""
+"""`python -m streamlod.server.cli`."""
 
-from server.cli.main import main
+from streamlod.server.cli.main import main
 
 main()

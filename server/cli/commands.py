@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from core.errors import BackendUnavailable, InputError
-from core.files import write_text
-from server.pipeline.trace import chrome_trace
+from streamlod.core.errors import BackendUnavailable, InputError
+from streamlod.core.files import write_text
+from streamlod.server.pipeline.trace import chrome_trace
 
 if TYPE_CHECKING:
-    from core.train import Progress
-    from server.pipeline.job import TrainJob
-    from server.pipeline.spec import StreamSpec
-    from server.pipeline.stages import EncodedFrame
-    from server.settings import Settings
+    from streamlod.core.train import Progress
+    from streamlod.server.pipeline.job import TrainJob
+    from streamlod.server.pipeline.spec import StreamSpec
+    from streamlod.server.pipeline.stages import EncodedFrame
+    from streamlod.server.settings import Settings
 
 _BENCHES = "tests.bench"
 _SUFFIX = "_bench"
@@ -44,7 +44,7 @@ def synth(
 ) -> str:
     """Write a synthetic clip."""
     width, height = picture_size(size)
-    from core.synthetic import SyntheticSpec, write_clip
+    from streamlod.core.synthetic import SyntheticSpec, write_clip
 
     spec = SyntheticSpec(cameras=cameras, frames=frames, width=width, height=height, seed=seed, kind=kind, speed=speed)
     if overwrite and (folder / "ground_truth" / "spec.json").is_file():  # nothing but our own clips
@@ -56,8 +56,8 @@ def synth(
 
 def check_cameras(job: TrainJob) -> None:
     """Refuse an unusable recording, rig or choice of cameras within a second, before a training library is loaded."""
-    from core.data import linspace_split, open_dataset
-    from server.ingest.cameras.definition import read_definition
+    from streamlod.core.data import linspace_split, open_dataset
+    from streamlod.server.ingest.cameras.definition import read_definition
 
     if job.data is not None:
         source: Path | None = job.data
@@ -81,7 +81,7 @@ def check_cameras(job: TrainJob) -> None:
 
 def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:
     """Train a clip into a `.slod` file, with figures beside it."""
-    from server.pipeline.stages import open_job, train_clip
+    from streamlod.server.pipeline.stages import open_job, train_clip
 
     opened = open_job(job)
     encoded: list[EncodedFrame] = []
@@ -110,8 +110,8 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
 
 def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
     """Serve until told to stop."""
-    from core.render import select
-    from server.service.run import serve as run
+    from streamlod.core.render import select
+    from streamlod.server.service.run import serve as run
 
     for stream in streams:
         job = stream.job
@@ -127,8 +127,8 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
 
 def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool, ca: Path | None = None) -> str:
     """Be a capture node until the sources end."""
-    from server.ingest.push.capture import find_cameras
-    from server.ingest.push.node import push as send
+    from streamlod.server.ingest.push.capture import find_cameras
+    from streamlod.server.ingest.push.node import push as send
 
     cameras = find_cameras(sources, fps, None if size is None else picture_size(size), repeats=loop)
     pushed = send(url, cameras, os.environ.get("STREAMLOD_TOKEN"), ca)
@@ -157,7 +157,7 @@ def bench(name: str | None, arguments: list[str]) -> str:
 
 def warm() -> str:
     """Compile all kernels now rather than at first use."""
-    from server.pipeline.warming import WARM_UPS, warm_all
+    from streamlod.server.pipeline.warming import WARM_UPS, warm_all
 
     with tqdm(total=len(WARM_UPS), unit="part", desc="compiling") as bar:
         for name in warm_all():

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError
-from core.files import write_bytes
+from streamlod.core.errors import InputError
+from streamlod.core.files import write_bytes
 
 _LOG = logging.getLogger(__name__)
 _POLL_SECONDS = 0.5
@@ -150,7 +150,7 @@ def _summary(settings: DemoSettings, scene: Path, stream: dict[str, Any], first_
 
 def _step(what: str, *arguments: object) -> None:
     _LOG.info("%s", what)
-    command = [sys.executable, "-m", "server.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "streamlod.server.cli", *map(str, arguments)]
     result = subprocess.run(command, check=False)
     if result.returncode:
         raise InputError(f"demo, {what}", f"`streamlod {' '.join(map(str, arguments))}` failed; its message is above")
@@ -163,7 +163,7 @@ def _server(settings: DemoSettings, clip: Path) -> Iterator[str]:
     command = [
         sys.executable,
         "-m",
-        "server.cli",
+        "streamlod.server.cli",
         "serve",
         "--data",
         str(clip),

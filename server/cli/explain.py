@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from core.errors import BackendUnavailable, StreamlodError
+from streamlod.core.errors import BackendUnavailable, StreamlodError
 
 FAULT = 2  # exit code of everything that we refuse
 INTERRUPTED = 130

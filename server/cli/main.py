@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
-from core.background_log import LOG_FORMAT
-from core.errors import InputError
-from server.cli.explain import INTERRUPTED, explain
-from server.cli.options import (
+from streamlod.core.background_log import LOG_FORMAT
+from streamlod.core.errors import InputError
+from streamlod.server.cli.explain import INTERRUPTED, explain
+from streamlod.server.cli.options import (
     DEFAULTS,
     TRAINING,
     CaFile,
@@ -43,8 +43,8 @@ from server.cli.options import (
     numbers_in,
     takes,
 )
-from server.pipeline.job import SOURCES, TrainJob
-from server.pipeline.spec import STREAM_OPTIONS, spec_from_json
+from streamlod.server.pipeline.job import SOURCES, TrainJob
+from streamlod.server.pipeline.spec import STREAM_OPTIONS, spec_from_json
 
 app = typer.Typer(
     name="streamlod",
@@ -70,7 +70,7 @@ def synth(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
 ) -> None:
     """Write a synthetic clip in the N3DV layout (camNN.mp4 and poses_bounds.npy), with its ground truth beside it."""
-    _call("server.cli.commands:synth", out, cameras, frames, size, seed, kind, speed, overwrite)
+    _call("streamlod.server.cli.commands:synth", out, cameras, frames, size, seed, kind, speed, overwrite)
 
 
 @app.command()
@@ -85,9 +85,9 @@ def train(
     """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
     _require_folder(data)
     job = TrainJob(data=data, **options)
-    _call("server.cli.commands:check_outputs", out, json, trace)
-    _call("server.cli.commands:check_cameras", job)
-    _call("server.cli.commands:train", job, out, json, trace)
+    _call("streamlod.server.cli.commands:check_outputs", out, json, trace)
+    _call("streamlod.server.cli.commands:check_cameras", job)
+    _call("streamlod.server.cli.commands:train", job, out, json, trace)
 
 
 @app.command()
@@ -109,7 +109,7 @@ def evaluate(
 ) -> None:
     """Decode a file, render the held-out cameras, and measure quality, size and speed."""
     _require_folder(data)
-    _call("client.commands:evaluate", scene, data, names_in(test), json, save_images, layout, downscale)
+    _call("streamlod.client.commands:evaluate", scene, data, names_in(test), json, save_images, layout, downscale)
 
 
 @app.command()
@@ -137,9 +137,9 @@ def serve(
                 _require_folder(options[name])
         stream = spec_from_json(options)
         if stream.job is not None:
-            _call("server.cli.commands:check_cameras", stream.job)
+            _call("streamlod.server.cli.commands:check_cameras", stream.job)
         streams += (stream,)
-    _call("server.cli.commands:serve", settings, streams)
+    _call("streamlod.server.cli.commands:serve", settings, streams)
 
 
 @app.command()
@@ -160,7 +160,7 @@ def edge(
         insecure=insecure or None,
         edge={"origin": origin, "streams": names_in(streams)},
     )  # fmt: skip
-    _call("server.cli.commands:serve", settings, ())
+    _call("streamlod.server.cli.commands:serve", settings, ())
 
 
 @app.command()
@@ -175,7 +175,7 @@ def push(
     ca: CaFile = None,
 ) -> None:
     """Send this machine's cameras to a live stream with push: sources. A token comes from STREAMLOD_TOKEN."""
-    _call("server.cli.commands:push", url, sources, fps, size, loop, ca)
+    _call("streamlod.server.cli.commands:push", url, sources, fps, size, loop, ca)
 
 
 @app.command()
@@ -195,7 +195,7 @@ def view(
     ] = None,
 ) -> None:
     """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
-    _call("client.commands:view", url, out, camera, orbit, pose, frames, levels, fps)
+    _call("streamlod.client.commands:view", url, out, camera, orbit, pose, frames, levels, fps)
 
 
 @app.command()
@@ -217,14 +217,14 @@ def remote(
     ca: CaFile = None,
 ) -> None:
     """Control a server by REST; results are JSON, one a line. A token comes from STREAMLOD_TOKEN."""
-    for line in _load("client.remote:remote")(address, action, name, fields_in(set_), out, ca):
+    for line in _load("streamlod.client.remote:remote")(address, action, name, fields_in(set_), out, ca):
         typer.echo(line)
 
 
 @app.command()
 def info(scene: SlodFile) -> None:
     """Say what is inside a file, with sizes by level and kind of chunk."""
-    _call("client.commands:info", scene)
+    _call("streamlod.client.commands:info", scene)
 
 
 @app.command()
@@ -239,7 +239,7 @@ def export(
     sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,
 ) -> None:
     """Write a snapshot as plain 3D Gaussians that other viewers and editors read."""
-    _call("client.commands:export", scene, frame, view, format.value, out, sequence)
+    _call("streamlod.client.commands:export", scene, frame, view, format.value, out, sequence)
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -248,7 +248,7 @@ def bench(
     name: Annotated[str | None, typer.Argument(help="Which; without a name they are listed.")] = None,
 ) -> None:
     """Run a benchmark of the source checkout; further arguments are its own."""
-    _call("server.cli.commands:bench", name, context.args)
+    _call("streamlod.server.cli.commands:bench", name, context.args)
 
 
 @app.command()
@@ -262,8 +262,10 @@ def demo(
     """Make a clip, train it live, serve it, watch it, measure it; serves on until Ctrl-C unless DEMO_EXIT=1."""
     given = {"out": out, "cameras": cameras, "frames": frames, "size": size, "port": port}
     stay = os.environ.get("DEMO_EXIT", "") not in {"1", "true", "yes"}
-    settings = _load("server.cli.demo:DemoSettings")(**{k: v for k, v in given.items() if v is not None}, stay=stay)
-    _call("server.cli.demo:run_demo", settings)
+    settings = _load("streamlod.server.cli.demo:DemoSettings")(
+        **{k: v for k, v in given.items() if v is not None}, stay=stay
+    )
+    _call("streamlod.server.cli.demo:run_demo", settings)
 
 
 @app.command()
@@ -294,7 +296,7 @@ def study(
     """Measure what each part of the method is worth, by leaving it out, on cameras that training never saw."""
     _require_folder(data)
     numbers = numbers_in("--views", views)
-    options = _load("client.evaluation.study:StudyOptions")(
+    options = _load("streamlod.client.evaluation.study:StudyOptions")(
         views=numbers,
         frames=frames,
         seeds=seeds,
@@ -306,7 +308,7 @@ def study(
         device=device,
         jobs=jobs,
     )
-    _call("client.evaluation.study:run_study", data, out, options)
+    _call("streamlod.client.evaluation.study:run_study", data, out, options)
 
 
 @app.command()
@@ -323,7 +325,7 @@ def tradeoff(
 ) -> None:
     """Sweep time, size and quality against each other; finds what nothing else beats."""
     _require_folder(data)
-    options = _load("client.evaluation.tradeoff:TradeoffOptions")(
+    options = _load("streamlod.client.evaluation.tradeoff:TradeoffOptions")(
         frames=frames,
         views=views,
         downscale=downscale,
@@ -332,7 +334,7 @@ def tradeoff(
         device=device,
         seeds=seeds,
     )
-    _call("client.evaluation.tradeoff:run_tradeoff", data, out, options)
+    _call("streamlod.client.evaluation.tradeoff:run_tradeoff", data, out, options)
 
 
 @app.command()
@@ -345,16 +347,18 @@ def doctor(
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Check what this machine can do; exit code 1 where something that was asked for does not work."""
-    findings = _load("server.doctor.report:examine")(device, host, port, state_dir, quick)
-    typer.echo(_load("server.doctor.report:as_json" if json else "server.doctor.report:as_table")(findings))
-    if _load("server.doctor.report:worst")(findings) == "fault":
+    findings = _load("streamlod.server.doctor.report:examine")(device, host, port, state_dir, quick)
+    typer.echo(
+        _load("streamlod.server.doctor.report:as_json" if json else "streamlod.server.doctor.report:as_table")(findings)
+    )
+    if _load("streamlod.server.doctor.report:worst")(findings) == "fault":
         raise typer.Exit(1)
 
 
 @app.command()
 def warm() -> None:
     """Compile the kernels now, so that the first frame does not wait for it."""
-    _call("server.cli.commands:warm")
+    _call("streamlod.server.cli.commands:warm")
 
 
 def main() -> NoReturn:
@@ -378,8 +382,7 @@ def main() -> NoReturn:
 def _configure_logging(verbose: bool) -> None:
     level = logging.DEBUG if verbose else logging.INFO
     logging.basicConfig(stream=sys.stderr, format=LOG_FORMAT, level=logging.WARNING)
-    for name in ("core", "codec", "server", "client"):
-        logging.getLogger(name).setLevel(level)
+    logging.getLogger("streamlod").setLevel(level)
 
 
 def _terminate(_: int, __: Any) -> NoReturn:
@@ -400,11 +403,11 @@ def _call(target: str, *arguments: Any) -> None:
 
 def _settings(config: Path | None, **given: Any) -> Any:
     """The settings of a file, if there is one, with the options that were given in place of its own."""
-    loaded = {} if config is None else _load("server.settings:load_settings")(config).model_dump()
+    loaded = {} if config is None else _load("streamlod.server.settings:load_settings")(config).model_dump()
     chosen = {name: value for name, value in given.items() if value is not None}
     if isinstance(chosen.get("edge"), dict):  # the rest of the file's table stays
         chosen["edge"] = (loaded.get("edge") or {}) | chosen["edge"]
-    return _load("server.settings:Settings")(**loaded | chosen)
+    return _load("streamlod.server.settings:Settings")(**loaded | chosen)
 
 
 def _require_folder(path: Path) -> None:

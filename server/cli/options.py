@@ -11,9 +11,9 @@ from typing import Annotated, Any, get_args, get_origin
 
 import typer
 
-from core.errors import InputError
-from server.pipeline.job import JOB_OPTIONS, SOURCES
-from server.pipeline.options import Option
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.job import JOB_OPTIONS, SOURCES
+from streamlod.server.pipeline.options import Option
 
 # As in JSON, but bounded, and the sign of an exponent is needed: 123456e12 is the id of a viewer.
 _NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,17})?([eE][-+][0-9]{1,2})?")

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from core.camera import Camera, look_at, pinhole
-from server.doctor.finding import Finding, Verdict
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.server.doctor.finding import Finding, Verdict
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from core.render import Backend
+    from streamlod.core.render import Backend
 
 MAX_ERROR = 2e-3  # relative, of a backend's gradients against float64
 _CHECKED, _TIMED = 60, 20_000  # Gaussians
@@ -33,7 +33,7 @@ def check_backends(device: str, quick: bool) -> Iterator[Finding]:
         verdict = Verdict.FAULT if device == "cuda" else Verdict.ABSENT
         yield Finding("training", verdict, "torch is missing: only playback works", "pip install 'streamlod[train]'")
         return
-    from core.render.backends import cuda_fault
+    from streamlod.core.render.backends import cuda_fault
 
     if not quick:
         yield _measured("cpu")
@@ -52,7 +52,7 @@ def check_backends(device: str, quick: bool) -> Iterator[Finding]:
 
 def _seriousness(device: str) -> Verdict:
     """Of a CUDA backend that does not work: a fault where it was asked for, a warning where a GPU lies idle."""
-    from core.render.backends import has_nvidia_device
+    from streamlod.core.render.backends import has_nvidia_device
 
     if device == "cuda":
         return Verdict.FAULT
@@ -100,7 +100,7 @@ def _gradients(backend: Backend, count: int, size: tuple[int, int]) -> list[Tens
     """float64 gradients, on the host, of a random linear loss by means, quaternions, scales, opacities and colours."""
     import torch
 
-    from core.render import rasterise
+    from streamlod.core.render import rasterise
 
     draw = np.random.default_rng(0)
     extent = 0.15 * (_CHECKED / count) ** (1 / 3)

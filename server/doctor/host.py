@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from server.doctor.finding import Finding, Verdict
+from streamlod.server.doctor.finding import Finding, Verdict
 
 MIN_MEMORY_GIB, MIN_DISK_GIB = 4.0, 5.0
 _DECODERS = ("h264", "hevc", "mjpeg", "av1")

@@ -6,10 +6,10 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from server.doctor.backends import check_backends
-from server.doctor.finding import Finding, Verdict
-from server.doctor.host import check_host
-from server.doctor.versions import check_versions
+from streamlod.server.doctor.backends import check_backends
+from streamlod.server.doctor.finding import Finding, Verdict
+from streamlod.server.doctor.host import check_host
+from streamlod.server.doctor.versions import check_versions
 
 _ORDER = list(Verdict)
 _SENTENCES = {

@@ -6,7 +6,7 @@ import platform
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 
-from server.doctor.finding import Finding, Verdict
+from streamlod.server.doctor.finding import Finding, Verdict
 
 _BASE = ("numpy", "numba", "msgpack", "websockets", "av", "opencv-contrib-python-headless")
 _EXTRAS = {"train": ("torch", "scikit-learn", "scipy"), "serve": ("fastapi", "uvicorn", "pyjwt"), "cuda": ("gsplat",)}

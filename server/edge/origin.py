@@ -15,7 +15,7 @@ from urllib.parse import quote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 if TYPE_CHECKING:
     import httpx

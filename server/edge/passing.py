@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import StreamingResponse
 
-from server.api.access import StreamOf, need_download
-from server.api.downloads import ANSWERS, RECORDING
-from server.api.ranges import FRESH, caching
-from server.edge.origin import Origin
-from server.http.head import is_head
-from server.http.problems import PROBLEMS, Problem
+from streamlod.server.api.access import StreamOf, need_download
+from streamlod.server.api.downloads import ANSWERS, RECORDING
+from streamlod.server.api.ranges import FRESH, caching
+from streamlod.server.edge.origin import Origin
+from streamlod.server.http.head import is_head
+from streamlod.server.http.problems import PROBLEMS, Problem
 
 if TYPE_CHECKING:
     import httpx

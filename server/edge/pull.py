@@ -14,14 +14,14 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.typing import Subprotocol
 
-from core.close_codes import REFUSALS, CloseCode
-from core.errors import SessionError
-from server.edge.origin import Origin, OriginStream
-from server.edge.supply import PacketTaker, Supply
-from server.protocol.messages import LIVE, PROTOCOL_VERSION, SUBPROTOCOL, read_object
-from server.protocol.packets import Position
-from server.settings import Settings
-from server.stream.bus import Bus
+from streamlod.core.close_codes import REFUSALS, CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.edge.origin import Origin, OriginStream
+from streamlod.server.edge.supply import PacketTaker, Supply
+from streamlod.server.protocol.messages import LIVE, PROTOCOL_VERSION, SUBPROTOCOL, read_object
+from streamlod.server.protocol.packets import Position
+from streamlod.server.settings import Settings
+from streamlod.server.stream.bus import Bus
 
 _LOG = logging.getLogger(__name__)
 _MIN_DELAY, _MAX_DELAY = 0.25, 1.0  # seconds between attempts to connect

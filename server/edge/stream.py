@@ -9,16 +9,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from core.errors import BitstreamError
-from server.edge.ending import end
-from server.edge.origin import OriginStream, is_incarnation
-from server.edge.supply import Supply
-from server.protocol.messages import event
-from server.protocol.packets import Position, stream_packet
-from server.settings import Settings
-from server.stream.feed import Feed
-from server.stream.stream import Stream
-from server.stream.traces import FrameStages, StageTimer, Traces
+from streamlod.core.errors import BitstreamError
+from streamlod.server.edge.ending import end
+from streamlod.server.edge.origin import OriginStream, is_incarnation
+from streamlod.server.edge.supply import Supply
+from streamlod.server.protocol.messages import event
+from streamlod.server.protocol.packets import Position, stream_packet
+from streamlod.server.settings import Settings
+from streamlod.server.stream.feed import Feed
+from streamlod.server.stream.stream import Stream
+from streamlod.server.stream.traces import FrameStages, StageTimer, Traces
 
 _LOG = logging.getLogger(__name__)
 _STATES = {"idle", "starting", "live", "degraded", "ended", "failed"}

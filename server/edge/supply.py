@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from server.edge.origin import OriginStream
-from server.protocol.packets import Position
-from server.stream.bus import Bus
+from streamlod.server.edge.origin import OriginStream
+from streamlod.server.protocol.packets import Position
+from streamlod.server.stream.bus import Bus
 
 
 class PacketTaker(Protocol):

@@ -12,8 +12,8 @@ from typing import ClassVar
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from server.http.stall_watch import StallWatch
-from server.settings import Limits
+from streamlod.server.http.stall_watch import StallWatch
+from streamlod.server.settings import Limits
 
 _ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large", "many": "503 Service Unavailable"}
 

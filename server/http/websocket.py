@@ -18,9 +18,9 @@ from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
 
-from core.close_codes import CloseCode
-from server.http.stall_watch import StallWatch
-from server.settings import Limits
+from streamlod.core.close_codes import CloseCode
+from streamlod.server.http.stall_watch import StallWatch
+from streamlod.server.settings import Limits
 
 _MAX_FRAGMENTS = 1024  # of a message; empty ones would cost memory without end
 _TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"

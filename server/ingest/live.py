@@ -15,20 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Bool, UInt8
-from core.camera import Camera
-from core.data.lens import Development, development
-from core.errors import InputError
-from core.frames import FrameSet, PointCloud
-from server.ingest.ahead import just_in_time
-from server.ingest.cameras.definition import RigDefinition, read_definition
-from server.ingest.push.intake import Intake
-from server.ingest.push.relay import listening
-from server.ingest.rig import Rig
-from server.ingest.statistics import Statistics
-from server.ingest.sync.grid import period_of
-from server.ingest.sync.picture import Picture
-from server.ingest.sync.synchroniser import Instant
+from streamlod.core.arrays import Bool, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data.lens import Development, development
+from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.server.ingest.ahead import just_in_time
+from streamlod.server.ingest.cameras.definition import RigDefinition, read_definition
+from streamlod.server.ingest.push.intake import Intake
+from streamlod.server.ingest.push.relay import listening
+from streamlod.server.ingest.rig import Rig
+from streamlod.server.ingest.statistics import Statistics
+from streamlod.server.ingest.sync.grid import period_of
+from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.synchroniser import Instant
 
 _Developed = tuple[Instant, UInt8, Bool]  # an instant, its pictures' pixels [C,H,W,3], which cameras [C] have one
 

@@ -13,14 +13,14 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from server.ingest.cameras.definition import RigDefinition
-from server.ingest.cameras.reader import Reader
-from server.ingest.statistics import CameraStatistics, Statistics
-from server.ingest.sync.clock import ClockSource
-from server.ingest.sync.grid import period_of
-from server.ingest.sync.picture import Picture
-from server.ingest.sync.synchroniser import Instant, Synchroniser
-from server.ingest.sync.timeline import Timeline
+from streamlod.server.ingest.cameras.definition import RigDefinition
+from streamlod.server.ingest.cameras.reader import Reader
+from streamlod.server.ingest.statistics import CameraStatistics, Statistics
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.grid import period_of
+from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.synchroniser import Instant, Synchroniser
+from streamlod.server.ingest.sync.timeline import Timeline
 
 _LOG = logging.getLogger(__name__)
 _LEAD = 4  # pictures that the reader of an unpaced file may be ahead of the others

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from server.ingest.sync.clock import ClockSource
-from server.ingest.sync.synchroniser import CameraState, Counts
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
 
 
 @dataclass(frozen=True, slots=True)

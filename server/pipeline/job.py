@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError
-from server.pipeline.options import option, options_of
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.options import option, options_of
 
 SOURCES = ("data", "live", "synthetic")
 MAX_PATH = 4096

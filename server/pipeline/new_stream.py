@@ -10,9 +10,9 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ConfigDict, Field, create_model
 
-from server.pipeline.job import SOURCES
-from server.pipeline.options import Option
-from server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
+from streamlod.server.pipeline.job import SOURCES
+from streamlod.server.pipeline.options import Option
+from streamlod.server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
 
 _SOURCES = (*SOURCES, "play")
 

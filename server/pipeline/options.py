@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, get_type_hints
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.frames import PointCloud
-from core.scene.keyframe import as_keyframe
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Trainer, preset
+from streamlod.core.frames import PointCloud
+from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Trainer, preset
 
 _CLIP = SyntheticSpec(cameras=2, frames=3, width=48, height=32)
 _POINTS = 200

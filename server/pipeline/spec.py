@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from core.errors import InputError
-from server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob, job_from_json
-from server.pipeline.options import option, options_of
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob, job_from_json
+from streamlod.server.pipeline.options import option, options_of
 
 _ID = "^[a-z0-9][a-z0-9_-]{0,63}$"
 

@@ -17,25 +17,25 @@ from typing import Any
 
 import numpy as np
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe, encode_residual
-from codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
-from core.camera import Camera
-from core.data import Dataset, linspace_split, open_dataset, prefetch
-from core.errors import InputError
-from core.files import write_text
-from core.frames import FrameSet
-from core.initialise import first_points
-from core.scene.anchors import Scene
-from core.scene.residual import Residual
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Progress, TrainedFrame, Trainer, preset
-from server.ingest.live import LiveDataset, open_live
-from server.ingest.statistics import Statistics
-from server.pipeline.bounded_queue import Outlet, made_by
-from server.pipeline.job import TrainJob
-from server.pipeline.rehearsal import rehearse
-from server.pipeline.trace import Span, timed, timing
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
+from streamlod.core.camera import Camera
+from streamlod.core.data import Dataset, linspace_split, open_dataset, prefetch
+from streamlod.core.errors import InputError
+from streamlod.core.files import write_text
+from streamlod.core.frames import FrameSet
+from streamlod.core.initialise import first_points
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import Residual
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Progress, TrainedFrame, Trainer, preset
+from streamlod.server.ingest.live import LiveDataset, open_live
+from streamlod.server.ingest.statistics import Statistics
+from streamlod.server.pipeline.bounded_queue import Outlet, made_by
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.rehearsal import rehearse
+from streamlod.server.pipeline.trace import Span, timed, timing
 
 _LOG = logging.getLogger(__name__)
 _PREFETCHED = 2  # frames decoded ahead

@@ -14,32 +14,32 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from core.errors import StreamlodError
+from streamlod.core.errors import StreamlodError
 
 
 def warm_codec() -> None:
     """Encode and decode a tiny scene."""
-    from codec.warm import warm_up
+    from streamlod.codec.warm import warm_up
 
     warm_up()
 
 
 def _rasteriser() -> None:
-    from core.render.cpu import warm
+    from streamlod.core.render.cpu import warm
 
     warm()
 
 
 def _trainer() -> None:
-    from core.train.kernels.warming import warm
+    from streamlod.core.train.kernels.warming import warm
 
     warm()
 
 
 def _first_points() -> None:
     """Draw a tiny synthetic clip, ask what moves in it, and sweep planes through it."""
-    from core.initialise import first_points
-    from core.synthetic import SyntheticSpec, is_dynamic, open_synthetic
+    from streamlod.core.initialise import first_points
+    from streamlod.core.synthetic import SyntheticSpec, is_dynamic, open_synthetic
 
     spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36)
     clip = open_synthetic(spec)

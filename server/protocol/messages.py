@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from server.protocol.packets import Position
-from server.protocol.thin_messages import Pick, Shown, ViewMessage, parse_view_message
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.protocol.packets import Position
+from streamlod.server.protocol.thin_messages import Pick, Shown, ViewMessage, parse_view_message
 
 SUBPROTOCOL = "streamlod.v1"
 PROTOCOL_VERSION = 1

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 
 from websockets.frames import Frame, Opcode
 
-from codec.packet.info import PacketInfo, peek
-from codec.packet.levels import drop_levels
-from codec.packet.packet import PacketKind
+from streamlod.codec.packet.info import PacketInfo, peek
+from streamlod.codec.packet.levels import drop_levels
+from streamlod.codec.packet.packet import PacketKind
 
 _PACKET_OBJECTS_BYTES = 1000  # that a packet takes beside its data: small ones would fill the memory otherwise
 PIECE_BYTES = 32_768  # of a refresh keyframe, sent at intervals

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float64
-from core.camera import Camera, pinhole
-from core.close_codes import CloseCode
-from core.errors import InputError, SessionError
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera, pinhole
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import InputError, SessionError
 
 _MAX_SIDE = 8192  # pixels
 _MAX_COORDINATE = 1e9  # world units

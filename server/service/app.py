@@ -16,30 +16,30 @@ from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
 
-from core.errors import BackendUnavailable
-from server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
-from server.api.access import grant_of, need, registry_of
-from server.api.registry import Registry
-from server.api.schemas import Health
-from server.auth.gate import Right
-from server.edge import passing
-from server.edge.edge import Edge
-from server.edge.origin import Origin
-from server.edge.pull import OriginSource
-from server.http.head import HeadAsGet
-from server.http.problems import PROBLEMS, Problem, problem_page, problem_response
-from server.http.site_policy import SitePolicy
-from server.http.static_page import PageFiles
-from server.pipeline.spec import StreamSpec
-from server.service.docs_page import add_docs
-from server.service.metrics import collector_registry
-from server.service.openapi import describe, operation_id
-from server.service.webhooks import webhooks
-from server.settings import Settings
-from server.stream.traces import Traces
+from streamlod.core.errors import BackendUnavailable
+from streamlod.server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
+from streamlod.server.api.access import grant_of, need, registry_of
+from streamlod.server.api.registry import Registry
+from streamlod.server.api.schemas import Health
+from streamlod.server.auth.gate import Right
+from streamlod.server.edge import passing
+from streamlod.server.edge.edge import Edge
+from streamlod.server.edge.origin import Origin
+from streamlod.server.edge.pull import OriginSource
+from streamlod.server.http.head import HeadAsGet
+from streamlod.server.http.problems import PROBLEMS, Problem, problem_page, problem_response
+from streamlod.server.http.site_policy import SitePolicy
+from streamlod.server.http.static_page import PageFiles
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service.docs_page import add_docs
+from streamlod.server.service.metrics import collector_registry
+from streamlod.server.service.openapi import describe, operation_id
+from streamlod.server.service.webhooks import webhooks
+from streamlod.server.settings import Settings
+from streamlod.server.stream.traces import Traces
 
 if TYPE_CHECKING:
-    from server.edge.jetstream.node import JetStream
+    from streamlod.server.edge.jetstream.node import JetStream
 
 POLL_SECONDS = 0.5  # between two looks at which streams other servers share
 
@@ -124,7 +124,7 @@ def _shared(settings: Settings) -> JetStream | None:
     if settings.bus == "local":
         return None
     try:
-        from server.edge.jetstream.node import JetStream
+        from streamlod.server.edge.jetstream.node import JetStream
     except ImportError as error:
         raise BackendUnavailable("bus jetstream", "install it: pip install 'streamlod[jetstream]'") from error
     return JetStream(settings)
@@ -139,7 +139,7 @@ def _traced(settings: Settings, traces: Traces) -> AbstractAsyncContextManager[N
     if settings.trace_endpoint is None:
         return nullcontext()
     try:
-        from server.service.tracing import tracing
+        from streamlod.server.service.tracing import tracing
     except ImportError as error:
         raise BackendUnavailable("trace_endpoint", "install it: pip install 'streamlod[trace]'") from error
     return tracing(settings.trace_endpoint, "edge" if settings.edge else "server", traces)

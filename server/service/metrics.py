@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping
 from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from server.api.registry import Registry
-from server.auth.gate import EVERYTHING, Grant, Right
-from server.service.ingest_metrics import ingest_families
-from server.stream.stream import Stream
+from streamlod.server.api.registry import Registry
+from streamlod.server.auth.gate import EVERYTHING, Grant, Right
+from streamlod.server.service.ingest_metrics import ingest_families
+from streamlod.server.stream.stream import Stream
 
 _GAUGES = {
     "viewers": "viewers connected",

@@ -8,7 +8,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute
 
-from server.http.problems import PROBLEM_TYPE, ProblemBody
+from streamlod.server.http.problems import PROBLEM_TYPE, ProblemBody
 
 _OPEN_PATHS = {"/healthz", "/readyz"}  # need no token
 _BEARER = {"type": "http", "scheme": "bearer", "description": "a token of the token file, or a JSON web token"}

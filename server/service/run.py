@@ -18,17 +18,17 @@ from fastapi import FastAPI
 from prometheus_client import make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
 
-from core.background_log import log_in_background
-from core.errors import InputError, StreamlodError
-from server.api.registry import Registry
-from server.http.limits import http_class
-from server.http.websocket import websocket_class
-from server.pipeline.spec import StreamSpec
-from server.pipeline.warming import warm_codec
-from server.service.app import create_app
-from server.service.memory import bound_arenas, leave_out_linear_algebra, page_out_compiler
-from server.service.metrics import collector_registry
-from server.settings import Settings
+from streamlod.core.background_log import log_in_background
+from streamlod.core.errors import InputError, StreamlodError
+from streamlod.server.api.registry import Registry
+from streamlod.server.http.limits import http_class
+from streamlod.server.http.websocket import websocket_class
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.pipeline.warming import warm_codec
+from streamlod.server.service.app import create_app
+from streamlod.server.service.memory import bound_arenas, leave_out_linear_algebra, page_out_compiler
+from streamlod.server.service.metrics import collector_registry
+from streamlod.server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
 _BACKLOG = 2048

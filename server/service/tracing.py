@@ -25,8 +25,8 @@ from opentelemetry.sdk.util.instrumentation import InstrumentationScope
 from opentelemetry.trace import SpanContext, TraceFlags
 from opentelemetry.util.types import AttributeValue
 
-from core.version import streamlod_version
-from server.stream.traces import FrameStages, Stage, Traces
+from streamlod.core.version import streamlod_version
+from streamlod.server.stream.traces import FrameStages, Stage, Traces
 
 _LOG = logging.getLogger(__name__)
 _EXPORT_SECONDS = 2.0  # after which a collector that does not answer is given up; the end of the server waits for it

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from core.errors import InputError
-from server.api.reach import is_reachable
-from server.settings import Settings, Webhook
-from server.stream.feed import Feed, ServerEvent
+from streamlod.core.errors import InputError
+from streamlod.server.api.reach import is_reachable
+from streamlod.server.settings import Settings, Webhook
+from streamlod.server.stream.feed import Feed, ServerEvent
 
 if TYPE_CHECKING:
     import httpx

@@ -9,8 +9,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from server.protocol.packets import StreamPacket, payload_bytes
-from server.stream.counters import Counters
+from streamlod.server.protocol.packets import StreamPacket, payload_bytes
+from streamlod.server.stream.counters import Counters
 
 
 class Receiver:

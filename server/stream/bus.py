@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from codec.container import SlodReader
-from server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
-from server.stream.store import Recording, Segment
+from streamlod.codec.container import SlodReader
+from streamlod.server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
+from streamlod.server.stream.store import Recording, Segment
 
 RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
 GroupFile = Path | list[StreamPacket]  # a recorded group of pictures, or one in memory

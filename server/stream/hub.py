@@ -13,15 +13,15 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_residual
-from codec.packet.levels import select_levels, split_levels
-from codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.residual import difference
-from server.protocol.packets import PIECE_BYTES, PacketWindow, StreamPacket, binary_frame
-from server.stream.broadcast import Broadcast, Receiver
-from server.stream.counters import Counters
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_residual
+from streamlod.codec.packet.levels import select_levels, split_levels
+from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.residual import difference
+from streamlod.server.protocol.packets import PIECE_BYTES, PacketWindow, StreamPacket, binary_frame
+from streamlod.server.stream.broadcast import Broadcast, Receiver
+from streamlod.server.stream.counters import Counters
 
 _STATE_BYTES = 16_000_000  # of decoded states kept, from which skip packets can start
 _FRAMES_SECONDS = 2.0  # after which a viewer that lags gets a residual rather than old packets one by one

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError
-from server.stream.stored_stream import PRIVATE_FILE
+from streamlod.core.errors import InputError
+from streamlod.server.stream.stored_stream import PRIVATE_FILE
 
 _CREDENTIALS = re.compile(r"(?P<scheme>[a-z0-9+]+://)(?P<user>[^/?#\s:@]*):(?P<password>[^/?#\s]*)@", re.IGNORECASE)
 _SECRET_FIELDS = re.compile(r"(?P<name>(passphrase|password|token|key|secret)=)[^&\s]+", re.IGNORECASE)

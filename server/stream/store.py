@@ -22,13 +22,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from codec.container import SlodReader, SlodWriter
-from codec.packet.packet import PacketKind
-from core.errors import BitstreamError, InputError, StorageError
-from server.protocol.packets import Position, StreamPacket
-from server.settings import Retention
-from server.stream.sealing import Seal
-from server.stream.stored_stream import PRIVATE_FILE, PRIVATE_FOLDER, StoredStream, read_stored, write_stored
+from streamlod.codec.container import SlodReader, SlodWriter
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.errors import BitstreamError, InputError, StorageError
+from streamlod.server.protocol.packets import Position, StreamPacket
+from streamlod.server.settings import Retention
+from streamlod.server.stream.sealing import Seal
+from streamlod.server.stream.stored_stream import PRIVATE_FILE, PRIVATE_FOLDER, StoredStream, read_stored, write_stored
 
 _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")

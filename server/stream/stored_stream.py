@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from core.errors import StorageError
+from streamlod.core.errors import StorageError
 
 _LOG = logging.getLogger(__name__)
 _NAME = "stream.json"

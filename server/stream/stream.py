@@ -12,15 +12,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from server.protocol.messages import event
-from server.protocol.packets import Position, StreamPacket, text_frame
-from server.settings import Settings
-from server.stream.bus import Bus
-from server.stream.counters import Counters
-from server.stream.feed import Feed
-from server.stream.hub import Hub
-from server.stream.sealing import masked
-from server.stream.traces import Traces
+from streamlod.server.protocol.messages import event
+from streamlod.server.protocol.packets import Position, StreamPacket, text_frame
+from streamlod.server.settings import Settings
+from streamlod.server.stream.bus import Bus
+from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.feed import Feed
+from streamlod.server.stream.hub import Hub
+from streamlod.server.stream.sealing import masked
+from streamlod.server.stream.traces import Traces
 
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
 _WINDOW_SECONDS = 1.0  # from one window event to the next

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from server.protocol.packets import Position
+from streamlod.server.protocol.packets import Position
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,22 +16,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from core.errors import StorageError, StreamlodError
-from server.pipeline.spec import StreamSpec
-from server.protocol.messages import event
-from server.protocol.packets import Position, StreamPacket, stream_packet
-from server.settings import Settings
-from server.stream.bus import Bus
-from server.stream.feed import Feed
-from server.stream.store import Recording
-from server.stream.stream import Stream
-from server.stream.traces import FrameStages, Stage, StageTimer, Traces
-from server.worker.camera_pictures import unpack_pictures
-from server.worker.cluster.driver import run_on_ray
-from server.worker.cluster.room import Shortage
-from server.worker.ingest_report import complaint
-from server.worker.process import Resume, Tag
-from server.worker.supervisor import Ending, Supervisor
+from streamlod.core.errors import StorageError, StreamlodError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.messages import event
+from streamlod.server.protocol.packets import Position, StreamPacket, stream_packet
+from streamlod.server.settings import Settings
+from streamlod.server.stream.bus import Bus
+from streamlod.server.stream.feed import Feed
+from streamlod.server.stream.store import Recording
+from streamlod.server.stream.stream import Stream
+from streamlod.server.stream.traces import FrameStages, Stage, StageTimer, Traces
+from streamlod.server.worker.camera_pictures import unpack_pictures
+from streamlod.server.worker.cluster.driver import run_on_ray
+from streamlod.server.worker.cluster.room import Shortage
+from streamlod.server.worker.ingest_report import complaint
+from streamlod.server.worker.process import Resume, Tag
+from streamlod.server.worker.supervisor import Ending, Supervisor
 
 _LOG = logging.getLogger(__name__)
 _WAITS = "it starts with its first viewer"

@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from server.protocol.packets import Position, StreamPacket, payload_bytes
-from server.settings import Limits
-from server.stream.broadcast import Receiver
-from server.stream.counters import Counters
-from server.stream.hub import Hub
-from server.viewer.pacing import Throttle
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.protocol.packets import Position, StreamPacket, payload_bytes
+from streamlod.server.settings import Limits
+from streamlod.server.stream.broadcast import Receiver
+from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.hub import Hub
+from streamlod.server.viewer.pacing import Throttle
 
 _ACK_SECONDS = 1.0  # that a viewer may take to acknowledge
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from server.protocol.messages import event
-from server.protocol.packets import StreamPacket
-from server.settings import Limits
-from server.stream.stream import Stream
-from server.viewer.delivery import Delivery
-from server.viewer.pacing import LevelControl
+from streamlod.server.protocol.messages import event
+from streamlod.server.protocol.packets import StreamPacket
+from streamlod.server.settings import Limits
+from streamlod.server.stream.stream import Stream
+from streamlod.server.viewer.delivery import Delivery
+from streamlod.server.viewer.pacing import LevelControl
 
 _REFRESH_SHARE = 0.5  # share of the time that a viewer may lag, in which a refresh keyframe is sent
 _MIN_INTERVAL = 0.01  # seconds between its pieces: 26 Mbit/s at most

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from server.protocol.packets import Position
+from streamlod.server.protocol.packets import Position
 
 
 class Playhead:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from server.protocol.messages import event
-from server.protocol.packets import Position, StreamPacket
-from server.settings import Limits
-from server.stream.stream import Stream
-from server.viewer.delivery import Delivery
-from server.viewer.follower import Follower
-from server.viewer.pacing import LevelControl
+from streamlod.server.protocol.messages import event
+from streamlod.server.protocol.packets import Position, StreamPacket
+from streamlod.server.settings import Limits
+from streamlod.server.stream.stream import Stream
+from streamlod.server.viewer.delivery import Delivery
+from streamlod.server.viewer.follower import Follower
+from streamlod.server.viewer.pacing import LevelControl
 
 
 class RelayFollower(Follower):

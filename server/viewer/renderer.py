@@ -16,15 +16,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from core.arrays import Float64, UInt8
-from core.camera import Camera
-from core.errors import ModelError
-from core.render.cpu import render
-from core.render.pick import depth_along, pick
-from core.render.splatter import Splatter
-from core.scene.anchors import Scene
-from core.scene.expand import anchor_positions
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.errors import ModelError
+from streamlod.core.render.cpu import render
+from streamlod.core.render.pick import depth_along, pick
+from streamlod.core.render.splatter import Splatter
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import anchor_positions
+from streamlod.core.scene.gaussians import GaussianCloud
 
 T = TypeVar("T")
 

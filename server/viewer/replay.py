@@ -7,10 +7,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from server.protocol.packets import Position, StreamPacket, binary_frame
-from server.stream.bus import Bus
-from server.viewer.delivery import Delivery
-from server.viewer.pacing import LevelControl
+from streamlod.server.protocol.packets import Position, StreamPacket, binary_frame
+from streamlod.server.stream.bus import Bus
+from streamlod.server.viewer.delivery import Delivery
+from streamlod.server.viewer.pacing import LevelControl
 
 _LOG = logging.getLogger(__name__)
 _CHUNK_VERSIONS = 16  # read at once

@@ -14,19 +14,19 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from server.protocol.messages import Ack, Control, Hello, Pause, Play, Seek, Set, event, welcome
-from server.protocol.packets import Position
-from server.settings import Limits
-from server.stream.counters import Counters
-from server.stream.stream import Stream
-from server.viewer.delivery import Delivery, Transport
-from server.viewer.follower import Follower
-from server.viewer.pacing import Allowance, LevelControl
-from server.viewer.playhead import Playhead
-from server.viewer.relay_follower import RelayFollower
-from server.viewer.replay import Replay
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.protocol.messages import Ack, Control, Hello, Pause, Play, Seek, Set, event, welcome
+from streamlod.server.protocol.packets import Position
+from streamlod.server.settings import Limits
+from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.stream import Stream
+from streamlod.server.viewer.delivery import Delivery, Transport
+from streamlod.server.viewer.follower import Follower
+from streamlod.server.viewer.pacing import Allowance, LevelControl
+from streamlod.server.viewer.playhead import Playhead
+from streamlod.server.viewer.relay_follower import RelayFollower
+from streamlod.server.viewer.replay import Replay
 
 _LOG = logging.getLogger(__name__)
 _TICK_SECONDS = 1.0

@@ -16,22 +16,22 @@ from typing import Any
 
 import numpy as np
 
-from codec.decoder import SceneDecoder
-from codec.packet.limits import DecoderLimits
-from core.camera import Camera, pinhole
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from core.render.splatter import Splatter
-from core.scene.anchors import Scene
-from server.protocol.messages import Control, Hello, Pause, Play, Seek, event
-from server.protocol.packets import binary_frame
-from server.protocol.thin_messages import Pick, Shown, ViewMessage
-from server.settings import Limits
-from server.stream.counters import Counters
-from server.stream.stream import Stream
-from server.viewer.delivery import Transport
-from server.viewer.renderer import GRADES, HEADER, GradeControl, PictureRenderer, look_along
-from server.viewer.session import ViewerSession
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.limits import DecoderLimits
+from streamlod.core.camera import Camera, pinhole
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.core.render.splatter import Splatter
+from streamlod.core.scene.anchors import Scene
+from streamlod.server.protocol.messages import Control, Hello, Pause, Play, Seek, event
+from streamlod.server.protocol.packets import binary_frame
+from streamlod.server.protocol.thin_messages import Pick, Shown, ViewMessage
+from streamlod.server.settings import Limits
+from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.stream import Stream
+from streamlod.server.viewer.delivery import Transport
+from streamlod.server.viewer.renderer import GRADES, HEADER, GradeControl, PictureRenderer, look_along
+from streamlod.server.viewer.session import ViewerSession
 
 _REST_SECONDS = 0.3  # after which a view that does not move gets a better picture
 _MIN_INTERVAL_SECONDS = 0.05  # between two pictures

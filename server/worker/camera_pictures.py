@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import msgpack
 
-from core.arrays import UInt8
-from core.frames import FrameSet
+from streamlod.core.arrays import UInt8
+from streamlod.core.frames import FrameSet
 
 MAX_SIDE = 320  # pixels
 _SECONDS = 1.0  # from one round of pictures to the next

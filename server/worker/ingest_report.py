@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from server.ingest.sync.synchroniser import CameraState
+from streamlod.server.ingest.sync.synchroniser import CameraState
 
 
 def complaint(figures: dict[str, Any]) -> str:

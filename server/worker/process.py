@@ -23,15 +23,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from core.background_log import log_in_background
-from core.errors import BackendUnavailable, BitstreamError, InputError, StreamlodError
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.worker.camera_pictures import CameraPictures
+from streamlod.core.background_log import log_in_background
+from streamlod.core.errors import BackendUnavailable, BitstreamError, InputError, StreamlodError
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.worker.camera_pictures import CameraPictures
 
 if TYPE_CHECKING:
-    from core.scene.anchors import Scene
-    from server.pipeline.stages import EncodedFrame, OpenJob
+    from streamlod.core.scene.anchors import Scene
+    from streamlod.server.pipeline.stages import EncodedFrame, OpenJob
 
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
@@ -148,7 +148,7 @@ def _is_fatal(error: StreamlodError, spec: StreamSpec) -> bool:
 
 def _load(job: TrainJob) -> None:
     """Load the code for publishing the last state, then for training, at low priority."""
-    from server.pipeline.warming import warm_codec
+    from streamlod.server.pipeline.warming import warm_codec
 
     os.nice(_NICENESS)
     try:
@@ -157,7 +157,7 @@ def _load(job: TrainJob) -> None:
         importing = threading.Thread(target=_import_training, daemon=True, name="importing")
         importing.start()
         importing.join()
-        from server.pipeline.rehearsal import rehearse
+        from streamlod.server.pipeline.rehearsal import rehearse
 
         rehearse(job.preset, job.device)
     except Exception:  # whatever is wrong, training meets it too and reports it
@@ -167,7 +167,7 @@ def _load(job: TrainJob) -> None:
 def _import_training() -> None:
     if sys.platform == "linux":  # elsewhere the niceness would apply to the whole process and could not be taken back
         os.nice(_LOADING_NICENESS)
-    importlib.import_module("server.pipeline.stages")
+    importlib.import_module("streamlod.server.pipeline.stages")
 
 
 def train(
@@ -186,7 +186,7 @@ def train(
     """
     if job.frames is not None and start >= job.frames:
         return
-    from server.pipeline.stages import open_job, train_stream
+    from streamlod.server.pipeline.stages import open_job, train_stream
 
     def tell(progress: Any) -> None:
         body = {"fraction": float(progress.fraction), "loss": float(progress.loss), "text": str(progress.stage)}
@@ -241,7 +241,7 @@ def _told(opened: OpenJob, pictures: CameraPictures | None, sender: Sender) -> I
 
 def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
     """Send the packets of a recorded file at the pace at which they were filmed."""
-    from codec.packet.packet import PacketKind
+    from streamlod.codec.packet.packet import PacketKind
 
     assert spec.play is not None
     entries = list(_recorded(spec))
@@ -266,9 +266,9 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
 
 def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
     """Index and entry of each packet of the file that is a keyframe or a predicted packet."""
-    from codec.container import SlodReader
-    from codec.packet.info import peek
-    from codec.packet.packet import PacketKind
+    from streamlod.codec.container import SlodReader
+    from streamlod.codec.packet.info import peek
+    from streamlod.codec.packet.packet import PacketKind
 
     assert spec.play is not None
     version = None
@@ -286,7 +286,7 @@ def _recorded(spec: StreamSpec) -> Iterator[tuple[int, Any]]:
 
 
 def _packets(spec: StreamSpec, entries: list[tuple[int, Any]]) -> Iterator[tuple[int, Any, bytes]]:
-    from codec.container import SlodReader
+    from streamlod.codec.container import SlodReader
 
     assert spec.play is not None
     with SlodReader(spec.play) as reader:
@@ -303,10 +303,10 @@ def _frame_seconds(entries: list[tuple[int, Any]]) -> float:
 
 def show_again(resume: Resume, sender: Sender) -> Scene:
     """Publish the state to continue from as a keyframe, before anything slow is loaded or a camera is opened."""
-    from codec.decoder import SceneDecoder
-    from codec.encoder import encode_keyframe
-    from codec.packet.info import peek
-    from core.scene.keyframe import as_keyframe
+    from streamlod.codec.decoder import SceneDecoder
+    from streamlod.codec.encoder import encode_keyframe
+    from streamlod.codec.packet.info import peek
+    from streamlod.core.scene.keyframe import as_keyframe
 
     decoder = SceneDecoder()
     for packet in resume.packets:

@@ -16,10 +16,10 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any, Protocol
 
-from server.pipeline.spec import StreamSpec
-from server.settings import WorkerSettings
-from server.worker.cluster.room import Shortage
-from server.worker.process import Resume, Tag, resident_bytes, run_worker, send_resume
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import WorkerSettings
+from streamlod.server.worker.cluster.room import Shortage
+from streamlod.server.worker.process import Resume, Tag, resident_bytes, run_worker, send_resume
 
 _LOG = logging.getLogger(__name__)
 _WATCH_SECONDS = 0.25

@@ -21,8 +21,8 @@ import av
 import numpy as np
 import pytest
 
-from core.errors import InputError, SessionError
-from server.ingest.push.message import Codec, PushMessage
+from streamlod.core.errors import InputError, SessionError
+from streamlod.server.ingest.push.message import Codec, PushMessage
 from tests.attack.test_picture_bombs import encoded, hidden_behind, with_size
 from tests.attack.test_picture_costs import with_pixels
 from tests.server.ingest.push.serving import relayed
@@ -32,7 +32,7 @@ SIZE = (240, 136)
 _RIG = """
 import json, sys
 from pathlib import Path
-from server.ingest.live import open_live
+from streamlod.server.ingest.live import open_live
 for frame in open_live(json.loads(sys.argv[1]), push_socket=Path(sys.argv[2])).frames():
     print(frame.index, int(frame.present.sum()), flush=True)
 """

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from client.playback import Playback
-from codec.encoder import encode_keyframe
-from codec.packet.limits import DecoderLimits
-from core.errors import BitstreamError, SessionError
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings
+from streamlod.client.playback import Playback
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.codec.packet.limits import DecoderLimits
+from streamlod.core.errors import BitstreamError, SessionError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings
 from tests.client.test_playback import WELCOME
 from tests.codec.scenes import make_scene
 from tests.server.conftest import make_clip, running

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from server.settings import Retention, Settings
+from streamlod.server.settings import Retention, Settings
 from tests.server.conftest import Clip, running
 
 pytestmark = pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

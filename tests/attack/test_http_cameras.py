@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from server.ingest.cameras.address import parse_address
-from server.ingest.cameras.reader import Reader
-from server.ingest.sync.timeline import Timeline
+from streamlod.server.ingest.cameras.address import parse_address
+from streamlod.server.ingest.cameras.reader import Reader
+from streamlod.server.ingest.sync.timeline import Timeline
 
 _PLAYLIST = "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{url}\n#EXT-X-ENDLIST\n"
 _DASH = '<?xml version="1.0"?><MPD xmlns="urn:mpeg:dash:schema:mpd:2011"><BaseURL>{url}</BaseURL></MPD>'

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from core.errors import InputError
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.server.conftest import running, viewing
 
 _STREAM = StreamSpec(play=Path("nothing.slod"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from codec.packet.limits import MAX_NUMBERS_A_BYTE, DecoderLimits
-from server.settings import Limits
+from streamlod.codec.packet.limits import MAX_NUMBERS_A_BYTE, DecoderLimits
+from streamlod.server.settings import Limits
 
 _SOURCE = (Path(__file__).parents[2] / "client" / "web" / "decode" / "packet.js").read_text(encoding="utf-8")
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from core.data.announced import announced_picture
-from core.data.pictures import decode
+from streamlod.core.data.announced import announced_picture
+from streamlod.core.data.pictures import decode
 
 _SIZE = (240, 136)
 

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from core.data.announced import MAX_SCANS, AnnouncedPicture, announced_picture
-from core.data.pictures import decode
+from streamlod.core.data.announced import MAX_SCANS, AnnouncedPicture, announced_picture
+from streamlod.core.data.pictures import decode
 from tests.attack.test_picture_bombs import chunk, encoded
 
 SIZE = (480, 270)
@@ -60,8 +60,8 @@ def test_pixels_beyond_those_announced_are_not_unpacked() -> None:
 
 _DECODE = """
 from pathlib import Path
-from core.data.announced import announced_picture
-from core.data.pictures import decode
+from streamlod.core.data.announced import announced_picture
+from streamlod.core.data.pictures import decode
 from tests.attack import test_picture_costs as costs
 pictures = costs.hostile()
 decode(announced_picture(costs.with_scans(0)))

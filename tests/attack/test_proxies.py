@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import InputError
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings
 from tests.server.conftest import Clip, Running, running, viewing
 from tests.server.ports import held_ports
 

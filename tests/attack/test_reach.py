@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from core.errors import InputError
-from server.api.reach import check_reach, is_reachable
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.core.errors import InputError
+from streamlod.server.api.reach import check_reach, is_reachable
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running
 
 _MATRIX = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]

@@ -7,7 +7,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from server.settings import Settings
+from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, Running, make_clip, running
 
 

@@ -14,9 +14,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from server.auth.gate import hash_token
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.server.auth.gate import hash_token
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
 from tests.server.edge.processes import wait
 
@@ -74,7 +74,7 @@ def test_a_token_for_some_streams_sees_nothing_of_others(tmp_path: Path) -> None
 def test_a_viewer_whose_token_ends_is_closed(
     tmp_path: Path, clip: Clip, change: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.api.access.RECHECK_SECONDS", 0.2)
+    monkeypatch.setattr("streamlod.server.api.access.RECHECK_SECONDS", 0.2)
     settings = write_tokens(tmp_path, viewer={"rights": ["read"]})
     with ExitStack() as stack:
         server = stack.enter_context(running(settings, StreamSpec(play=clip.path)))
@@ -91,7 +91,7 @@ def test_a_viewer_whose_token_ends_is_closed(
 
 @pytest.mark.long
 def test_a_capture_node_whose_token_ends_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from server.api import push
+    from streamlod.server.api import push
 
     class Intake:
         def accept(self, _: object) -> None: ...
@@ -101,8 +101,8 @@ def test_a_capture_node_whose_token_ends_is_closed(tmp_path: Path, monkeypatch: 
         await push.admit(websocket, push.Right.PUBLISH, stream_id)
         return Intake()
 
-    monkeypatch.setattr("server.api.access.RECHECK_SECONDS", 0.2)
-    monkeypatch.setattr("server.api.push.router", push.push_router(opened, push.until_no_publisher))
+    monkeypatch.setattr("streamlod.server.api.access.RECHECK_SECONDS", 0.2)
+    monkeypatch.setattr("streamlod.server.api.push.router", push.push_router(opened, push.until_no_publisher))
     with ExitStack() as stack:
         server = stack.enter_context(running(write_tokens(tmp_path), *_STREAMS))
         address = f"ws://127.0.0.1:{server.port}/v1/streams/stage-1/ingest"

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from server.http import websocket
-from server.pipeline.spec import StreamSpec
-from server.service import run
-from server.settings import Limits, Settings
+from streamlod.server.http import websocket
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service import run
+from streamlod.server.settings import Limits, Settings
 from tests.server.conftest import Running, running
 from tests.server.test_faults import HANDSHAKE, masked
 

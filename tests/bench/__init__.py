@@ -1,3 +1,3 @@
 """Benchmarks. Importing `core` first sets what torch and numba read when they load."""
 
-import core  # noqa: F401
+import streamlod.core  # noqa: F401

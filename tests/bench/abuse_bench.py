@@ -25,8 +25,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from core.synthetic import SyntheticSpec, write_clip
-from server.ingest.push.message import Codec, PushMessage, pack_push
+from streamlod.core.synthetic import SyntheticSpec, write_clip
+from streamlod.server.ingest.push.message import Codec, PushMessage, pack_push
 from tests.attack.test_silent_connections import partial, upgrade
 from tests.bench.fanout_viewers import masked
 from tests.bench.honest_viewers import Watched, watch

@@ -12,16 +12,16 @@ import time
 
 import numpy as np
 
-from codec.encoder import encode_residual
-from core.data import linspace_split
-from core.frames import FrameSet
-from core.initialise import first_points
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Trainer, preset
+from streamlod.codec.encoder import encode_residual
+from streamlod.core.data import linspace_split
+from streamlod.core.frames import FrameSet
+from streamlod.core.initialise import first_points
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Trainer, preset
 
 STILL, BURST, CALM, SPEED = 5, 10, 20, 3  # frames, frames, frames, times the clip's own speed
 

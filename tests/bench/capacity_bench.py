@@ -15,7 +15,7 @@ import json
 from dataclasses import fields
 from pathlib import Path
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 from tests.bench.capacity_model import Demand, Figures, Plan, plan
 from tests.bench.capacity_simulation import Outcome, simulate
 

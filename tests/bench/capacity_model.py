@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float64
+from streamlod.core.arrays import Float64
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float64, Int64
+from streamlod.core.arrays import Float64, Int64
 from tests.bench.capacity_model import Demand, Figures, Plan
 
 _STEP_SECONDS = 0.05

@@ -15,19 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.chunks.change import Elapsed, history
-from codec.coder import change_model
-from codec.coder.entropy import encode_scales, scale_of
-from codec.container import SlodReader, SlodWriter
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.info import PacketInfo, peek
-from codec.packet.packet import PacketKind
-from core.arrays import Float64
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.entropy_model import SCALES
-from core.scene.quantise import trailing_zeros
-from core.scene.residual import LevelResidual, Residual, difference
+from streamlod.codec.chunks.change import Elapsed, history
+from streamlod.codec.coder import change_model
+from streamlod.codec.coder.entropy import encode_scales, scale_of
+from streamlod.codec.container import SlodReader, SlodWriter
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.info import PacketInfo, peek
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.arrays import Float64
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.entropy_model import SCALES
+from streamlod.core.scene.quantise import trailing_zeros
+from streamlod.core.scene.residual import LevelResidual, Residual, difference
 from tests.bench.codec_bounds import item_bits, latents_bits, latents_report
 from tests.bench.codec_timing import javascript_speed, python_speed
 from tests.codec.scenes import make_scene, steps

@@ -10,13 +10,13 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.coder import change_model, column_model, rans
-from codec.coder.compiled import compiled
-from codec.coder.entropy import encode_scales
-from core.arrays import Float64, Int16, Int32, Int64
-from core.scene.anchors import LATENTS, Scene
-from core.scene.entropy_model import BINS
-from core.scene.residual import Residual
+from streamlod.codec.coder import change_model, column_model, rans
+from streamlod.codec.coder.compiled import compiled
+from streamlod.codec.coder.entropy import encode_scales
+from streamlod.core.arrays import Float64, Int16, Int32, Int64
+from streamlod.core.scene.anchors import LATENTS, Scene
+from streamlod.core.scene.entropy_model import BINS
+from streamlod.core.scene.residual import Residual
 
 _LZMA = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0}]
 _CLIP = 64  # magnitudes beyond are counted as this one

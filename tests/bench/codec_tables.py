@@ -14,16 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.chunks import columns
-from codec.chunks.change import Elapsed
-from codec.chunks.matrices import base_matrix, shifted_of
-from codec.coder import oracle
-from codec.coder.change_model import position_errors, steady_motion
-from codec.coder.entropy import encode_scales, scale_of
-from core.arrays import Float64, Int64
-from core.scene.anchors import Scene
-from core.scene.entropy_model import BINS, ESCAPE, FREQUENCIES, SCALES, SYMBOLS, UNIT_BIN
-from core.scene.residual import difference
+from streamlod.codec.chunks import columns
+from streamlod.codec.chunks.change import Elapsed
+from streamlod.codec.chunks.matrices import base_matrix, shifted_of
+from streamlod.codec.coder import oracle
+from streamlod.codec.coder.change_model import position_errors, steady_motion
+from streamlod.codec.coder.entropy import encode_scales, scale_of
+from streamlod.core.arrays import Float64, Int64
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.entropy_model import BINS, ESCAPE, FREQUENCIES, SCALES, SYMBOLS, UNIT_BIN
+from streamlod.core.scene.residual import difference
 from tests.bench.codec_bench import load
 
 _SKIP = 4  # frames of the skips that tables are fitted to, too

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.coder import column_model, rans
-from codec.coder.entropy import encode_scales
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import LATENTS, Scene
-from core.scene.residual import Residual
+from streamlod.codec.coder import column_model, rans
+from streamlod.codec.coder.entropy import encode_scales
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import LATENTS, Scene
+from streamlod.core.scene.residual import Residual
 from tests.codec.columns import decode_columns
 
 _SYMBOLS_PER_ROW = LATENTS + 3

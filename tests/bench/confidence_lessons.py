@@ -22,16 +22,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from client.evaluation.zoo.scenes import SCENES, ZooScene
-from core.arrays import Bool, Float32, Float64
-from core.camera import Camera
-from core.data import Dataset, linspace_split
-from core.initialise.confidence.evidence import Matches, evidence
-from core.initialise.consistency import knowing, votes
-from core.initialise.methods.plane_sweep import PlaneSweep
-from core.initialise.sweep import DepthMap
-from core.initialise.views import WorkingViews, working_views
-from core.synthetic import open_synthetic, render_frame
+from streamlod.client.evaluation.zoo.scenes import SCENES, ZooScene
+from streamlod.core.arrays import Bool, Float32, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.data import Dataset, linspace_split
+from streamlod.core.initialise.confidence.evidence import Matches, evidence
+from streamlod.core.initialise.consistency import knowing, votes
+from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
+from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.views import WorkingViews, working_views
+from streamlod.core.synthetic import open_synthetic, render_frame
 
 _LOG = logging.getLogger(__name__)
 _DOWNSCALE = 2.0

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from core.arrays import Bool, Float32
-from core.initialise.confidence.evidence import CUES
-from core.initialise.confidence.network import FAR, Confidence
-from core.initialise.methods.learned import LearnedSweep
+from streamlod.core.arrays import Bool, Float32
+from streamlod.core.initialise.confidence.evidence import CUES
+from streamlod.core.initialise.confidence.network import FAR, Confidence
+from streamlod.core.initialise.methods.learned import LearnedSweep
 from tests.bench.confidence_lessons import Lesson, read_lessons
 
 _RIGHT = 0.03  # relative error of a depth that is right

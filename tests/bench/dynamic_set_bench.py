@@ -16,18 +16,18 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 import torch
 
-from client.evaluation.measure.scores import draw
-from client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
-from codec.encoder import encode_residual
-from core.arrays import Bool
-from core.metrics import psnr
-from core.scene.anchors import Scene
-from core.synthetic import SyntheticSpec, surface_motion
-from core.train import TrainConfig, Trainer, preset
-from core.train.field.convert import field_of
-from core.train.motion import cues
-from core.train.motion.coverage import coverage
-from core.train.motion.partition import Observation, Partition, all_static
+from streamlod.client.evaluation.measure.scores import draw
+from streamlod.client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
+from streamlod.codec.encoder import encode_residual
+from streamlod.core.arrays import Bool
+from streamlod.core.metrics import psnr
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.synthetic import SyntheticSpec, surface_motion
+from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.field.convert import field_of
+from streamlod.core.train.motion import cues
+from streamlod.core.train.motion.coverage import coverage
+from streamlod.core.train.motion.partition import Observation, Partition, all_static
 from tests.bench.moving_bench import Clip, first_frame, open_clip
 
 _PARTLY = 0.1  # of what an anchor shows

@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from client.connection.link import WatchOptions
-from client.connection.watch import watch
-from client.events import NewScene
+from streamlod.client.connection.link import WatchOptions
+from streamlod.client.connection.watch import watch
+from streamlod.client.events import NewScene
 from tests.bench.fanout_viewers import watch as watch_many
 from tests.server.conftest import make_clip
 from tests.server.edge.processes import Node, node, wait

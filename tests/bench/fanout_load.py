@@ -10,11 +10,11 @@ import socket
 import struct
 from dataclasses import dataclass, replace
 
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.bytes import build, parse
-from codec.packet.packet import FIRST_EXTENSION, make_chunk
-from core.scene.anchors import Scene
-from core.scene.residual import difference
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.bytes import build, parse
+from streamlod.codec.packet.packet import FIRST_EXTENSION, make_chunk
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
 from tests.codec.scenes import make_scene, move
 
 _STEP_NS = 100_000_000

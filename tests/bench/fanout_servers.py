@@ -18,12 +18,12 @@ from typing import cast
 
 import uvloop
 
-from server.pipeline.spec import StreamSpec
-from server.protocol.packets import binary_frame
-from server.service.app import create_app
-from server.service.run import Server, server_config
-from server.settings import Limits, Retention, Settings
-from server.worker.process import Tag
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.packets import binary_frame
+from streamlod.server.service.app import create_app
+from streamlod.server.service.run import Server, server_config
+from streamlod.server.settings import Limits, Retention, Settings
+from streamlod.server.worker.process import Tag
 from tests.bench.fanout_load import Run, kernel_bytes, make_packets, resident_bytes
 
 _ACCEPT = (
@@ -68,7 +68,7 @@ class _Feed:
         self._transports = transports
         self._version = 0
         self._log = _Log()
-        logging.getLogger("server").addHandler(self._log)
+        logging.getLogger("streamlod.server").addHandler(self._log)
 
     async def obey(self, pipe: Connection, packets: list[bytes]) -> None:
         """Answer commands (frames a second or 0 for as fast as it goes, seconds) until None comes."""

@@ -16,17 +16,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from client.evaluation.plain import PlainGaussians, plain_views
-from codec.encoder import encode_keyframe
-from core.arrays import Float32
-from core.data import linspace_split, open_dataset
-from core.frames import FrameSet
-from core.initialise import first_points
-from core.metrics import psnr, ssim
-from core.render.cpu import render
-from core.scene.anchors import empty_level
-from core.scene.expand import expand
-from core.train import TrainConfig, Trainer, preset
+from streamlod.client.evaluation.plain import PlainGaussians, plain_views
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.core.arrays import Float32
+from streamlod.core.data import linspace_split, open_dataset
+from streamlod.core.frames import FrameSet
+from streamlod.core.initialise import first_points
+from streamlod.core.metrics import psnr, ssim
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import empty_level
+from streamlod.core.scene.expand import expand
+from streamlod.core.train import TrainConfig, Trainer, preset
 
 
 def fitted(picture: Float32, truth: Float32) -> Float32:

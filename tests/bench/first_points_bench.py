@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from core.arrays import Float32
-from core.camera import Camera
-from core.data import linspace_split
-from core.frames import FrameSet, PointCloud
-from core.initialise import first_points
-from core.initialise.views import inside, project
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.arrays import Float32
+from streamlod.core.camera import Camera
+from streamlod.core.data import linspace_split
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.initialise import first_points
+from streamlod.core.initialise.views import inside, project
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 _ON, _BEFORE = 0.03, 0.1  # relative depths: this near is on a surface, this far before it is in free space
 _ROOM = 13 / 480  # of the width, within which a nearer surface excuses a point: matched windows widen what is near

@@ -16,9 +16,9 @@ import numba
 import numpy as np
 import torch
 
-from core.errors import BackendUnavailable
-from core.render import select
-from core.train import PredictConfig, TrainConfig
+from streamlod.core.errors import BackendUnavailable
+from streamlod.core.render import select
+from streamlod.core.train import PredictConfig, TrainConfig
 from tests.bench.frame_gpu import gpu_report
 from tests.bench.frame_subjects import Naive, Streaming, make_case, trained_clip
 from tests.bench.kernel_time import KernelTime

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from core.render import select
-from core.train import TrainConfig
+from streamlod.core.render import select
+from streamlod.core.train import TrainConfig
 from tests.bench.frame_subjects import Streaming, make_case
 
 _MOVING = 0.006  # share of the anchors that really move; about 5 % are then trained

@@ -9,19 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from codec.encoder import encode_residual
-from core.camera import Camera, pinhole
-from core.data import linspace_split
-from core.frames import FrameSet
-from core.initialise import first_points
-from core.render import Backend, rasterise, select
-from core.scene.anchors import Scene
-from core.scene.octree import Octree
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
-from core.train.field.convert import field_of, scene_of
-from core.train.field.decode import Network
-from core.train.field.field import Field, visible_levels
+from streamlod.codec.encoder import encode_residual
+from streamlod.core.camera import Camera, pinhole
+from streamlod.core.data import linspace_split
+from streamlod.core.frames import FrameSet
+from streamlod.core.initialise import first_points
+from streamlod.core.render import Backend, rasterise, select
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.octree import Octree
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
+from streamlod.core.train.field.convert import field_of, scene_of
+from streamlod.core.train.field.decode import Network
+from streamlod.core.train.field.field import Field, visible_levels
 from tests.bench.raster_subjects import convolution_loss
 
 SLOTS, FEATURES, HIDDEN = 10, 16, 32

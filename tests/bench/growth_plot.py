@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from client.evaluation.report.figures import Axis, Curve, curves
+from streamlod.client.evaluation.report.figures import Axis, Curve, curves
 
 
 def growth_plot(title: str, unit: str, growth: dict[str, dict[str, Any]]) -> str:

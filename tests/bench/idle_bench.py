@@ -31,7 +31,7 @@ _CLIP = "from tests.server.conftest import make_clip, Path; make_clip(Path({!r})
 @contextmanager
 def serving(log: Path, *arguments: object) -> Iterator[tuple[int, int]]:
     """Process id and port of a `streamlod serve`."""
-    command = [sys.executable, "-m", "server.cli", "serve", "--port", "0", *map(str, arguments)]
+    command = [sys.executable, "-m", "streamlod.server.cli", "serve", "--port", "0", *map(str, arguments)]
     with log.open("w") as file, subprocess.Popen(command, stderr=file) as process:
         try:
             limit = time.monotonic() + 60

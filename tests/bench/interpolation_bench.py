@@ -15,15 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from client.evaluation.measure.moving import MovingPixels
-from core.arrays import Float64
-from core.metrics import psnr
-from core.render.splatter import draw_cloud
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.scene.interpolate import interpolate
-from core.synthetic import SyntheticSpec
-from core.train import TrainConfig, Trainer, preset
+from streamlod.client.evaluation.measure.moving import MovingPixels
+from streamlod.core.arrays import Float64
+from streamlod.core.metrics import psnr
+from streamlod.core.render.splatter import draw_cloud
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.interpolate import interpolate
+from streamlod.core.synthetic import SyntheticSpec
+from streamlod.core.train import TrainConfig, Trainer, preset
 from tests.bench.moving_bench import Clip, first_frame, open_clip
 
 WAYS = ("state before", "interpolated", "trained")

@@ -19,7 +19,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from server.edge.jetstream.messages import Names
+from streamlod.server.edge.jetstream.messages import Names
 from tests.bench.edge_bench import hop_delay
 from tests.bench.pictures import longest_gap
 from tests.server.conftest import make_clip

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any, Self
 
-import core.render.cpu.backdrop
-import core.render.cpu.dirty_tiles
-import core.render.cpu.frame
-import core.render.cpu.listing
-import core.render.cpu.photometric
+import streamlod.core.render.cpu.backdrop
+import streamlod.core.render.cpu.dirty_tiles
+import streamlod.core.render.cpu.frame
+import streamlod.core.render.cpu.listing
+import streamlod.core.render.cpu.photometric
 
-_FRAME, _LISTING = core.render.cpu.frame, core.render.cpu.listing
+_FRAME, _LISTING = streamlod.core.render.cpu.frame, streamlod.core.render.cpu.listing
 _KERNELS: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "project": ((_LISTING, "project"),),
     "list": (
@@ -21,12 +21,12 @@ _KERNELS: dict[str, tuple[tuple[ModuleType, str], ...]] = {
         (_LISTING, "count_pairs"),
         (_LISTING, "fill_lists"),
         (_LISTING, "find_touching"),
-        (core.render.cpu.backdrop, "merge_lists"),
-        (core.render.cpu.dirty_tiles, "mark_tiles"),
+        (streamlod.core.render.cpu.backdrop, "merge_lists"),
+        (streamlod.core.render.cpu.dirty_tiles, "mark_tiles"),
     ),
     "blend": ((_FRAME, "blend_tiles"),),
     "gradients": ((_FRAME, "differentiate_tiles"), (_FRAME, "differentiate_projection")),
-    "loss": ((core.render.cpu.photometric, "photometric"),),
+    "loss": ((streamlod.core.render.cpu.photometric, "photometric"),),
 }
 
 

@@ -24,8 +24,8 @@ from typing import Any
 import jwt
 from cryptography.hazmat.primitives.asymmetric import ed25519
 
-from server.auth.keys import TokenKeys
-from server.settings import Settings
+from streamlod.server.auth.keys import TokenKeys
+from streamlod.server.settings import Settings
 
 _DELAY_SECONDS = 0.5
 _BLANKS = 32 << 20

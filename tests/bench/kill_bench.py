@@ -28,7 +28,7 @@ import httpx
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from codec.packet.info import peek
+from streamlod.codec.packet.info import peek
 from tests.bench.abuse_bench import drain, filming, write_film
 from tests.bench.idle_bench import cpu_seconds
 from tests.e2e.test_server_process import family, serving

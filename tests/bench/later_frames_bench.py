@@ -19,21 +19,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from client.evaluation.measure.truth import dynamic_precision_recall
-from client.evaluation.systems import with_steps
-from codec.encoder import encode_keyframe, encode_residual
-from codec.refresh import RefreshRule, RefreshSchedule
-from core.arrays import Float32, UInt8
-from core.camera import Camera
-from core.data import linspace_split
-from core.frames import FrameSet
-from core.initialise import first_points
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.synthetic import SyntheticSpec, open_synthetic, surface_motion
-from core.train import PredictConfig, Trainer, preset
+from streamlod.client.evaluation.measure.truth import dynamic_precision_recall
+from streamlod.client.evaluation.systems import with_steps
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.refresh import RefreshRule, RefreshSchedule
+from streamlod.core.arrays import Float32, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data import linspace_split
+from streamlod.core.frames import FrameSet
+from streamlod.core.initialise import first_points
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, surface_motion
+from streamlod.core.train import PredictConfig, Trainer, preset
 
 MOTION_EVERY, SHOWN_EVERY = 4, 10  # frames
 _DIFFERENT = 0.04  # of [0, 1]: what looks different from the first picture

@@ -16,15 +16,15 @@ from typing import Any
 import pytest
 import torch
 
-import core.train.keyframe.trainer
-from core.data import linspace_split
-from core.data.dataset import Dataset
-from core.initialise import first_points
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import TrainConfig, TrainedFrame, Trainer, preset
-from core.train.keyframe.trainer import KeyframeTrainer
-from core.train.optimise.convergence import EpochProgress
-from core.train.residual.trainer import ResidualTrainer
+import streamlod.core.train.keyframe.trainer
+from streamlod.core.data import linspace_split
+from streamlod.core.data.dataset import Dataset
+from streamlod.core.initialise import first_points
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import TrainConfig, TrainedFrame, Trainer, preset
+from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.optimise.convergence import EpochProgress
+from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.device.fixture import on_gpu
 from tests.device.pretend import Counts, counted
 
@@ -34,7 +34,7 @@ SHOWN = 12  # places with the most launches
 STEPS = ((KeyframeTrainer, "step"), (ResidualTrainer, "_step"), (EpochProgress, "advance"))
 # Inside a first frame's step, but in one of many: anchors come and go, and how these are rounded is measured.
 REFINING = (
-    (core.train.keyframe.trainer, "refine"),
+    (streamlod.core.train.keyframe.trainer, "refine"),
     (KeyframeTrainer, "_astray"),
     (KeyframeTrainer, "_measured_precision"),
     (KeyframeTrainer, "_drop_idle_levels"),

@@ -27,23 +27,23 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from client.evaluation.measure.moving import MovingPixels
-from client.evaluation.measure.scores import draw
-from client.evaluation.measure.truth import shown_motion
-from client.evaluation.systems import with_steps
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.arrays import UInt8
-from core.camera import Camera
-from core.data import linspace_split
-from core.frames import FrameSet
-from core.initialise import first_points
-from core.metrics import psnr
-from core.scene.anchors import Scene
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import TrainConfig, Trainer, preset
-from core.train.motion import cues
-from core.train.motion.partition import Observation, Partition
+from streamlod.client.evaluation.measure.moving import MovingPixels
+from streamlod.client.evaluation.measure.scores import draw
+from streamlod.client.evaluation.measure.truth import shown_motion
+from streamlod.client.evaluation.systems import with_steps
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data import linspace_split
+from streamlod.core.frames import FrameSet
+from streamlod.core.initialise import first_points
+from streamlod.core.metrics import psnr
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.motion import cues
+from streamlod.core.train.motion.partition import Observation, Partition
 
 _HELD_OUT = "cam00"
 _FIGURES = ("moving", "fitted", "whole", "size", "seconds", "trained", "anchors")  # of a `Course`

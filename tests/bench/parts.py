@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from core.errors import BackendUnavailable
+from streamlod.core.errors import BackendUnavailable
 from tests.bench.growth_plot import growth_plot
 
 

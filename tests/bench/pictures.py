@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from itertools import pairwise
 
-from client.connection.watch import watch
-from client.events import NewScene
+from streamlod.client.connection.watch import watch
+from streamlod.client.events import NewScene
 
 _LIMIT_SECONDS = 60.0
 

@@ -22,15 +22,15 @@ import numba
 import numpy as np
 import torch
 
-from core.errors import BackendUnavailable
-from core.render import rasterise, select
-from core.render.cpu.frame import backward, forward
-from core.render.cpu.listing import pack_camera
-from core.render.cpu.workspace import Workspace
-from core.scene.gaussians import GaussianCloud
-from core.train.field.decode import Splats
-from core.train.optimise.losses import photometric_loss
-from core.train.residual.tile_cache import TileCache, make_tile_cache
+from streamlod.core.errors import BackendUnavailable
+from streamlod.core.render import rasterise, select
+from streamlod.core.render.cpu.frame import backward, forward
+from streamlod.core.render.cpu.listing import pack_camera
+from streamlod.core.render.cpu.workspace import Workspace
+from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.optimise.losses import photometric_loss
+from streamlod.core.train.residual.tile_cache import TileCache, make_tile_cache
 from tests.bench.parts import parts_parser, run_parts
 from tests.bench.raster_gpu import gpu_report
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles

@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
-from core.render import rasterise, select
-from core.train.field.convert import field_of
+from streamlod.core.render import rasterise, select
+from streamlod.core.train.field.convert import field_of
 from tests.bench.frame_subjects import draw_pictures, make_state
 from tests.bench.raster_subjects import make_scene, tensors
 

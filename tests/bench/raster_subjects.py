@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from core.arrays import Float64
-from core.camera import Camera, pinhole
-from core.render.reference import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, project
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera, pinhole
+from streamlod.core.render.reference import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, project
+from streamlod.core.scene.gaussians import GaussianCloud
 
 NAMES = ("means", "quaternions", "scales", "opacities", "colours")
 _TILE = 32

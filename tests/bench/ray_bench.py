@@ -14,9 +14,9 @@ import time
 
 import pytest
 
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.settings import RaySettings, Settings, WorkerSettings
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import RaySettings, Settings, WorkerSettings
 from tests.server.conftest import Viewer, running, viewing
 from tests.server.worker.cluster import actors
 from tests.server.worker.cluster.nodes import Nodes, ray_nodes
@@ -62,7 +62,7 @@ def main() -> None:
     spare = not options.no_spare
     spec = StreamSpec(job=TrainJob(synthetic=_CLIP, preset="live", points="random"))
     with ray_nodes(1, 1, 1) as nodes, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("server.stream.worker_stream.run_on_ray", actors.train_on_ray)
+        patch.setattr("streamlod.server.stream.worker_stream.run_on_ray", actors.train_on_ray)
         ray = RaySettings(address=nodes.address)
         settings = Settings(jobs="ray", ray=ray, worker=WorkerSettings(spare=spare))
         with running(settings, spec) as server, viewing(server) as viewer:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 from tests.bench.capacity_bench import main, measured
 from tests.bench.capacity_model import Demand, Figures, distinct, plan
 from tests.bench.capacity_simulation import simulate

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from core.train import PredictConfig, TrainConfig
+from streamlod.core.train import PredictConfig, TrainConfig
 from tests.bench.frame_gpu import gpu_report
 
 

@@ -8,7 +8,7 @@ import numba
 import pytest
 import torch
 
-from core.render.backends import cuda_fault
+from streamlod.core.render.backends import cuda_fault
 from tests.bench import raster_bench
 from tests.bench.raster_gpu import gpu_report
 

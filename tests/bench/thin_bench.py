@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 import time
 
-from core.render.splatter import Splatter
-from server.viewer.renderer import GRADES, PictureRenderer
+from streamlod.core.render.splatter import Splatter
+from streamlod.server.viewer.renderer import GRADES, PictureRenderer
 from tests.client.web.scenes import make_scene, moved
 
 _REPEATS = 5

@@ -32,7 +32,7 @@ BEFORE_THE_CLUSTER = "3f14add"
 _VIEWER_CORE = 1
 _SETTLE_SECONDS = 6.0  # for kernels to be loaded and all viewers to join
 _PREPARE = """
-from server.pipeline.warming import warm_codec
+from streamlod.server.pipeline.warming import warm_codec
 from tests.server.conftest import make_clip, Path
 warm_codec()
 make_clip(Path({!r}), 150, (50, 200, 800), key_every=50)
@@ -79,7 +79,7 @@ def run(source: Path, program: str) -> str:
 
 def measured(source: Path, clip: Path, viewers: int, seconds: float) -> Taken:
     """Start a server of that version, let viewers watch, and stop it."""
-    command = [sys.executable, "-m", "server.cli", "serve", "--port", "0", "--play", str(clip)]
+    command = [sys.executable, "-m", "streamlod.server.cli", "serve", "--port", "0", "--play", str(clip)]
     log, begin = clip.with_suffix(".log"), time.monotonic()
     with log.open("w") as file, subprocess.Popen(command, cwd=source, env=of(source), stderr=file) as process:
         try:

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from playwright.sync_api import sync_playwright
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import AnchorLevel, Scene, append_rows
-from core.scene.octree import morton_key
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import AnchorLevel, Scene, append_rows
+from streamlod.core.scene.octree import morton_key
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene

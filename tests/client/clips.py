@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import Scene
-from core.scene.residual import difference
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
 from tests.codec.scenes import make_scene, move
 
 FRAME_NS = 33_333_333

@@ -12,14 +12,14 @@ import pytest
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.http11 import Request, Response
 
-import client.connection.edges
-import client.connection.moving_link
-import client.connection.watch
-import client.playback
-from client.connection.link import SUBPROTOCOL, WatchOptions
-from client.connection.watch import back_off, watch
-from client.events import Disconnected, Event, NewScene, Welcome
-from core.errors import InputError, SessionError
+import streamlod.client.connection.edges
+import streamlod.client.connection.moving_link
+import streamlod.client.connection.watch
+import streamlod.client.playback
+from streamlod.client.connection.link import SUBPROTOCOL, WatchOptions
+from streamlod.client.connection.watch import back_off, watch
+from streamlod.client.events import Disconnected, Event, NewScene, Welcome
+from streamlod.core.errors import InputError, SessionError
 from tests.client.clips import packets, states
 from tests.client.test_playback import WELCOME
 
@@ -29,10 +29,10 @@ Behaviour = Callable[[ServerConnection], Awaitable[None]]
 @pytest.fixture(autouse=True)
 def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between two attempts; and where the machine is busy, nothing is given up, or acknowledged early."""
-    monkeypatch.setattr(client.connection.watch, "_MIN_DELAY", 0.01)
-    monkeypatch.setattr(client.connection.edges, "_ANSWER_SECONDS", 30.0)
-    monkeypatch.setattr(client.connection.moving_link, "_MOVE_SECONDS", 30.0)
-    monkeypatch.setattr(client.playback, "_ACK_SECONDS", 60.0)
+    monkeypatch.setattr(streamlod.client.connection.watch, "_MIN_DELAY", 0.01)
+    monkeypatch.setattr(streamlod.client.connection.edges, "_ANSWER_SECONDS", 30.0)
+    monkeypatch.setattr(streamlod.client.connection.moving_link, "_MOVE_SECONDS", 30.0)
+    monkeypatch.setattr(streamlod.client.playback, "_ACK_SECONDS", 60.0)
 
 
 def events_from(*behaviours: Behaviour, options: WatchOptions | None = None) -> list[Event]:
@@ -228,7 +228,7 @@ def test_nobody_there_and_wrong_addresses() -> None:
 
 
 def test_back_off_is_short_four_times_then_doubles_to_a_limit_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client.connection.watch, "_MIN_DELAY", 0.5)
+    monkeypatch.setattr(streamlod.client.connection.watch, "_MIN_DELAY", 0.5)
     for failures, longest in ((0, 0.5), (3, 0.5), (4, 1.0), (6, 4.0), (9, 15.0), (5000, 15.0)):
         delays = [back_off(failures) for _ in range(50)]
         assert longest / 2 <= min(delays) <= max(delays) <= longest

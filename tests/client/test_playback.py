@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from client.events import NewScene, Notice, Welcome
-from client.playback import Playback
-from codec.packet.levels import drop_levels, split_levels
-from core.errors import SessionError
+from streamlod.client.events import NewScene, Notice, Welcome
+from streamlod.client.playback import Playback
+from streamlod.codec.packet.levels import drop_levels, split_levels
+from streamlod.core.errors import SessionError
 from tests.client.clips import packets, states
 from tests.codec.scenes import assert_same_state
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from client.recorder import open_recorder
-from core.arrays import UInt8
-from core.errors import InputError
+from streamlod.client.recorder import open_recorder
+from streamlod.core.arrays import UInt8
+from streamlod.core.errors import InputError
 
 
 def picture(number: int, size: tuple[int, int] = (48, 64)) -> UInt8:

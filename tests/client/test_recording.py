@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from client.inspection import describe_file
-from client.recording import decode_frames, decode_version, versions
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.levels import split_levels
-from core.errors import InputError
-from core.scene.keyframe import as_keyframe
-from core.scene.residual import difference
+from streamlod.client.inspection import describe_file
+from streamlod.client.recording import decode_frames, decode_version, versions
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.levels import split_levels
+from streamlod.core.errors import InputError
+from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.core.scene.residual import difference
 from tests.client.clips import FRAME_NS, packets, plain_scene, states, write_clip
 from tests.codec.scenes import assert_same_state
 

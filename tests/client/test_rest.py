@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from client.remote import remote
-from client.rest import ServerClient
-from client.rest_answers import FeedEvent
-from codec.container import SlodReader
-from core.errors import InputError, RequestRefused
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.client.remote import remote
+from streamlod.client.rest import ServerClient
+from streamlod.client.rest_answers import FeedEvent
+from streamlod.codec.container import SlodReader
+from streamlod.core.errors import InputError, RequestRefused
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.attack.test_rights import write_tokens
 from tests.server.conftest import Clip, Running, clip, running, slow_clip, viewing
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from client.remote import ACTIONS, ALONE, remote
-from client.rest_answers import RecordingInfo, StreamInfo, read
-from core.errors import InputError
+from streamlod.client.remote import ACTIONS, ALONE, remote
+from streamlod.client.rest_answers import RecordingInfo, StreamInfo, read
+from streamlod.core.errors import InputError
 
 OPTIONS = {"disconnect": {"viewer": "a"}}
 STREAM = {"id": "a", "state": "live", "detail": "", "source": "cameras", "epoch": 1, "version": None, "viewers": 0,

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
 
-from client.connection.link import SUBPROTOCOL
-from client.viewing import record_stream
-from codec.encoder import encode_keyframe
-from core.arrays import UInt8
-from core.render.splatter import draw_cloud
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.scene.interpolate import interpolate
+from streamlod.client.connection.link import SUBPROTOCOL
+from streamlod.client.viewing import record_stream
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.core.arrays import UInt8
+from streamlod.core.render.splatter import draw_cloud
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.interpolate import interpolate
 from tests.client.clips import packets
 from tests.client.test_playback import WELCOME
 from tests.client.web.scenes import make_scene, moved

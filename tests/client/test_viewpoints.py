@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from client.viewpoints import camera_named, focus_point, orbit, read_poses
-from core.camera import look_at, pinhole
-from core.errors import InputError
+from streamlod.client.viewpoints import camera_named, focus_point, orbit, read_poses
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.errors import InputError
 from tests.client.clips import plain_scene
 
 HEADER = plain_scene((1,)).header

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from codec.coder.column_model import take_columns
-from codec.coder.rans import Array, begin, finish
+from streamlod.codec.coder.column_model import take_columns
+from streamlod.codec.coder.rans import Array, begin, finish
 
 
 def decode_columns(words: Array, lanes: int, values: Array, scale: Array) -> bool:

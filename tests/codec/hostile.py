@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.chunks.plain import encode_plain
-from codec.coder import oracle
-from codec.packet.bytes import build, parse
-from codec.packet.limits import MAX_NUMBERS_A_BYTE
-from codec.packet.packet import PADDING, ChunkKind, make_chunk
+from streamlod.codec.chunks.plain import encode_plain
+from streamlod.codec.coder import oracle
+from streamlod.codec.packet.bytes import build, parse
+from streamlod.codec.packet.limits import MAX_NUMBERS_A_BYTE
+from streamlod.codec.packet.packet import PADDING, ChunkKind, make_chunk
 from tests.codec.scenes import grow, make_scene
 from tests.vectors.valid import key, packet
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Float64, Int32
-from core.camera import look_at, pinhole
-from core.scene.anchors import LATENTS, SCALINGS, AnchorLevel, AnchorWeights, Scene, SceneHeader
-from core.scene.octree import Octree, morton_key
-from core.scene.residual import Residual, difference
+from streamlod.core.arrays import Float64, Int32
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.scene.anchors import LATENTS, SCALINGS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from streamlod.core.scene.octree import Octree, morton_key
+from streamlod.core.scene.residual import Residual, difference
 
 
 def make_scene(counts: tuple[int, ...] = (10, 65, 200), seed: int = 0, slots: int = 4, features: int = 32) -> Scene:

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.decoder import SceneDecoder
-from codec.packet.bytes import build, parse
-from codec.packet.limits import DecoderLimits
-from codec.packet.packet import PADDING, ChunkKind
-from core.errors import BitstreamError
-from core.scene.anchors import AnchorLevel, Scene, identify
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.bytes import build, parse
+from streamlod.codec.packet.limits import DecoderLimits
+from streamlod.codec.packet.packet import PADDING, ChunkKind
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.anchors import AnchorLevel, Scene, identify
 from tests.codec.hostile import densest, exchanged, hostile, stream_bytes, uncoded
 from tests.codec.scenes import grow, make_scene, move
 from tests.vectors.make import FOLDER, read_stream
@@ -25,9 +25,9 @@ from tests.vectors.valid import key, packet, small
 _MEMORY = 192 << 20  # bytes that the process may take beside what Python and its libraries have taken
 _CHILD = """
 import os, resource, sys, time
-from codec.decoder import SceneDecoder
-from codec.warm import warm_up
-from core.errors import BitstreamError
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.warm import warm_up
+from streamlod.core.errors import BitstreamError
 from tests.vectors.make import read_stream
 from pathlib import Path
 warm_up()

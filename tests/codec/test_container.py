@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from codec.container import SlodReader, SlodWriter
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.levels import split_levels
-from core.errors import BitstreamError, InputError
-from core.scene.anchors import Scene
-from core.scene.residual import difference
+from streamlod.codec.container import SlodReader, SlodWriter
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.levels import split_levels
+from streamlod.core.errors import BitstreamError, InputError
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
 from tests.codec.scenes import assert_same_state, make_scene, steps
 
 FRAMES = 6

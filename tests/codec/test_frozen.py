@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from codec.container import SlodReader
-from codec.decoder import SceneDecoder
-from codec.packet.bytes import FORMAT_VERSION, parse
-from core.errors import BitstreamError
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.bytes import FORMAT_VERSION, parse
+from streamlod.core.errors import BitstreamError
 from tests.vectors.make import FOLDER, FROZEN, read_stream, state_of
 
 # Whoever changes this number changes what version 1 means. New vectors go into the manifest, not into this list.

@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from codec.chunks.header import decode_header, decode_weights, encode_header, encode_weights
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.bytes import build, parse
-from codec.packet.info import peek
-from codec.packet.levels import drop_levels, select_levels, split_levels
-from codec.packet.limits import DEFAULT_LIMITS
-from codec.packet.packet import Packet, PacketKind, make_chunk
-from core.scene.anchors import AnchorWeights
-from core.scene.residual import difference
+from streamlod.codec.chunks.header import decode_header, decode_weights, encode_header, encode_weights
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.bytes import build, parse
+from streamlod.codec.packet.info import peek
+from streamlod.codec.packet.levels import drop_levels, select_levels, split_levels
+from streamlod.codec.packet.limits import DEFAULT_LIMITS
+from streamlod.codec.packet.packet import Packet, PacketKind, make_chunk
+from streamlod.core.scene.anchors import AnchorWeights
+from streamlod.core.scene.residual import difference
 from tests.codec.scenes import make_scene, move
 from tests.vectors.valid import key, packet, small
 

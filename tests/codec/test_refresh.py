@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from codec.encoder import encode_keyframe
-from codec.refresh import RefreshRule, RefreshSchedule, catch_up_bytes, churn, keyframe_bytes
-from core.scene.anchors import Scene
-from core.scene.keyframe import as_keyframe
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.codec.refresh import RefreshRule, RefreshSchedule, catch_up_bytes, churn, keyframe_bytes
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.keyframe import as_keyframe
 from tests.codec.scenes import grow, make_scene, move
 
 KEY = make_scene((100, 1500), slots=2, features=4)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from codec.decoder import SceneDecoder
-from codec.packet.info import peek
-from codec.packet.limits import DecoderLimits
-from core.errors import BitstreamError
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.info import peek
+from streamlod.codec.packet.limits import DecoderLimits
+from streamlod.core.errors import BitstreamError
 from tests.codec.scenes import grow, make_scene, move
 from tests.fuzz.corpus import SEEDS, kept, mutants
 from tests.fuzz.targets import REPAIRS, TARGETS

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.info import peek
-from codec.packet.levels import drop_levels, select_levels, split_levels
-from core.errors import BitstreamError
-from core.scene.residual import difference
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.info import peek
+from streamlod.codec.packet.levels import drop_levels, select_levels, split_levels
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.residual import difference
 from tests.codec.scenes import assert_same_level, assert_same_state, grow, make_scene, move, steps
 
 PROFILES = (0, 1)

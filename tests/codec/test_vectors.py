@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.packet import PacketKind
-from core.errors import BitstreamError
-from core.scene.residual import difference
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.residual import difference
 from tests.vectors.make import FOLDER, read_stream, state_of
 
 MANIFEST: dict[str, Any] = json.loads((FOLDER / "manifest.json").read_text())

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from codec.coder import change_model, column_model, octree_model, rans, trend
-from codec.decoder import SceneDecoder
-from codec.warm import warm_up
+from streamlod.codec.coder import change_model, column_model, octree_model, rans, trend
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.warm import warm_up
 from tests.codec.scenes import grow, move
 from tests.vectors.make import FOLDER, read_stream
 from tests.vectors.valid import key, packet, small

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.camera import Camera, look_at, pinhole
-from core.errors import InputError
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.errors import InputError
 
 coordinates = st.floats(-10, 10)
 points = st.tuples(coordinates, coordinates, coordinates).map(lambda xyz: np.array(xyz, np.float64))

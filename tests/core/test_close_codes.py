@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from core.close_codes import REFUSALS, CloseCode
+from streamlod.core.close_codes import REFUSALS, CloseCode
 
 ROOT = Path(__file__).parents[2]
 

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import InputError
-from core.files import put_in_place, temporary_beside, write_bytes, write_text
+from streamlod.core.errors import InputError
+from streamlod.core.files import put_in_place, temporary_beside, write_bytes, write_text
 
 SIZE = 3_000_000
 VALUES = [bytes([value]) * SIZE for value in (65, 66)]
 ENDLESS = f"""
 import sys
 from pathlib import Path
-from core.files import write_bytes
+from streamlod.core.files import write_bytes
 while True:
     for value in (65, 66):
         write_bytes(Path(sys.argv[1]), bytes([value]) * {SIZE})
@@ -26,8 +26,8 @@ while True:
 SMALL_DISK = f"""
 import resource, signal, sys
 from pathlib import Path
-from core.errors import InputError
-from core.files import write_bytes
+from streamlod.core.errors import InputError
+from streamlod.core.files import write_bytes
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.frames import FrameSet, PointCloud
+from streamlod.core.frames import FrameSet, PointCloud
 
 
 def test_a_frame_set_has_one_flag_a_camera() -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.frames import PointCloud
-from core.initialise.views import pixel_centres, unproject
-from core.synthetic import SyntheticSpec, cameras, render_frame
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.views import pixel_centres, unproject
+from streamlod.core.synthetic import SyntheticSpec, cameras, render_frame
 
 _APART = 5  # pixels of a row; a sweep finds about as many points
 

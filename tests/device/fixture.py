@@ -8,9 +8,9 @@ from contextlib import contextmanager
 import pytest
 import torch
 
-import core.render.backends
-import core.render.cuda
-from core.render.backends import cuda_fault
+import streamlod.core.render.backends
+import streamlod.core.render.cuda
+from streamlod.core.render.backends import cuda_fault
 from tests.device import pretend
 from tests.device.rasterization import rasterization
 
@@ -24,14 +24,14 @@ def on_gpu(patch: pytest.MonkeyPatch) -> Iterator[str]:
     if not pretend.can_be_registered():
         pytest.skip(f"there is a GPU, but it cannot be used: {cuda_fault()}")
     name = pretend.register()
-    for module in (core.render.backends, core.render.cuda):
+    for module in (streamlod.core.render.backends, streamlod.core.render.cuda):
         patch.setattr(module, "cuda_fault", lambda: None)
-    patch.setattr(core.render.backends, "GPU", name)
-    patch.setattr(core.render.cuda, "_gsplat", lambda: rasterization)
+    patch.setattr(streamlod.core.render.backends, "GPU", name)
+    patch.setattr(streamlod.core.render.cuda, "_gsplat", lambda: rasterization)
     patch.setattr(torch.Tensor, "pin_memory", lambda self: self)
-    core.render.cuda._device_camera.cache_clear()
+    streamlod.core.render.cuda._device_camera.cache_clear()
     yield name
-    core.render.cuda._device_camera.cache_clear()
+    streamlod.core.render.cuda._device_camera.cache_clear()
 
 
 @pytest.fixture

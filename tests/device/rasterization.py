@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.camera import pinhole
-from core.render import Raster, rasterise
+from streamlod.core.camera import pinhole
+from streamlod.core.render import Raster, rasterise
 from tests.device.pretend import DeviceTensor
 
 # Parameters of gsplat 1.5.3's rasterization, in order; tests compare them with the package where it is installed.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from core.train.optimise.host_copy import HostCopy
+from streamlod.core.train.optimise.host_copy import HostCopy
 from tests.device import pretend, rasterization
 from tests.device.pretend import DeviceTensor, MixedDevicesError, counted
 

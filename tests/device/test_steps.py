@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from core.render.backends import cuda_fault
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Trainer, preset
-from core.train.keyframe.trainer import KeyframeTrainer
-from core.train.optimise.convergence import EpochProgress
-from core.train.residual.trainer import ResidualTrainer
+from streamlod.core.render.backends import cuda_fault
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Trainer, preset
+from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.optimise.convergence import EpochProgress
+from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.core.true_points import true_points
 from tests.device.pretend import Counts, counted
 

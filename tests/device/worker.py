@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from core.train.presets.named import PRESETS, preset
-from server.pipeline.spec import StreamSpec
-from server.worker import process
+from streamlod.core.train.presets.named import PRESETS, preset
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.worker import process
 from tests.device.fixture import on_gpu
 
 

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from server.settings import Settings, load_settings
+from streamlod.server.settings import Settings, load_settings
 from tests.server.edge.jetstream.nats_servers import NATS_SERVER
 from tests.server.edge.processes import wait
 from tests.server.ports import free_ports

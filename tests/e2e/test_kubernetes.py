@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from server.service.app import create_app
-from server.settings import Settings
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import Settings
 from tests.e2e.test_compose import CLUSTER, FOLDER, ray_options, settings_of
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is missing: pip install pyyaml")

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from codec.container import SlodReader
-from core.arrays import UInt8
-from core.metrics import psnr
-from core.synthetic import SyntheticSpec, write_clip
+from streamlod.codec.container import SlodReader
+from streamlod.core.arrays import UInt8
+from streamlod.core.metrics import psnr
+from streamlod.core.synthetic import SyntheticSpec, write_clip
 from tests.e2e.test_server_process import PROGRAM, family, get, live, serving
 from tests.server.conftest import Viewer
 from tests.server.ingest.rig import NEEDS_FFMPEG, rtsp, sending

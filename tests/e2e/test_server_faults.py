@@ -23,7 +23,7 @@ from typing import Any
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from codec.container import SlodReader
+from streamlod.codec.container import SlodReader
 from tests.e2e.test_server_process import PROGRAM, get, live, wait_live
 from tests.server.conftest import Clip, Viewer, make_clip
 from tests.server.test_faults import masked, raw
@@ -40,7 +40,7 @@ def step(number, frame):
     shift += 3600 if number == signal.SIGUSR1 else -7200
 signal.signal(signal.SIGUSR1, step)
 signal.signal(signal.SIGUSR2, step)
-from server.cli.main import main
+from streamlod.server.cli.main import main
 main()
 """
 

@@ -21,10 +21,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from codec.container import SlodReader
+from streamlod.codec.container import SlodReader
 from tests.server.conftest import Clip, Viewer, make_clip
 
-PROGRAM = [sys.executable, "-m", "server.cli"]
+PROGRAM = [sys.executable, "-m", "streamlod.server.cli"]
 
 
 @pytest.fixture(scope="module")

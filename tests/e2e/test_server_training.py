@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.server.conftest import running, viewing
 
 CLIP = {"cameras": 4, "frames": 6, "width": 120, "height": 68}

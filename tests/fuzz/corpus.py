@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from client.playback import Playback
-from codec.container import SlodWriter
-from codec.packet.bytes import parse
-from core.errors import BitstreamError
+from streamlod.client.playback import Playback
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.packet.bytes import parse
+from streamlod.core.errors import BitstreamError
 from tests.fuzz.targets import CHUNKS, PACKET_TO_VIEWER, TEXT_TO_SERVER, TEXT_TO_VIEWER, addressed, joined, ready
 from tests.vectors.make import FOLDER, read_stream
 

@@ -16,9 +16,15 @@ def main() -> None:
     import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
     for compiled in ("change_model", "class_model", "octree_model", "trend"):
-        import_module(f"codec.coder.{compiled}")  # before, so that they stay as they are
+        import_module(f"streamlod.codec.coder.{compiled}")  # before, so that they stay as they are
     with atheris.instrument_imports(
-        include=["codec", "core", "client.playback", "server.protocol.messages", "server.protocol.thin_messages"]
+        include=[
+            "streamlod.codec",
+            "streamlod.core",
+            "streamlod.client.playback",
+            "streamlod.server.protocol.messages",
+            "streamlod.server.protocol.thin_messages",
+        ]
     ):
         from tests.fuzz.corpus import SEEDS
         from tests.fuzz.targets import REPAIRS, TARGETS

@@ -22,9 +22,9 @@ from itertools import islice
 from pathlib import Path
 from types import FrameType
 
-from codec.decoder import SceneDecoder
-from codec.warm import warm_up
-from core.errors import BitstreamError
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.warm import warm_up
+from streamlod.core.errors import BitstreamError
 from tests.fuzz import server_targets
 from tests.fuzz.corpus import KEPT, SEEDS, mutants
 from tests.fuzz.targets import REPAIRS, TARGETS, repair

@@ -12,9 +12,19 @@ def main() -> None:
     import atheris  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
     include = [
-        *("server.protocol.messages", "server.protocol.thin_messages", "server.auth.gate", "server.auth.keys"),
-        *("server.auth.links", "server.settings", "server.pipeline.spec", "server.pipeline.job"),
-        *("server.ingest.cameras.definition", "server.api.ranges", "json", "jwt"),
+        *(
+            "streamlod.server.protocol.messages",
+            "streamlod.server.protocol.thin_messages",
+            "streamlod.server.auth.gate",
+            "streamlod.server.auth.keys",
+        ),
+        *(
+            "streamlod.server.auth.links",
+            "streamlod.server.settings",
+            "streamlod.server.pipeline.spec",
+            "streamlod.server.pipeline.job",
+        ),
+        *("streamlod.server.ingest.cameras.definition", "streamlod.server.api.ranges", "json", "jwt"),
     ]
     with atheris.instrument_imports(include=include):
         from tests.fuzz.server_targets import SEEDS, TARGETS

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from client.playback import Playback
-from codec.chunks import level as chunks
-from codec.chunks.change import Elapsed
-from codec.container import SlodReader
-from codec.decoder import SceneDecoder
-from codec.packet.bytes import HEADER_BYTES
-from codec.packet.limits import DecoderLimits, Room
-from codec.packet.packet import ChunkKind
-from core.errors import BitstreamError, InputError, SessionError
-from core.scene.anchors import AnchorLevel, SceneHeader, empty_level
-from server.protocol.messages import parse_control, parse_hello
+from streamlod.client.playback import Playback
+from streamlod.codec.chunks import level as chunks
+from streamlod.codec.chunks.change import Elapsed
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.packet.bytes import HEADER_BYTES
+from streamlod.codec.packet.limits import DecoderLimits, Room
+from streamlod.codec.packet.packet import ChunkKind
+from streamlod.core.errors import BitstreamError, InputError, SessionError
+from streamlod.core.scene.anchors import AnchorLevel, SceneHeader, empty_level
+from streamlod.server.protocol.messages import parse_control, parse_hello
 from tests.codec.scenes import make_header
 from tests.vectors.make import FOLDER, read_stream
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from core.train import TrainConfig, preset
+from streamlod.core.train import TrainConfig, preset
 
 
 @contextmanager
@@ -24,5 +24,5 @@ def brief_training(steps: int = 30) -> Iterator[None]:
         )
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("server.pipeline.stages.preset", brief)
+        patch.setattr("streamlod.server.pipeline.stages.preset", brief)
         yield

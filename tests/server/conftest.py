@@ -17,17 +17,17 @@ import httpx
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-from codec.container import SlodWriter
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import Scene
-from core.scene.residual import difference
-from server.api.registry import Registry
-from server.pipeline.spec import StreamSpec
-from server.protocol.packets import PacketWindow, Position
-from server.service.app import create_app
-from server.service.run import Server, server_config
-from server.settings import Settings
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
+from streamlod.server.api.registry import Registry
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.packets import PacketWindow, Position
+from streamlod.server.service.app import create_app
+from streamlod.server.service.run import Server, server_config
+from streamlod.server.settings import Settings
 from tests.codec.scenes import make_scene, move
 
 FRAME_NS = 20_000_000

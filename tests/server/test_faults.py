@@ -17,16 +17,16 @@ from typing import Self
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.errors import SessionError
-from core.scene.residual import difference
-from server.pipeline.spec import StreamSpec
-from server.protocol.messages import parse_hello
-from server.protocol.packets import stream_packet
-from server.settings import Limits, Settings
-from server.stream.counters import Counters
-from server.stream.hub import Hub
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.errors import SessionError
+from streamlod.core.scene.residual import difference
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.messages import parse_hello
+from streamlod.server.protocol.packets import stream_packet
+from streamlod.server.settings import Limits, Settings
+from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.hub import Hub
 from tests.codec.scenes import assert_same_level, assert_same_state, make_scene, move
 from tests.server.conftest import Clip, make_clip, running, viewing
 

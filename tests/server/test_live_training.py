@@ -23,21 +23,21 @@ from prometheus_client.registry import Collector
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from codec.packet.info import peek
-from core.errors import InputError, ModelError, SessionError
-from core.synthetic import SyntheticSpec, open_synthetic
-from server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
-from server.ingest.statistics import CameraStatistics, Statistics
-from server.ingest.sync.clock import ClockSource
-from server.ingest.sync.synchroniser import CameraState, Counts
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.pipeline.stages import open_job, train_stream
-from server.service.ingest_metrics import ingest_families
-from server.settings import Settings, load_settings
-from server.stream.worker_stream import WorkerStream
-from server.worker.camera_pictures import unpack_pictures
-from server.worker.process import Sender, Tag, train
+from streamlod.codec.packet.info import peek
+from streamlod.core.errors import InputError, ModelError, SessionError
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
+from streamlod.server.ingest.statistics import CameraStatistics, Statistics
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.synchroniser import CameraState, Counts
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.pipeline.stages import open_job, train_stream
+from streamlod.server.service.ingest_metrics import ingest_families
+from streamlod.server.settings import Settings, load_settings
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.worker.camera_pictures import unpack_pictures
+from streamlod.server.worker.process import Sender, Tag, train
 from tests.server.brief import brief_training
 from tests.server.conftest import Clip, running
 from tests.server.ingest.push.serving import relayed
@@ -159,7 +159,7 @@ def test_a_failing_encoder_ends_training_that_waits_for_cameras(
             time.sleep(0.05)
         raise ModelError("the encoder broke")
 
-    monkeypatch.setattr("server.pipeline.stages.encode_keyframe", broken)
+    monkeypatch.setattr("streamlod.server.pipeline.stages.encode_keyframe", broken)
     with brief_training(), pytest.raises(ModelError, match="the encoder broke"):
         next(train_stream(opened))
     assert "training" not in {thread.name for thread in threading.enumerate()}

@@ -9,9 +9,9 @@ from pathlib import Path
 from prometheus_client import generate_latest
 from pydantic import BaseModel
 
-from server.pipeline.spec import StreamSpec
-from server.service.metrics import collector_registry
-from server.settings import (
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service.metrics import collector_registry
+from streamlod.server.settings import (
     EdgeSettings,
     JetStreamSettings,
     Limits,

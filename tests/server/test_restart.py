@@ -17,18 +17,18 @@ from typing import Any
 import httpx
 import pytest
 
-from codec.container import SlodReader
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe
-from codec.packet.info import peek
-from core.errors import InputError
-from core.scene.keyframe import as_keyframe
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.settings import Retention, Settings
-from server.stream.store import Store
-from server.stream.worker_stream import MAX_AWAY_SECONDS, WorkerStream
-from server.worker.process import Resume, Tag
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.codec.packet.info import peek
+from streamlod.core.errors import InputError
+from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Retention, Settings
+from streamlod.server.stream.store import Store
+from streamlod.server.stream.worker_stream import MAX_AWAY_SECONDS, WorkerStream
+from streamlod.server.worker.process import Resume, Tag
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Viewer, make_clip, running, viewing
 
@@ -94,7 +94,7 @@ def test_two_servers_do_not_share_a_folder(tmp_path: Path) -> None:
     first = Store(tmp_path, Retention())
     with pytest.raises(InputError, match="another server"):
         Store(tmp_path, Retention())
-    code = f"from server.stream.store import *; Store(Path({str(tmp_path)!r}), Retention())"
+    code = f"from streamlod.server.stream.store import *; Store(Path({str(tmp_path)!r}), Retention())"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "another server" in other.stderr
     first.close()
@@ -226,7 +226,7 @@ def next_version(viewer: Viewer) -> int:
 def test_what_a_viewer_got_is_on_the_disk_already(
     tmp_path: Path, one_file: Clip, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.stream.bus.RECORD_SECONDS", 30.0)  # no disk is that slow
+    monkeypatch.setattr("streamlod.server.stream.bus.RECORD_SECONDS", 30.0)  # no disk is that slow
     with running(Settings(state=tmp_path), StreamSpec(play=one_file.path)) as server, viewing(server) as viewer:
         viewer.hello()
         viewer.until("caught_up")
@@ -259,7 +259,9 @@ def test_a_disk_that_stands_still_holds_viewers_up_once(
             recorded = recorded_version(tmp_path)
             while next_version(viewer) <= recorded:
                 pass
-            monkeypatch.setattr("server.stream.bus.RECORD_SECONDS", 60.0)  # from now on, a wait would be noticed
+            monkeypatch.setattr(
+                "streamlod.server.stream.bus.RECORD_SECONDS", 60.0
+            )  # from now on, a wait would be noticed
             for _ in range(20):
                 viewer.next_packet()
         finally:

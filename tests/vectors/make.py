@@ -12,9 +12,9 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from codec.decoder import SceneDecoder
-from core.errors import BitstreamError
-from core.scene.anchors import AnchorLevel
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.anchors import AnchorLevel
 from tests.vectors.broken import broken_streams
 from tests.vectors.valid import valid_streams
 

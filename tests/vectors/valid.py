@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.chunks.plain import encode_plain
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.bytes import build, parse
-from codec.packet.levels import drop_levels, select_levels, split_levels
-from codec.packet.packet import ChunkKind, make_chunk
-from core.scene.anchors import AnchorLevel, Scene, empty_level
-from core.scene.octree import Octree
-from core.scene.residual import difference
+from streamlod.codec.chunks.plain import encode_plain
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.bytes import build, parse
+from streamlod.codec.packet.levels import drop_levels, select_levels, split_levels
+from streamlod.codec.packet.packet import ChunkKind, make_chunk
+from streamlod.core.scene.anchors import AnchorLevel, Scene, empty_level
+from streamlod.core.scene.octree import Octree
+from streamlod.core.scene.residual import difference
 from tests.codec.scenes import grow, make_scene, move
 
 Streams = Iterator[tuple[str, list[bytes]]]

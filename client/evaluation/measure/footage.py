@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from core.data import Dataset, Split, linspace_split, open_dataset, prefetch, read_split
-from core.errors import InputError
-from core.frames import FrameSet, PointCloud
-from core.initialise import first_points
+from streamlod.core.data import Dataset, Split, linspace_split, open_dataset, prefetch, read_split
+from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.initialise import first_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from client.evaluation.measure.scores import Metric
-from core.arrays import Bool, Int64, UInt8
-from core.camera import Camera
-from core.metrics import Distance, psnr, ssim_map
-from core.synthetic import SyntheticSpec, moving_surface
+from streamlod.client.evaluation.measure.scores import Metric
+from streamlod.core.arrays import Bool, Int64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.metrics import Distance, psnr, ssim_map
+from streamlod.core.synthetic import SyntheticSpec, moving_surface
 
 MOVING_METRICS = (
     Metric("moving_psnr", "moving PSNR dB", 2),

@@ -9,14 +9,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from core.arrays import Float32, UInt8
-from core.camera import Camera
-from core.errors import BackendUnavailable
-from core.metrics import Distance, psnr, ssim
-from core.metrics.lpips_weights import MIN_SIDE, Net
-from core.render.splatter import draw_cloud
-from core.scene.anchors import Scene
-from core.scene.expand import expand
+from streamlod.core.arrays import Float32, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.errors import BackendUnavailable
+from streamlod.core.metrics import Distance, psnr, ssim
+from streamlod.core.metrics.lpips_weights import MIN_SIDE, Net
+from streamlod.core.render.splatter import draw_cloud
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
 
 _log = logging.getLogger(__name__)
 
@@ -141,7 +141,7 @@ def _distance_of(distance: Distance | None, drawn: UInt8, truth: UInt8) -> float
 
 def _distance(net: Net) -> Distance | None:
     try:
-        from core.metrics.lpips import load_lpips  # needs torch, which a client does without
+        from streamlod.core.metrics.lpips import load_lpips  # needs torch, which a client does without
 
         return load_lpips(net).distance
     except (BackendUnavailable, ImportError) as error:

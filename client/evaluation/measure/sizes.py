@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from codec.encoder import encode_keyframe, encode_residual
-from codec.packet.info import peek
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.residual import Residual
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.info import peek
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.residual import Residual
 
 KEYFRAME_INTERVAL = 100  # predicted frames to a keyframe, where nothing calls for one sooner (`codec.refresh`)
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import UInt8
-from core.errors import InputError
-from core.files import write_text
+from streamlod.core.arrays import UInt8
+from streamlod.core.errors import InputError
+from streamlod.core.files import write_text
 
 
 def result_folder(path: Path) -> Path:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from client.evaluation.report.figures import Axis, Curve, Dot, curves, scatter
-from client.evaluation.report.pareto import pareto_front
+from streamlod.client.evaluation.report.figures import Axis, Curve, Dot, curves, scatter
+from streamlod.client.evaluation.report.pareto import pareto_front
 
 COSTS = {
     "predicted_bytes_mean": ("KB a predicted frame", 1000.0),

@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from client.evaluation.measure.moving import MOVING_METRICS
-from client.evaluation.measure.scores import METRICS
-from client.evaluation.measure.sizes import KEYFRAME_INTERVAL
-from client.evaluation.report.quoted import ABLATIONS, PEERS, PEERS_SOURCE, SOURCE, TABLES, Peer, Quoted, QuotedAblation
-from client.evaluation.report.tables import number, spread_number, table
-from client.evaluation.report.verdicts import verdict_table
+from streamlod.client.evaluation.measure.moving import MOVING_METRICS
+from streamlod.client.evaluation.measure.scores import METRICS
+from streamlod.client.evaluation.measure.sizes import KEYFRAME_INTERVAL
+from streamlod.client.evaluation.report.quoted import (
+    ABLATIONS,
+    PEERS,
+    PEERS_SOURCE,
+    SOURCE,
+    TABLES,
+    Peer,
+    Quoted,
+    QuotedAblation,
+)
+from streamlod.client.evaluation.report.tables import number, spread_number, table
+from streamlod.client.evaluation.report.verdicts import verdict_table
 
 _QUALITY = ("system", *(metric.heading for metric in (*METRICS, *MOVING_METRICS)))
 _COST = (

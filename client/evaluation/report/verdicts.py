@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from client.evaluation.report.quoted import ABLATIONS, MEET_ROOM, Quoted, QuotedAblation
-from client.evaluation.report.tables import number, table
+from streamlod.client.evaluation.report.quoted import ABLATIONS, MEET_ROOM, Quoted, QuotedAblation
+from streamlod.client.evaluation.report.tables import number, table
 
 _MIN_DB, _MIN_RATIO = 0.05, 0.02  # smaller differences count as none, whatever their spread
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 _log = logging.getLogger(__name__)
 SCHEMA = 3

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from client.evaluation.measure.footage import Footage
-from client.evaluation.measure.moving import MovingPixels, MovingScore, moving_figures, moving_score
-from client.evaluation.measure.scores import Perception
-from client.evaluation.plain import PlainGaussians, plain_views
-from client.evaluation.systems import FirstFrames, perceived_frames, run_system
-from core.arrays import UInt8
-from core.metrics import psnr, ssim
-from core.synthetic import SyntheticSpec
-from core.train import preset
+from streamlod.client.evaluation.measure.footage import Footage
+from streamlod.client.evaluation.measure.moving import MovingPixels, MovingScore, moving_figures, moving_score
+from streamlod.client.evaluation.measure.scores import Perception
+from streamlod.client.evaluation.plain import PlainGaussians, plain_views
+from streamlod.client.evaluation.systems import FirstFrames, perceived_frames, run_system
+from streamlod.core.arrays import UInt8
+from streamlod.core.metrics import psnr, ssim
+from streamlod.core.synthetic import SyntheticSpec
+from streamlod.core.train import preset
 
 
 @dataclass(frozen=True, slots=True, eq=False)

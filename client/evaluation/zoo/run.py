@@ -11,18 +11,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from client.evaluation.measure.footage import footage_of
-from client.evaluation.measure.scores import Perception, load_perception
-from client.evaluation.report.output import result_folder
-from client.evaluation.zoo.cells import CellKey, Cells, program_digest
-from client.evaluation.zoo.contenders import Contest, Measured
-from client.evaluation.zoo.scenes import SCENES, ZooScene, view_counts
-from client.evaluation.zoo.tables import zoo_report
-from client.recorder import write_png
-from core.data import Dataset, linspace_split
-from core.errors import InputError
-from core.files import write_text
-from core.initialise import METHODS
+from streamlod.client.evaluation.measure.footage import footage_of
+from streamlod.client.evaluation.measure.scores import Perception, load_perception
+from streamlod.client.evaluation.report.output import result_folder
+from streamlod.client.evaluation.zoo.cells import CellKey, Cells, program_digest
+from streamlod.client.evaluation.zoo.contenders import Contest, Measured
+from streamlod.client.evaluation.zoo.scenes import SCENES, ZooScene, view_counts
+from streamlod.client.evaluation.zoo.tables import zoo_report
+from streamlod.client.recorder import write_png
+from streamlod.core.data import Dataset, linspace_split
+from streamlod.core.errors import InputError
+from streamlod.core.files import write_text
+from streamlod.core.initialise import METHODS
 
 _log = logging.getLogger(__name__)
 SYSTEMS = ("ours", "plain", "paper")

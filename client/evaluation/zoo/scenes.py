@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from core.data import Dataset, open_dataset
-from core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.data import Dataset, open_dataset
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 
 Half = Literal["choosing", "reporting"]
 MAX_VIEWS = 12

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from client.evaluation.report.tables import number, table
-from client.evaluation.zoo.cells import CellKey, Cells
-from client.evaluation.zoo.scenes import SCENES
+from streamlod.client.evaluation.report.tables import number, table
+from streamlod.client.evaluation.zoo.cells import CellKey, Cells
+from streamlod.client.evaluation.zoo.scenes import SCENES
 
 _HALF = {scene.name: scene.half for scene in SCENES}
 _ORDER = {scene.name: place for place, scene in enumerate(SCENES)}

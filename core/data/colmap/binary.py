@@ -6,9 +6,9 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-from core.data.colmap.types import MODEL_NAMES, ColmapCamera, ColmapImage, colmap_image, parameter_count
-from core.data.files import read_bytes
-from core.errors import InputError
+from streamlod.core.data.colmap.types import MODEL_NAMES, ColmapCamera, ColmapImage, colmap_image, parameter_count
+from streamlod.core.data.files import read_bytes
+from streamlod.core.errors import InputError
 
 MAX_BYTES = 4 << 30
 _COUNT = struct.Struct("<Q")

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from core.camera import Camera
-from core.data.colmap import binary, text
-from core.data.colmap.types import ColmapCamera, ColmapImage
-from core.errors import InputError
-from core.frames import PointCloud
+from streamlod.core.camera import Camera
+from streamlod.core.data.colmap import binary, text
+from streamlod.core.data.colmap.types import ColmapCamera, ColmapImage
+from streamlod.core.errors import InputError
+from streamlod.core.frames import PointCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)

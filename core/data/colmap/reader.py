@@ -12,14 +12,14 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from core.camera import Camera
-from core.data.colmap.model import ColmapModel, find_model, read_model, read_points
-from core.data.dataset import RawRecording
-from core.data.files import blaming
-from core.data.names import listed, numeric_key
-from core.data.pictures import SUFFIXES, picture_size
-from core.data.sources import Pictures
-from core.errors import InputError
+from streamlod.core.camera import Camera
+from streamlod.core.data.colmap.model import ColmapModel, find_model, read_model, read_points
+from streamlod.core.data.dataset import RawRecording
+from streamlod.core.data.files import blaming
+from streamlod.core.data.names import listed, numeric_key
+from streamlod.core.data.pictures import SUFFIXES, picture_size
+from streamlod.core.data.sources import Pictures
+from streamlod.core.errors import InputError
 
 _log = logging.getLogger(__name__)
 _ASPECT_TOLERANCE = 0.01

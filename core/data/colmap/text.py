@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from core.data.colmap.types import ColmapCamera, ColmapImage, colmap_image, parameter_count
-from core.data.files import read_text
-from core.errors import InputError
+from streamlod.core.data.colmap.types import ColmapCamera, ColmapImage, colmap_image, parameter_count
+from streamlod.core.data.files import read_text
+from streamlod.core.errors import InputError
 
 
 def read_cameras(path: Path) -> dict[int, ColmapCamera]:

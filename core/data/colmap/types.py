@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from core.arrays import Float64
-from core.errors import InputError
+from streamlod.core.arrays import Float64
+from streamlod.core.errors import InputError
 
 MODEL_NAMES = {
     **{0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV"},

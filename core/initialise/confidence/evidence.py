@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from core.arrays import Bool, Float32, Float64
-from core.initialise.confidence.witness import MARGINS, SAME, Surfaces, nearest, surfaces, witness
-from core.initialise.consistency import pieces
-from core.initialise.patches import SlantedMap
-from core.initialise.sweep import DepthMap, neighbours
-from core.initialise.views import WorkingViews
+from streamlod.core.arrays import Bool, Float32, Float64
+from streamlod.core.initialise.confidence.witness import MARGINS, SAME, Surfaces, nearest, surfaces, witness
+from streamlod.core.initialise.consistency import pieces
+from streamlod.core.initialise.patches import SlantedMap
+from streamlod.core.initialise.sweep import DepthMap, neighbours
+from streamlod.core.initialise.views import WorkingViews
 
 CUES = (
     "cost", "margin", "cost of the sweep", "difference to the sweep",

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from core.arrays import Bool
-from core.initialise.sweep import DepthMap
-from core.initialise.views import inside, project
+from streamlod.core.arrays import Bool
+from streamlod.core.initialise.sweep import DepthMap
+from streamlod.core.initialise.views import inside, project
 
 _BEHIND = 0.05  # relative depth by which a point must lie behind a trusted surface not to belong to it
 

@@ -13,7 +13,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from core.arrays import Float32
+from streamlod.core.arrays import Float32
 
 _FILE = "network.npz"
 FAR = 4.0  # standard deviations; farther off the usual says no more
@@ -48,7 +48,10 @@ class Confidence:
 @cache
 def usual_confidence() -> Confidence:
     """The network that comes with the program."""
-    with (files("core.initialise.confidence") / _FILE).open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+    with (
+        (files("streamlod.core.initialise.confidence") / _FILE).open("rb") as file,
+        np.load(file, allow_pickle=False) as arrays,
+    ):
         weights = arrays["weight0"], arrays["weight1"], arrays["weight2"]
         biases = arrays["bias0"], arrays["bias1"], arrays["bias2"]
         return Confidence(arrays["mean"], arrays["deviation"], weights, biases)

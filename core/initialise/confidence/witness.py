@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from core.arrays import Bool, Float32, Float64
-from core.initialise.patches import SlantedMap
-from core.initialise.views import WorkingViews, inside, project
+from streamlod.core.arrays import Bool, Float32, Float64
+from streamlod.core.initialise.patches import SlantedMap
+from streamlod.core.initialise.views import WorkingViews, inside, project
 
 SAME = 0.02  # relative difference of depths that agree
 MARGINS = -0.5, 1.0  # beyond them a margin says no more

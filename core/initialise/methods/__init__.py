@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from core.initialise.method import Method
+from streamlod.core.initialise.method import Method
 
 
 def known_methods() -> dict[str, Method]:

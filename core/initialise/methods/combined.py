@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from core.frames import PointCloud
-from core.initialise.method import Method, PointSources
-from core.initialise.methods.dataset import DatasetPoints
-from core.initialise.methods.learned import LearnedSweep
-from core.initialise.methods.plane_sweep import PlaneSweep
-from core.initialise.methods.random import RandomPoints
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.method import Method, PointSources
+from streamlod.core.initialise.methods.dataset import DatasetPoints
+from streamlod.core.initialise.methods.learned import LearnedSweep
+from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
+from streamlod.core.initialise.methods.random import RandomPoints
 
 _log = logging.getLogger(__name__)
 

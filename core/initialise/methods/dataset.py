@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from core.errors import InputError
-from core.frames import PointCloud
-from core.initialise.method import PointSources
+from streamlod.core.errors import InputError
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.method import PointSources
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float64
-from core.camera import Camera
-from core.errors import BackendUnavailable
-from core.frames import PointCloud
-from core.initialise.method import PointSources
-from core.initialise.predicted_depth import PredictedDepth, predicted_points
-from core.initialise.views import WorkingViews
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera
+from streamlod.core.errors import BackendUnavailable
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.method import PointSources
+from streamlod.core.initialise.predicted_depth import PredictedDepth, predicted_points
+from streamlod.core.initialise.views import WorkingViews
 
 _SIDE = 504  # pixels of the longer side of a picture, the package's default
 _LINE = 1e-3  # cameras stand on one line if they leave it by less than this part of their extent

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from core.arrays import Bool
-from core.frames import PointCloud
-from core.initialise.confidence.evidence import Matches, evidence
-from core.initialise.confidence.gaps import in_gaps
-from core.initialise.confidence.network import usual_confidence
-from core.initialise.confidence.witness import SAME
-from core.initialise.consistency import knowing, points_of, votes
-from core.initialise.method import PointSources
-from core.initialise.methods.plane_sweep import PlaneSweep
-from core.initialise.patch_kernel import UNSEEN
+from streamlod.core.arrays import Bool
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.confidence.evidence import Matches, evidence
+from streamlod.core.initialise.confidence.gaps import in_gaps
+from streamlod.core.initialise.confidence.network import usual_confidence
+from streamlod.core.initialise.confidence.witness import SAME
+from streamlod.core.initialise.consistency import knowing, points_of, votes
+from streamlod.core.initialise.method import PointSources
+from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
+from streamlod.core.initialise.patch_kernel import UNSEEN
 
 _FEWEST = 3  # views that the network has learnt from
 _ROUNDS = 2  # what only confirms others must be confirmed itself

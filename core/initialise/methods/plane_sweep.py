@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from core.errors import InputError
-from core.frames import PointCloud
-from core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed, rig_width
-from core.initialise.confidence.evidence import Matches
-from core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
-from core.initialise.equalise import equalised, with_equal_means
-from core.initialise.method import PointSources
-from core.initialise.patches import Search, slanted
-from core.initialise.sweep import plane_count, sweep_views
-from core.initialise.views import WorkingViews
+from streamlod.core.errors import InputError
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.bounds import COARSE_HEIGHT, COARSE_PLANES, geometric_bounds, narrowed, rig_width
+from streamlod.core.initialise.confidence.evidence import Matches
+from streamlod.core.initialise.consistency import Trust, confirmed, points_of, trusted_pixels
+from streamlod.core.initialise.equalise import equalised, with_equal_means
+from streamlod.core.initialise.method import PointSources
+from streamlod.core.initialise.patches import Search, slanted
+from streamlod.core.initialise.sweep import plane_count, sweep_views
+from streamlod.core.initialise.views import WorkingViews
 
 _SWEEP_SHARE = 0.4  # of the time
 

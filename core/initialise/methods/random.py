@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from core.frames import PointCloud
-from core.initialise.method import PointSources
-from core.initialise.scatter import random_points
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.method import PointSources
+from streamlod.core.initialise.scatter import random_points
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from core.errors import BackendUnavailable, InputError
-from core.frames import PointCloud
-from core.initialise.method import PointSources
-from core.initialise.predicted_depth import PredictedDepth, predicted_points
-from core.initialise.views import WorkingViews
+from streamlod.core.errors import BackendUnavailable, InputError
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.method import PointSources
+from streamlod.core.initialise.predicted_depth import PredictedDepth, predicted_points
+from streamlod.core.initialise.views import WorkingViews
 
 WEIGHTS_VARIABLE = "STREAMLOD_VGGT"
 _SIDE = 518  # pixels of the longer side of a picture, as in the model's training

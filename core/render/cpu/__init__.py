@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32, check_array
-from core.camera import Camera
-from core.render.cpu.frame import contiguous, forward
-from core.render.cpu.listing import MAX_PAIRS
-from core.render.cpu.warming import warm
-from core.render.cpu.workspace import POOL
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float32, check_array
+from streamlod.core.camera import Camera
+from streamlod.core.render.cpu.frame import contiguous, forward
+from streamlod.core.render.cpu.listing import MAX_PAIRS
+from streamlod.core.render.cpu.warming import warm
+from streamlod.core.render.cpu.workspace import POOL
+from streamlod.core.scene.gaussians import GaussianCloud
 
 __all__ = ["Rendered", "render", "warm"]
 

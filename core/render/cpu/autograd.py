@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.render.cpu.backdrop import Backdrop, forward_over
-from core.render.cpu.frame import Frame, backward, forward
-from core.render.cpu.workspace import POOL, Workspace
-from core.render.raster import Probe, Raster
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.camera import Camera
+from streamlod.core.render.cpu.backdrop import Backdrop, forward_over
+from streamlod.core.render.cpu.frame import Frame, backward, forward
+from streamlod.core.render.cpu.workspace import POOL, Workspace
+from streamlod.core.render.raster import Probe, Raster
+from streamlod.core.scene.gaussians import GaussianCloud
 
 
 class _Call:

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Bool, Float32, Int32, Int64
-from core.camera import Camera
-from core.render.cpu.frame import Frame, blend, contiguous
-from core.render.cpu.kernels.binning import merge_lists
-from core.render.cpu.listing import check_pairs, list_gaussians, pack_camera, projected, reaching, share_tiles
-from core.render.cpu.workspace import POOL, Workspace
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Bool, Float32, Int32, Int64
+from streamlod.core.camera import Camera
+from streamlod.core.render.cpu.frame import Frame, blend, contiguous
+from streamlod.core.render.cpu.kernels.binning import merge_lists
+from streamlod.core.render.cpu.listing import check_pairs, list_gaussians, pack_camera, projected, reaching, share_tiles
+from streamlod.core.render.cpu.workspace import POOL, Workspace
+from streamlod.core.scene.gaussians import GaussianCloud
 
 _NO_GRADIENTS = np.iinfo(np.int32).max  # in place of an index: a Gaussian that wants no gradients
 

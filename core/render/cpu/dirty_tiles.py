@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Bool
-from core.camera import Camera
-from core.render.cpu.frame import contiguous
-from core.render.cpu.kernels.dirty import mark_tiles
-from core.render.cpu.listing import projected
-from core.render.cpu.workspace import POOL
-from core.render.tiles import tile_grid
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Bool
+from streamlod.core.camera import Camera
+from streamlod.core.render.cpu.frame import contiguous
+from streamlod.core.render.cpu.kernels.dirty import mark_tiles
+from streamlod.core.render.cpu.listing import projected
+from streamlod.core.render.cpu.workspace import POOL
+from streamlod.core.render.tiles import tile_grid
+from streamlod.core.scene.gaussians import GaussianCloud
 
 
 def touched_tiles(camera: Camera, cloud: GaussianCloud, dilation_pixels: float = 0.0) -> Bool:

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Bool, Float32, Int32, Int64
-from core.camera import Camera
-from core.render.cpu.kernels.backward import differentiate_tiles
-from core.render.cpu.kernels.forward import blend_tiles
-from core.render.cpu.kernels.inline.constants import SUMS
-from core.render.cpu.kernels.project_backward import differentiate_projection
-from core.render.cpu.listing import MAX_PAIRS, list_gaussians, pack_camera, projected, reaching, share_tiles
-from core.render.cpu.workspace import Workspace
-from core.render.tiles import tile_grid
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Bool, Float32, Int32, Int64
+from streamlod.core.camera import Camera
+from streamlod.core.render.cpu.kernels.backward import differentiate_tiles
+from streamlod.core.render.cpu.kernels.forward import blend_tiles
+from streamlod.core.render.cpu.kernels.inline.constants import SUMS
+from streamlod.core.render.cpu.kernels.project_backward import differentiate_projection
+from streamlod.core.render.cpu.listing import MAX_PAIRS, list_gaussians, pack_camera, projected, reaching, share_tiles
+from streamlod.core.render.cpu.workspace import Workspace
+from streamlod.core.render.tiles import tile_grid
+from streamlod.core.scene.gaussians import GaussianCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)

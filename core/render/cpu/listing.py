@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from core.arrays import Bool, Float32, Int32, Int64, UInt8
-from core.camera import Camera
-from core.errors import InputError, ModelError
-from core.render.cpu.kernels.binning import count_pairs, fill_lists
-from core.render.cpu.kernels.dirty import find_touching
-from core.render.cpu.kernels.inline.constants import RECORD
-from core.render.cpu.kernels.project import project
-from core.render.cpu.workspace import Workspace
-from core.render.tiles import tile_grid
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Bool, Float32, Int32, Int64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError, ModelError
+from streamlod.core.render.cpu.kernels.binning import count_pairs, fill_lists
+from streamlod.core.render.cpu.kernels.dirty import find_touching
+from streamlod.core.render.cpu.kernels.inline.constants import RECORD
+from streamlod.core.render.cpu.kernels.project import project
+from streamlod.core.render.cpu.workspace import Workspace
+from streamlod.core.render.tiles import tile_grid
+from streamlod.core.scene.gaussians import GaussianCloud
 
 MAX_PAIRS = 1 << 27  # of a Gaussian and a tile: 512 MiB, seconds of work; sane scenes have a thousandth of it
 _EMPTY_TILE = 64  # cost of a tile without Gaussians, in pairs, for sharing tiles out

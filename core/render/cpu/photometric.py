@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numba
 import numpy as np
 
-from core.arrays import Float32
-from core.render.cpu.kernels.photometric import photometric
-from core.render.tiles import Box
+from streamlod.core.arrays import Float32
+from streamlod.core.render.cpu.kernels.photometric import photometric
+from streamlod.core.render.tiles import Box
 
 _CHANNELS = 3
 

@@ -8,15 +8,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from core.arrays import Float32
-from core.camera import pinhole
-from core.render.cpu.backdrop import forward_over, prepare
-from core.render.cpu.dirty_tiles import touched_tiles
-from core.render.cpu.frame import backward, forward
-from core.render.cpu.photometric import photometric_sums
-from core.render.cpu.workspace import Workspace
-from core.render.tiles import Box
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float32
+from streamlod.core.camera import pinhole
+from streamlod.core.render.cpu.backdrop import forward_over, prepare
+from streamlod.core.render.cpu.dirty_tiles import touched_tiles
+from streamlod.core.render.cpu.frame import backward, forward
+from streamlod.core.render.cpu.photometric import photometric_sums
+from streamlod.core.render.cpu.workspace import Workspace
+from streamlod.core.render.tiles import Box
+from streamlod.core.scene.gaussians import GaussianCloud
 
 _LOG = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from core.synthetic.kind import Kind
+from streamlod.core.synthetic.kind import Kind
 
 KINDS: dict[str, Kind] = {
     module.name: importlib.import_module(f"{__name__}.{module.name}").KIND for module in pkgutil.iter_modules(__path__)

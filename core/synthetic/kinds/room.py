@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from core.synthetic import movers as M
-from core.synthetic import textures as T
-from core.synthetic.kind import CameraArc, Kind
-from core.synthetic.parts import Lamp, Part, ball, box, lamps, limb, tube, turn
-from core.synthetic.shapes import ROOM
+from streamlod.core.synthetic import movers as M
+from streamlod.core.synthetic import textures as T
+from streamlod.core.synthetic.kind import CameraArc, Kind
+from streamlod.core.synthetic.parts import Lamp, Part, ball, box, lamps, limb, tube, turn
+from streamlod.core.synthetic.shapes import ROOM
 
 _HALF = (2.9, 3.45, 1.35)
 _MIDDLE = (0.0, 0.85, 1.35)

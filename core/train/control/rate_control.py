@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from core.train.config import PredictConfig
+from streamlod.core.train.config import PredictConfig
 
 _STRAIN = 8.0  # doublings of the rate weight from the wanted fill to one bucket above it
 _WANTED_FILL = 0.3  # of the bucket: room for a burst above, something to drain below

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float32, Int64
-from core.camera import Camera
-from core.scene.anchors import (
+from streamlod.core.arrays import Float32, Int64
+from streamlod.core.camera import Camera
+from streamlod.core.scene.anchors import (
     FEATURE_LATENTS,
     LATENTS,
     OFFSET_LATENTS,
@@ -18,13 +18,13 @@ from core.scene.anchors import (
     SceneHeader,
     identify,
 )
-from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, dequantise
-from core.scene.keyframe import coarseness
-from core.scene.octree import morton_key
-from core.train.config import PredictConfig
-from core.train.field.decode import Network
-from core.train.field.field import Field
-from core.train.field.rounding import Precision, to_int16, usual_precision
+from streamlod.core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, dequantise
+from streamlod.core.scene.keyframe import coarseness
+from streamlod.core.scene.octree import morton_key
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.decode import Network
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import Precision, to_int16, usual_precision
 
 
 def scene_of(

@@ -10,8 +10,8 @@ import numba
 import torch
 from torch import Tensor
 
-from core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud
-from core.train.kernels import decode as kernels
+from streamlod.core.scene.gaussians import MAX_LOG_SCALE, GaussianCloud
+from streamlod.core.train.kernels import decode as kernels
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.train.field.decode import Splats
+from streamlod.core.train.field.decode import Splats
 
 _FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
 _GAINS = (0.25, 4.0)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from core.scene.octree import Octree
-from core.train.field.decode import Network, Splats, ViewInput, decode
+from streamlod.core.scene.octree import Octree
+from streamlod.core.train.field.decode import Network, Splats, ViewInput, decode
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from core.scene.anchors import HIDDEN
+from streamlod.core.scene.anchors import HIDDEN
 
 _UNITS = (8, 12, 12)  # hidden units of opacity, colour, and scale with rotation
 _OUTPUTS = (1, 3, 7)  # outputs of each, for one Gaussian

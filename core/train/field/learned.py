@@ -7,12 +7,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from core.train.field.decode import Network
-from core.train.field.exposure import Exposure
-from core.train.field.field import Field
-from core.train.field.heads import separate_heads
-from core.train.optimise.mean import MeanOfSteps
-from core.train.optimise.optimisers import Optimiser
+from streamlod.core.train.field.decode import Network
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.heads import separate_heads
+from streamlod.core.train.optimise.mean import MeanOfSteps
+from streamlod.core.train.optimise.optimisers import Optimiser
 
 ROW_PARAMETERS = ("feature", "offset", "scaling")
 _GRID = ("level", "voxel", "extra_level", "position")

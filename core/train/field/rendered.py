@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from core.render.backends import Backend
-from core.render.differentiable import rasterise
-from core.train.field.field import Field
-from core.train.pictures.views import Views
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.pictures.views import Views
 
 
 def rendered(field: Field, alive: Tensor, views: Views, backend: Backend) -> Tensor:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from core.scene.anchors import SCALINGS
-from core.scene.quantise import DEFAULT_OFFSET
-from core.train.field.field import Field
+from streamlod.core.scene.anchors import SCALINGS
+from streamlod.core.scene.quantise import DEFAULT_OFFSET
+from streamlod.core.train.field.field import Field
 
 FEATURE_STEP, OFFSET_STEP, SCALING_STEP = 0.025, 0.0125, 0.0125  # where nothing has been measured yet
 USUAL = 2  # doublings of these that anchors take then

@@ -11,13 +11,13 @@ import numba
 import numpy as np
 import torch
 
-from core.arrays import Float32, Float64, Int64
-from core.camera import Camera
-from core.initialise.sweep import pair_geometry
-from core.initialise.views import unproject
-from core.train.field.field import Field
-from core.train.kernels.windows import best_depths
-from core.train.pictures.views import Views
+from streamlod.core.arrays import Float32, Float64, Int64
+from streamlod.core.camera import Camera
+from streamlod.core.initialise.sweep import pair_geometry
+from streamlod.core.initialise.views import unproject
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.kernels.windows import best_depths
+from streamlod.core.train.pictures.views import Views
 
 _OTHERS = 3  # nearest views that a pixel is looked for in
 _PARALLAX = 1.0  # pixels between depths, as the second nearest view sees them

@@ -16,13 +16,13 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from core.arrays import Float32, Float64, Int32, Int64
-from core.initialise.views import inside, project
-from core.train.field.field import Field
-from core.train.growth.depth_search import matched_pixels
-from core.train.growth.gradient import NewAnchors
-from core.train.growth.new_anchors import first_values
-from core.train.pictures.views import Views
+from streamlod.core.arrays import Float32, Float64, Int32, Int64
+from streamlod.core.initialise.views import inside, project
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.depth_search import matched_pixels
+from streamlod.core.train.growth.gradient import NewAnchors
+from streamlod.core.train.growth.new_anchors import first_values
+from streamlod.core.train.pictures.views import Views
 
 _WINDOW = 3  # pixels whose error a new anchor may mend
 _LATTICE = 2  # every second pixel of every second row is asked

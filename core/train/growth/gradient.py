@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float64, Int32, Int64
-from core.train.field.field import Field
+from streamlod.core.arrays import Float64, Int32, Int64
+from streamlod.core.train.field.field import Field
 
 _LEVEL_FACTOR = 2**0.2  # thresholds grow with the level
 _EXTRA_SHARE = 0.25  # of the threshold, from which an anchor earns extra level

@@ -12,14 +12,14 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from core.errors import unknown_name
-from core.train.config import PredictConfig
-from core.train.field.field import Field
-from core.train.growth.errors import ANCHOR_BITS, error_nodes, values_at
-from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.new_anchors import first_values
-from core.train.growth.rules import GradientGrowth
-from core.train.pictures.views import Views
+from streamlod.core.errors import unknown_name
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.errors import ANCHOR_BITS, error_nodes, values_at
+from streamlod.core.train.growth.gradient import GrowthStatistics
+from streamlod.core.train.growth.new_anchors import first_values
+from streamlod.core.train.growth.rules import GradientGrowth
+from streamlod.core.train.pictures.views import Views
 
 _ANCHOR_BIT = 5 / 7  # of the price of a residual's bit: an anchor serves for longer than a frame
 

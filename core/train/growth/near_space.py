@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float64
-from core.camera import Camera
-from core.frames import PointCloud
-from core.initialise.views import inside, project
-from core.train.field.field import Field
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.views import inside, project
+from streamlod.core.train.field.field import Field
 
 _NEAREST = 0.01  # quantile of the depths of the first points that a camera sees: single points may be wrong
 

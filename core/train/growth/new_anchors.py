@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float32, Int16, Int32
-from core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
-from core.scene.expand import EXTRA_LEVEL_UNIT
-from core.train.field.field import Field
-from core.train.growth.gradient import NewAnchors
+from streamlod.core.arrays import Float32, Int16, Int32
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, SceneHeader
+from streamlod.core.scene.expand import EXTRA_LEVEL_UNIT
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.gradient import NewAnchors
 
 _SPREAD = 0.3  # of first offsets, in multiples of the cell: equal Gaussians would stay equal
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from core.render.raster import Raster
-from core.train.field.decode import Splats
-from core.train.field.learned import LearnedField
-from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.new_anchors import first_values
-from core.train.growth.rules import GrowthRule
+from streamlod.core.render.raster import Raster
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.field.learned import LearnedField
+from streamlod.core.train.growth.gradient import GrowthStatistics
+from streamlod.core.train.growth.new_anchors import first_values
+from streamlod.core.train.growth.rules import GrowthRule
 
 
 def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Tensor | None, slots: int) -> None:

@@ -10,11 +10,11 @@ from typing import Protocol
 
 from torch import Tensor
 
-from core.errors import unknown_name
-from core.train.config import KeyframeConfig
-from core.train.field.field import Field
-from core.train.growth.gradient import GrowthStatistics, NewAnchors, earned_extra_level, grow
-from core.train.growth.new_anchors import strongest
+from streamlod.core.errors import unknown_name
+from streamlod.core.train.config import KeyframeConfig
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.gradient import GrowthStatistics, NewAnchors, earned_extra_level, grow
+from streamlod.core.train.growth.new_anchors import strongest
 
 
 class GrowthRule(Protocol):

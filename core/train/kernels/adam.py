@@ -8,8 +8,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from core.arrays import Float32, Int64
-from core.render.cpu.kernels.inline.constants import KERNEL, SERIAL, ZERO
+from streamlod.core.arrays import Float32, Int64
+from streamlod.core.render.cpu.kernels.inline.constants import KERNEL, SERIAL, ZERO
 
 _LARGEST = np.finfo(np.float32).max
 

@@ -11,9 +11,9 @@ from typing import Any
 import numba
 import numpy as np
 
-from core.arrays import Float32
-from core.render.cpu.kernels.inline.constants import INLINE, KERNEL, ONE, TWO, ZERO
-from core.scene.gaussians import MAX_LOG_SCALE
+from streamlod.core.arrays import Float32
+from streamlod.core.render.cpu.kernels.inline.constants import INLINE, KERNEL, ONE, TWO, ZERO
+from streamlod.core.scene.gaussians import MAX_LOG_SCALE
 
 _MAX_LOG_SCALE = np.float32(MAX_LOG_SCALE)
 _LOWEST, _HIGHEST = np.float32(-87), np.float32(88)  # exponents whose exp is a normal float32

@@ -7,10 +7,10 @@ from typing import Any
 import numba
 import numpy as np
 
-from core.arrays import Float32, Float64, Int64
-from core.render.cpu.kernels.inline.constants import KERNEL, ONE, SERIAL, ZERO
-from core.scene.entropy_model import BINS, UNIT_BIN
-from core.scene.quantise import DEFAULT_OFFSET
+from streamlod.core.arrays import Float32, Float64, Int64
+from streamlod.core.render.cpu.kernels.inline.constants import KERNEL, ONE, SERIAL, ZERO
+from streamlod.core.scene.entropy_model import BINS, UNIT_BIN
+from streamlod.core.scene.quantise import DEFAULT_OFFSET
 
 _OFFSET = np.float32(DEFAULT_OFFSET)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.arrays import Float32
-from core.scene.entropy_model import BINS
-from core.train.kernels.adam import adam_step
-from core.train.kernels.decode import activate, differentiate
-from core.train.kernels.rate import residual_bits
-from core.train.kernels.windows import best_depths
+from streamlod.core.arrays import Float32
+from streamlod.core.scene.entropy_model import BINS
+from streamlod.core.train.kernels.adam import adam_step
+from streamlod.core.train.kernels.decode import activate, differentiate
+from streamlod.core.train.kernels.rate import residual_bits
+from streamlod.core.train.kernels.windows import best_depths
 
 
 def warm() -> None:

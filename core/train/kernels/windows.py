@@ -8,8 +8,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from core.arrays import Float32, Float64, Int64
-from core.render.cpu.kernels.inline.constants import KERNEL, SERIAL
+from streamlod.core.arrays import Float32, Float64, Int64
+from streamlod.core.render.cpu.kernels.inline.constants import KERNEL, SERIAL
 
 HALF = 2  # half a window: 5x5 pixels
 UNSEEN = 2.0  # the cost of a depth at which no other picture shows the point

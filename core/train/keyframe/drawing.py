@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from core.render.backends import Backend
-from core.render.differentiable import rasterise
-from core.render.raster import Raster
-from core.train.config import KeyframeConfig
-from core.train.field.decode import Splats
-from core.train.field.exposure import Exposure
-from core.train.keyframe.random_background import over_colour
-from core.train.optimise.losses import photometric_loss
-from core.train.optimise.penalty import penalty
-from core.train.pictures.views import Views
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.render.raster import Raster
+from streamlod.core.train.config import KeyframeConfig
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.keyframe.random_background import over_colour
+from streamlod.core.train.optimise.losses import photometric_loss
+from streamlod.core.train.optimise.penalty import penalty
+from streamlod.core.train.pictures.views import Views
 
 
 @dataclass(frozen=True, slots=True, eq=False)

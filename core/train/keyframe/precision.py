@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from core.train.field.field import Field
-from core.train.field.rounding import FEATURE_STEP, Precision, usual_precision
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import FEATURE_STEP, Precision, usual_precision
 
 COARSEST = 7  # doublings of the finest step
 _SEARCH = 30  # halvings of an interval of offsets in doublings

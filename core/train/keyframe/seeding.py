@@ -9,16 +9,16 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from core.arrays import Float32, Float64, Int32
-from core.camera import Camera
-from core.errors import ModelError
-from core.frames import PointCloud
-from core.scene.anchors import HIDDEN, OUTPUTS, VIEW_INPUTS
-from core.scene.octree import MAX_LEVELS, Octree, level_for_distance, morton_key
-from core.train.config import ModelConfig
-from core.train.field.decode import Network
-from core.train.field.field import Field
-from core.train.field.heads import separate_heads
+from streamlod.core.arrays import Float32, Float64, Int32
+from streamlod.core.camera import Camera
+from streamlod.core.errors import ModelError
+from streamlod.core.frames import PointCloud
+from streamlod.core.scene.anchors import HIDDEN, OUTPUTS, VIEW_INPUTS
+from streamlod.core.scene.octree import MAX_LEVELS, Octree, level_for_distance, morton_key
+from streamlod.core.train.config import ModelConfig
+from streamlod.core.train.field.decode import Network
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.heads import separate_heads
 
 _FAR_QUANTILE, _NEAR_QUANTILE = 0.99, 0.01
 _SEED_SHARE = 0.7  # of the most anchors there may be; growing places the rest where they are needed

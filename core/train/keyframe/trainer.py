@@ -8,25 +8,25 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from core.render.backends import Backend
-from core.render.raster import Raster
-from core.train.config import KeyframeConfig, TrainConfig
-from core.train.field.decode import Network, Splats, decode
-from core.train.field.exposure import Exposure, neutral
-from core.train.field.field import Field, visible_levels
-from core.train.field.learned import ROW_PARAMETERS, LearnedField
-from core.train.field.rounding import Precision, usual_precision
-from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.near_space import NearSpace
-from core.train.growth.refine import count, refine
-from core.train.growth.rules import growth_rule
-from core.train.keyframe.drawing import ViewLoss
-from core.train.keyframe.levels import CoarseRows, needed_levels
-from core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
-from core.train.optimise.convergence import PlateauProgress, RunProgress
-from core.train.optimise.optimisers import optimiser
-from core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
-from core.train.pictures.views import Views
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.raster import Raster
+from streamlod.core.train.config import KeyframeConfig, TrainConfig
+from streamlod.core.train.field.decode import Network, Splats, decode
+from streamlod.core.train.field.exposure import Exposure, neutral
+from streamlod.core.train.field.field import Field, visible_levels
+from streamlod.core.train.field.learned import ROW_PARAMETERS, LearnedField
+from streamlod.core.train.field.rounding import Precision, usual_precision
+from streamlod.core.train.growth.gradient import GrowthStatistics
+from streamlod.core.train.growth.near_space import NearSpace
+from streamlod.core.train.growth.refine import count, refine
+from streamlod.core.train.growth.rules import growth_rule
+from streamlod.core.train.keyframe.drawing import ViewLoss
+from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
+from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
+from streamlod.core.train.optimise.convergence import PlateauProgress, RunProgress
+from streamlod.core.train.optimise.optimisers import optimiser
+from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
+from streamlod.core.train.pictures.views import Views
 
 _LEAST_CONTRAST = 0.05  # share of the usual one: below it, pictures hold hardly more than noise
 _JUDGES = 4  # views, evenly spread, that say whether a level carries anything

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.render.backends import Backend
-from core.render.differentiable import rasterise
-from core.train.field.field import Field
+from streamlod.core.camera import Camera
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.train.field.field import Field
 
 _CHANNELS = 3
 

@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Bool
-from core.errors import unknown_name
-from core.train.config import PredictConfig
-from core.train.motion.masks import dynamic_anchors, moved_pixels
-from core.train.motion.partition import Observation, Partition, all_static
-from core.train.motion.scores import change_scores, error_scores, shown_shares
-from core.train.pictures.parallel import map_pairs
+from streamlod.core.arrays import Bool
+from streamlod.core.errors import unknown_name
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.motion.masks import dynamic_anchors, moved_pixels
+from streamlod.core.train.motion.partition import Observation, Partition, all_static
+from streamlod.core.train.motion.scores import change_scores, error_scores, shown_shares
+from streamlod.core.train.pictures.parallel import map_pairs
 
 _HYSTERESIS = 0.5  # an anchor stays dynamic above this share of the entering posterior
 _SHARE_POWER = 2  # of an anchor's share of moved pixels, in its score of motion

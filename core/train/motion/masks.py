@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from sklearn.mixture import GaussianMixture
 
-from core.arrays import Bool, Float32, Float64
+from streamlod.core.arrays import Bool, Float32, Float64
 
 _BLUR = (5, 5)  # pixels; averages the noise, keeps edges of moving things
 _NOISE_FACTOR = 5.0  # standard deviations of the blurred difference

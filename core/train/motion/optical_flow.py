@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float32, UInt8
-from core.camera import Camera
-from core.train.field.field import Field
-from core.train.pictures.parallel import map_pairs
-from core.train.pictures.views import Views
+from streamlod.core.arrays import Float32, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.pictures.parallel import map_pairs
+from streamlod.core.train.pictures.views import Views
 
 _SMALLEST = 16  # pixels; the method refuses smaller pictures
 _VISIBLE = 0.05  # summed opacity of an anchor that shows anything

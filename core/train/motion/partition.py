@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Bool, Int64
-from core.render.backends import Backend
-from core.train.field.field import Field
-from core.train.motion.masks import changed_pixels
-from core.train.pictures.parallel import map_pairs
-from core.train.pictures.views import Views
+from streamlod.core.arrays import Bool, Int64
+from streamlod.core.render.backends import Backend
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.motion.masks import changed_pixels
+from streamlod.core.train.pictures.parallel import map_pairs
+from streamlod.core.train.pictures.views import Views
 
 
 @dataclass(frozen=True, slots=True, eq=False)

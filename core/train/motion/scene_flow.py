@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.train.motion.optical_flow import AnchorFlow
+from streamlod.core.camera import Camera
+from streamlod.core.train.motion.optical_flow import AnchorFlow
 
 _ROUNDS = 3  # of reweighting
 _DOUBT = 0.5  # pixels of disagreement with the other cameras, at which a camera's flow counts half

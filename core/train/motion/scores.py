@@ -7,15 +7,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from core.arrays import Float64
-from core.render.backends import Backend
-from core.render.differentiable import rasterise
-from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
-from core.train.field.decode import Splats
-from core.train.field.field import Field
-from core.train.motion.coverage import coverage
-from core.train.motion.partition import Observation
-from core.train.pictures.views import Views
+from streamlod.core.arrays import Float64
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.motion.coverage import coverage
+from streamlod.core.train.motion.partition import Observation
+from streamlod.core.train.pictures.views import Views
 
 
 def error_scores(field: Field, seen: Observation) -> Float64:

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Bool
-from core.camera import Camera
+from streamlod.core.arrays import Bool
+from streamlod.core.camera import Camera
 
 _LATEST = 0.1  # weight of the latest motion in the mean
 _PIXELS = 1 / 20  # a frame, in the camera that sees most of it

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.train.kernels.adam import adam_step
+from streamlod.core.train.kernels.adam import adam_step
 
 _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-15
 

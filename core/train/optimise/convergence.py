@@ -10,7 +10,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from core.train.optimise.host_copy import HostCopy
+from streamlod.core.train.optimise.host_copy import HostCopy
 
 _WINDOW, _MIN_STEPS = 0.025, 25  # share of the run, and steps, over whose length losses are compared
 PLATEAU_STEP_FACTOR = 4  # steps of the schedule that one step counts for while the loss hardly falls

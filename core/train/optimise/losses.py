@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from core.render.tiles import Box
+from streamlod.core.render.tiles import Box
 
 WINDOW, SIGMA = 11, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
@@ -234,7 +234,7 @@ class _Fused(torch.autograd.Function):
         boxes: tuple[Box, ...],
         pixel_weights: Tensor | None,
     ) -> Tensor:
-        from core.render.cpu.photometric import photometric_sums
+        from streamlod.core.render.cpu.photometric import photometric_sums
 
         drawn, filmed = image.detach().contiguous().numpy(), target.detach().contiguous().numpy()
         counted = None if pixel_weights is None else pixel_weights.contiguous().numpy()

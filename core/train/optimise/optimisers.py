@@ -11,8 +11,8 @@ from typing import Protocol
 
 from torch import Tensor
 
-from core.errors import unknown_name
-from core.train.optimise.adam import RowAdam
+from streamlod.core.errors import unknown_name
+from streamlod.core.train.optimise.adam import RowAdam
 
 
 class RowOptimiser(Protocol):

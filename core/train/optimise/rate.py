@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.scene.anchors import LATENTS
-from core.scene.entropy_model import BINS, UNIT_BIN, magnitude_bits
-from core.scene.quantise import DEFAULT_OFFSET
-from core.train.kernels import rate as kernels
+from streamlod.core.scene.anchors import LATENTS
+from streamlod.core.scene.entropy_model import BINS, UNIT_BIN, magnitude_bits
+from streamlod.core.scene.quantise import DEFAULT_OFFSET
+from streamlod.core.train.kernels import rate as kernels
 
 SET_BITS = 4.0  # about what it costs that an anchor changes at all: its place in the dynamic set
 _TYPICAL = 0.5  # weight of the average anchor beside the anchor's own other values

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.train.config import KeyframeConfig
+from streamlod.core.train.config import KeyframeConfig
 
 _UNLOCK_RATIO = 1 / 1.5  # each level unlocks after 1/1.5 of the interval before it (docs/method.md, reading 9)
 

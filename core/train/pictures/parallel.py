@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numba
 
-from core.arrays import Float32
+from streamlod.core.arrays import Float32
 
 Result = TypeVar("Result")
 

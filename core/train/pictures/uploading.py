@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.arrays import UInt8
-from core.frames import FrameSet
+from streamlod.core.arrays import UInt8
+from streamlod.core.frames import FrameSet
 
 _MAX_FRAMES = 4  # frames on their way or waiting; a reader that is further ahead than that sends in vain
 

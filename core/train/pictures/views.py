@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 from torch.nn import functional
 
-from core.camera import Camera
+from streamlod.core.camera import Camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)

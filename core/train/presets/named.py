@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from core.errors import unknown_name
-from core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
-from core.train.presets.paper import paper
+from streamlod.core.errors import unknown_name
+from streamlod.core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
+from streamlod.core.train.presets.paper import paper
 
 PRESETS = {
     "live": TrainConfig(

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
 
-from core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
+from streamlod.core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
 
 _PARTS = {"model": ModelConfig, "keyframe": KeyframeConfig, "predict": PredictConfig}
 

@@ -12,18 +12,18 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from core.render.backends import Backend
-from core.train.config import TrainConfig
-from core.train.control.frame_budget import FrameProgress
-from core.train.field.convert import precision_of
-from core.train.field.exposure import Exposure
-from core.train.field.field import Field
-from core.train.field.rounding import Precision
-from core.train.keyframe.trainer import KeyframeTrainer
-from core.train.optimise.loop import run_steps
-from core.train.pictures.views import Views
-from core.train.refresh.config import refresh_config
-from core.train.residual.state import State
+from streamlod.core.render.backends import Backend
+from streamlod.core.train.config import TrainConfig
+from streamlod.core.train.control.frame_budget import FrameProgress
+from streamlod.core.train.field.convert import precision_of
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import Precision
+from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.optimise.loop import run_steps
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.refresh.config import refresh_config
+from streamlod.core.train.residual.state import State
 
 FRAMES = 20  # over which its training is spread
 _NEVER = 2.0  # share of a run, which ends at 1

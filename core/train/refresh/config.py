@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from core.train.config import TrainConfig
-from core.train.field.field import Field
+from streamlod.core.train.config import TrainConfig
+from streamlod.core.train.field.field import Field
 
 _REFINEMENTS = 8  # of one run, in which anchors are added and removed
 

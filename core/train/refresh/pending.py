@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from core.render.backends import Backend
-from core.train.config import TrainConfig
-from core.train.control.frame_budget import FixedSteps, FrameBudget
-from core.train.field.exposure import Exposure
-from core.train.pictures.views import Views
-from core.train.refresh.background import BackgroundRefresh
-from core.train.residual.state import State
+from streamlod.core.render.backends import Backend
+from streamlod.core.train.config import TrainConfig
+from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.refresh.background import BackgroundRefresh
+from streamlod.core.train.residual.state import State
 
 _STEP = "refresh step"  # of one picture, whose cost the budget learns
 

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Int32
-from core.scene.anchors import Scene
-from core.scene.keyframe import coarseness
-from core.train.field.field import Field
-from core.train.optimise.optimisers import RowOptimiser
+from streamlod.core.arrays import Int32
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.keyframe import coarseness
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.optimise.optimisers import RowOptimiser
 
 MAX_STEPS = 2.0**24  # of one change of a place; floating-point numbers hold all integers up to there
 RATES = {"feature": 0.02, "offset": 0.04, "scaling": 0.03}  # those of the first frame (`KeyframeConfig`)

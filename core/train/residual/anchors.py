@@ -10,22 +10,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Bool, Float32, Int32, Int64
-from core.scene.anchors import LATENTS
-from core.train.config import PredictConfig
-from core.train.field.field import Field
-from core.train.field.rounding import dead_zone
-from core.train.growth.new_anchors import added_levels
-from core.train.optimise.mean import MeanOfSteps
-from core.train.optimise.optimisers import Optimiser
-from core.train.optimise.rate import residual_bits
-from core.train.residual.added_anchors import MAX_STEPS, AddedAnchors
-from core.train.residual.apply import ByResiduals, UnitChange
-from core.train.residual.groups import Groups, neighbourhoods
-from core.train.residual.harmful import Judgement
-from core.train.residual.rewriting import values_of
-from core.train.residual.state import State
-from core.train.residual.update import IntegerUpdate
+from streamlod.core.arrays import Bool, Float32, Int32, Int64
+from streamlod.core.scene.anchors import LATENTS
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import dead_zone
+from streamlod.core.train.growth.new_anchors import added_levels
+from streamlod.core.train.optimise.mean import MeanOfSteps
+from streamlod.core.train.optimise.optimisers import Optimiser
+from streamlod.core.train.optimise.rate import residual_bits
+from streamlod.core.train.residual.added_anchors import MAX_STEPS, AddedAnchors
+from streamlod.core.train.residual.apply import ByResiduals, UnitChange
+from streamlod.core.train.residual.groups import Groups, neighbourhoods
+from streamlod.core.train.residual.harmful import Judgement
+from streamlod.core.train.residual.rewriting import values_of
+from streamlod.core.train.residual.state import State
+from streamlod.core.train.residual.update import IntegerUpdate
 
 
 class TrainedAnchors:

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from core.scene.anchors import FEATURE_LATENTS
-from core.train.field.field import Field
-from core.train.field.rounding import dead_zone, dead_zone_through
+from streamlod.core.scene.anchors import FEATURE_LATENTS
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import dead_zone, dead_zone_through
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Bool, Float32, Int64
-from core.train.field.decode import Splats
-from core.train.keyframe.precision import signed_gradients
+from streamlod.core.arrays import Bool, Float32, Int64
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.keyframe.precision import signed_gradients
 
 _CELLS = 0.5  # width, in motion cells, of the neighbourhoods of which one anchor goes at a time
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from core.train.pictures.views import Views
-from core.train.residual.state import State
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.state import State
 
 _NEIGHBOURHOOD = 5  # pixels
 _GAIN, _GAIN_CUT_SHORT = 0.1, 0.01  # of the error that a frame's training must take off to go on

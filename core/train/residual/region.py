@@ -7,9 +7,9 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from core.arrays import Bool
-from core.camera import Camera
-from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
+from streamlod.core.arrays import Bool
+from streamlod.core.camera import Camera
+from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
 
 _REACH = 10  # pixels around a box that its loss reads: the windows of pixels whose windows touch it
 _MAX_BOXES = 64  # boxes that are worth looking at one by one

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.train.field.field import Field
-from core.train.field.learned import ROW_PARAMETERS
-from core.train.residual.added_anchors import RATES
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.learned import ROW_PARAMETERS
+from streamlod.core.train.residual.added_anchors import RATES
 
 _LEAST_ANCHORS = 16  # fewer take fewer bytes than the tables of their chunks in the packet
 

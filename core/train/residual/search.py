@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from core.train.field.decode import Splats
-from core.train.motion.optical_flow import anchor_flow
-from core.train.motion.scene_flow import flow_error, scene_flow
-from core.train.pictures.views import Views
-from core.train.residual.state import State
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.motion.optical_flow import anchor_flow
+from streamlod.core.train.motion.scene_flow import flow_error, scene_flow
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.state import State
 
 _LEAST_GAIN = 0.2  # pixels by which a guess must fit the flow better than the usual start
 _WORTH = 0.1  # of summed absolute errors, in units of [0, 1], that a guess must mend

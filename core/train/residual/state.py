@@ -8,15 +8,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float32, Int64
-from core.scene.anchors import Scene
-from core.scene.expand import anchor_positions, dequantise
-from core.scene.residual import Residual
-from core.train.field.convert import field_of, level_starts
-from core.train.field.field import Field
-from core.train.motion.partition import Partition, all_static
-from core.train.motion.steady import mean_motion
-from core.train.residual.update import IntegerUpdate
+from streamlod.core.arrays import Float32, Int64
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import anchor_positions, dequantise
+from streamlod.core.scene.residual import Residual
+from streamlod.core.train.field.convert import field_of, level_starts
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.motion.partition import Partition, all_static
+from streamlod.core.train.motion.steady import mean_motion
+from streamlod.core.train.residual.update import IntegerUpdate
 
 
 @dataclass(frozen=True, slots=True, eq=False)

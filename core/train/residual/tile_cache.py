@@ -8,17 +8,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Bool, Float32
-from core.camera import Camera
-from core.render.backends import Backend
-from core.render.cpu.autograd import rasterise_over
-from core.render.cpu.backdrop import Backdrop, prepare
-from core.render.cpu.dirty_tiles import touched_tiles
-from core.render.differentiable import rasterise
-from core.render.raster import Raster
-from core.render.tiles import Box
-from core.train.field.decode import Splats, join
-from core.train.residual.region import loss_boxes
+from streamlod.core.arrays import Bool, Float32
+from streamlod.core.camera import Camera
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.cpu.autograd import rasterise_over
+from streamlod.core.render.cpu.backdrop import Backdrop, prepare
+from streamlod.core.render.cpu.dirty_tiles import touched_tiles
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.render.raster import Raster
+from streamlod.core.render.tiles import Box
+from streamlod.core.train.field.decode import Splats, join
+from streamlod.core.train.residual.region import loss_boxes
 
 _ROOM_PIXELS = 4.0  # how far a Gaussian's edge may travel before its camera is planned anew
 _WHOLE = 0.7  # share of dirty tiles from which the whole picture is planned

@@ -14,30 +14,30 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Bool
-from core.render.backends import Backend
-from core.train.config import PredictConfig
-from core.train.control.frame_budget import FixedSteps, FrameProgress
-from core.train.field.decode import Splats
-from core.train.field.exposure import Exposure
-from core.train.field.field import Field
-from core.train.growth.gradient import GrowthStatistics
-from core.train.growth.later import AnchorAllowance, HalfTrained, LaterGrowth
-from core.train.motion.partition import Partition
-from core.train.motion.steady import pixels_a_unit
-from core.train.optimise.convergence import EpochProgress
-from core.train.optimise.loop import run_steps
-from core.train.optimise.losses import photometric_loss
-from core.train.optimise.optimisers import Adam, Optimiser
-from core.train.optimise.schedule import ViewOrder
-from core.train.pictures.views import Views
-from core.train.residual.anchors import TrainedAnchors
-from core.train.residual.harmful import Judgement, error_without, judged, nothing_judged
-from core.train.residual.rewriting import pull_of, rewritten_anchors
-from core.train.residual.search import better_starts
-from core.train.residual.state import State
-from core.train.residual.tile_cache import TileCache, make_tile_cache
-from core.train.residual.update import IntegerUpdate, no_update
+from streamlod.core.arrays import Bool
+from streamlod.core.render.backends import Backend
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.control.frame_budget import FixedSteps, FrameProgress
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.gradient import GrowthStatistics
+from streamlod.core.train.growth.later import AnchorAllowance, HalfTrained, LaterGrowth
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.motion.steady import pixels_a_unit
+from streamlod.core.train.optimise.convergence import EpochProgress
+from streamlod.core.train.optimise.loop import run_steps
+from streamlod.core.train.optimise.losses import photometric_loss
+from streamlod.core.train.optimise.optimisers import Adam, Optimiser
+from streamlod.core.train.optimise.schedule import ViewOrder
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.anchors import TrainedAnchors
+from streamlod.core.train.residual.harmful import Judgement, error_without, judged, nothing_judged
+from streamlod.core.train.residual.rewriting import pull_of, rewritten_anchors
+from streamlod.core.train.residual.search import better_starts
+from streamlod.core.train.residual.state import State
+from streamlod.core.train.residual.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.residual.update import IntegerUpdate, no_update
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
 _STEPS_TO_PAY = 2.0  # training steps whose gain must pay for the bits of an anchor that is sent anew

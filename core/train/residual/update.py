@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from core.arrays import Bool, Float32, Int16, Int32, Int64
-from core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
-from core.scene.residual import LevelResidual, Residual
-from core.train.field.convert import level_starts
+from streamlod.core.arrays import Bool, Float32, Int16, Int32, Int64
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
+from streamlod.core.scene.residual import LevelResidual, Residual
+from streamlod.core.train.field.convert import level_starts
 
 _MAX_REMAINDER = 2.0  # steps; more is not left by rounding, but a change that could not be sent
 _MAX_CONTINUATION = 64.0  # steps: one wild change must not throw an anchor out of the scene

@@ -12,12 +12,12 @@ from datetime import datetime
 from nats.aio.msg import Msg
 from nats.errors import Error
 
-from server.edge.ending import end
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.messages import MSG_ID, Assembler, MessageId, Names, parse_id
-from server.edge.jetstream.reading import Selection, follow, read
-from server.protocol.packets import Position, StreamPacket, stream_packet
-from server.stream.bus import RetainedGroup
+from streamlod.server.edge.ending import end
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.messages import MSG_ID, Assembler, MessageId, Names, parse_id
+from streamlod.server.edge.jetstream.reading import Selection, follow, read
+from streamlod.server.protocol.packets import Position, StreamPacket, stream_packet
+from streamlod.server.stream.bus import RetainedGroup
 
 _TRIM_SECONDS = 2.0  # between two looks at what JetStream has discarded
 _SIZE = "Nats-Msg-Size"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from core.errors import InputError
-from server.edge.jetstream.archive import Archive
-from server.protocol.packets import PacketWindow, Position, StreamPacket
-from server.stream.bus import Bus, GroupFile, RetainedGroup
+from streamlod.core.errors import InputError
+from streamlod.server.edge.jetstream.archive import Archive
+from streamlod.server.protocol.packets import PacketWindow, Position, StreamPacket
+from streamlod.server.stream.bus import Bus, GroupFile, RetainedGroup
 
 
 class ArchiveBus(Bus):

@@ -10,8 +10,8 @@ from nats.aio.client import Client
 from nats.errors import SlowConsumerError
 from nats.js import JetStreamContext
 
-from server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES, Names
-from server.settings import JetStreamSettings
+from streamlod.server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES, Names
+from streamlod.server.settings import JetStreamSettings
 
 _LOG = logging.getLogger(__name__)
 _RECONNECT_SECONDS = 0.25

@@ -18,12 +18,12 @@ from nats.errors import Error
 from nats.js.api import DiscardPolicy, RawStreamMsg, StorageType, StreamConfig
 from nats.js.errors import APIError, BadRequestError, NotFoundError
 
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.messages import Names
-from server.edge.jetstream.reading import Selection, follow
-from server.edge.origin import OriginStream
-from server.protocol.messages import PROTOCOL_VERSION
-from server.settings import Settings
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.messages import Names
+from streamlod.server.edge.jetstream.reading import Selection, follow
+from streamlod.server.edge.origin import OriginStream
+from streamlod.server.protocol.messages import PROTOCOL_VERSION
+from streamlod.server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
 TELL_SECONDS = 1.0

@@ -14,11 +14,11 @@ from contextlib import suppress
 from nats.aio.msg import Msg
 from nats.errors import Error
 
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.live_packets import LivePackets
-from server.edge.jetstream.messages import AFTER, MSG_ID, LiveSubjects, id_at, parse_id, pieces_of
-from server.protocol.packets import StreamPacket
-from server.stream.bus import RECORD_SECONDS
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.live_packets import LivePackets
+from streamlod.server.edge.jetstream.messages import AFTER, MSG_ID, LiveSubjects, id_at, parse_id, pieces_of
+from streamlod.server.protocol.packets import StreamPacket
+from streamlod.server.stream.bus import RECORD_SECONDS
 
 _AGAIN_SECONDS = 0.5  # for which packets are not sent again, however many readers ask
 _WANTED_SECONDS = 2.0  # for which packets are sent after a reader has asked

@@ -6,7 +6,7 @@ import time
 from bisect import bisect_right
 from dataclasses import dataclass
 
-from server.protocol.packets import Place, StreamPacket
+from streamlod.server.protocol.packets import Place, StreamPacket
 
 _RECENT_SECONDS = 4.0  # what was stored so lately may not have reached every reader
 _MAX_BYTES = 4 << 20  # of packets sent at once; of more than that, only those from the newest keyframe on

@@ -9,11 +9,11 @@ from contextlib import aclosing, suppress
 
 from nats.errors import Error
 
-from server.edge.ending import stop_if_cancelled
-from server.edge.jetstream.archive import id_of
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.messages import AFTER, Assembler, LivePacket, LiveSubjects, id_at, parse_id
-from server.protocol.packets import Place
+from streamlod.server.edge.ending import stop_if_cancelled
+from streamlod.server.edge.jetstream.archive import id_of
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.messages import AFTER, Assembler, LivePacket, LiveSubjects, id_at, parse_id
+from streamlod.server.protocol.packets import Place
 
 _MAX_MESSAGES = 4096  # that wait to be read
 _RETRY_SECONDS = 0.25

@@ -6,11 +6,11 @@ import asyncio
 import time
 from typing import Literal
 
-from core.errors import BitstreamError
-from server.edge.jetstream.messages import LivePacket
-from server.edge.supply import PacketTaker
-from server.protocol.messages import event
-from server.protocol.packets import Place, StreamPacket, stream_packet
+from streamlod.core.errors import BitstreamError
+from streamlod.server.edge.jetstream.messages import LivePacket
+from streamlod.server.edge.supply import PacketTaker
+from streamlod.server.protocol.messages import event
+from streamlod.server.protocol.packets import Place, StreamPacket, stream_packet
 
 _MISSED_SECONDS = 1.5  # for which those that were missed are waited for; they are sent again when asked for
 Outcome = Literal["taken", "known", "gap"]

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from server.protocol.packets import Place, Position, StreamPacket
+from streamlod.server.protocol.packets import Place, Position, StreamPacket
 
 MAX_PIECE_BYTES = 1 << 19  # NATS takes messages of 1 MiB unless it is configured otherwise
 MAX_HEADER_BYTES = 4096  # of a message

@@ -7,17 +7,17 @@ import logging
 from types import TracebackType
 from typing import Self
 
-from server.edge.ending import end
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import Directory
-from server.edge.jetstream.messages import Names
-from server.edge.jetstream.publisher import Publisher
-from server.edge.jetstream.supply import ArchivedStream
-from server.edge.origin import OriginStream
-from server.edge.supply import Supply
-from server.settings import Settings
-from server.stream.bus import Outbox
-from server.stream.stream import Stream
+from streamlod.server.edge.ending import end
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.directory import Directory
+from streamlod.server.edge.jetstream.messages import Names
+from streamlod.server.edge.jetstream.publisher import Publisher
+from streamlod.server.edge.jetstream.supply import ArchivedStream
+from streamlod.server.edge.origin import OriginStream
+from streamlod.server.edge.supply import Supply
+from streamlod.server.settings import Settings
+from streamlod.server.stream.bus import Outbox
+from streamlod.server.stream.stream import Stream
 
 _LOG = logging.getLogger(__name__)
 _LOOK_SECONDS = 0.25  # between two looks for streams to publish

@@ -16,14 +16,20 @@ from nats.errors import Error
 from nats.js.api import DiscardPolicy, RetentionPolicy, StorageType, StreamConfig
 from nats.js.errors import BadRequestError, NotFoundError
 
-from server.edge.ending import end
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import SILENT_SECONDS, TELL_SECONDS, Claim, create_stream, directory_config
-from server.edge.jetstream.live import LiveSender
-from server.edge.jetstream.messages import MSG_ID, MessageId, Names, pieces_of
-from server.protocol.packets import StreamPacket
-from server.settings import Settings
-from server.stream.stream import Stream
+from streamlod.server.edge.ending import end
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.directory import (
+    SILENT_SECONDS,
+    TELL_SECONDS,
+    Claim,
+    create_stream,
+    directory_config,
+)
+from streamlod.server.edge.jetstream.live import LiveSender
+from streamlod.server.edge.jetstream.messages import MSG_ID, MessageId, Names, pieces_of
+from streamlod.server.protocol.packets import StreamPacket
+from streamlod.server.settings import Settings
+from streamlod.server.stream.stream import Stream
 
 _LOG = logging.getLogger(__name__)
 _ACK_SECONDS = 1.0  # after which a message is sent again; JetStream knows it by its id

@@ -16,8 +16,8 @@ from nats.aio.msg import Msg
 from nats.errors import Error
 from nats.js.api import AckPolicy, ConsumerConfig, DeliverPolicy
 
-from server.edge.ending import stop_if_cancelled
-from server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.ending import stop_if_cancelled
+from streamlod.server.edge.jetstream.connection import NatsConnection
 
 _BATCH = 512  # messages asked for at once
 _REQUEST = {"max_bytes": 8 << 20, "expires": 5 * 10**9, "idle_heartbeat": 5 * 10**8}

@@ -10,19 +10,19 @@ import logging
 import time
 from contextlib import aclosing
 
-from server.edge.ending import end
-from server.edge.jetstream.archive import Archive, id_of
-from server.edge.jetstream.bus import ArchiveBus
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import SILENT_SECONDS, Directory
-from server.edge.jetstream.live_reading import LiveReader
-from server.edge.jetstream.merging import Merger
-from server.edge.jetstream.messages import Assembler, Names
-from server.edge.jetstream.reading import Selection, follow
-from server.edge.origin import OriginStream
-from server.edge.supply import PacketTaker
-from server.protocol.messages import event
-from server.settings import Settings
+from streamlod.server.edge.ending import end
+from streamlod.server.edge.jetstream.archive import Archive, id_of
+from streamlod.server.edge.jetstream.bus import ArchiveBus
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.directory import SILENT_SECONDS, Directory
+from streamlod.server.edge.jetstream.live_reading import LiveReader
+from streamlod.server.edge.jetstream.merging import Merger
+from streamlod.server.edge.jetstream.messages import Assembler, Names
+from streamlod.server.edge.jetstream.reading import Selection, follow
+from streamlod.server.edge.origin import OriginStream
+from streamlod.server.edge.supply import PacketTaker
+from streamlod.server.protocol.messages import event
+from streamlod.server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
 _RETRY_SECONDS = 0.25

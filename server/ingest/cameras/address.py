@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 LISTEN_SECONDS = 5.0  # then the port is opened again, so that a reader can be stopped
 OPEN_SECONDS = 10.0

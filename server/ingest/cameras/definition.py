@@ -19,13 +19,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from core.camera import Camera
-from core.data import open_dataset
-from core.data.files import read_bytes
-from core.data.pictures import MAX_SIDE
-from core.errors import InputError
-from core.frames import PointCloud
-from server.ingest.cameras.address import Address, parse_address
+from streamlod.core.camera import Camera
+from streamlod.core.data import open_dataset
+from streamlod.core.data.files import read_bytes
+from streamlod.core.data.pictures import MAX_SIDE
+from streamlod.core.errors import InputError
+from streamlod.core.frames import PointCloud
+from streamlod.server.ingest.cameras.address import Address, parse_address
 
 MAX_CAMERAS = 256
 _MAX_BYTES = 1 << 20

@@ -17,13 +17,13 @@ import av.container
 import av.stream
 import numpy as np
 
-from core.arrays import UInt8
-from core.errors import InputError
-from server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
-from server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
-from server.ingest.sync.grid import period_of
-from server.ingest.sync.picture import Picture
-from server.ingest.sync.timeline import Timeline
+from streamlod.core.arrays import UInt8
+from streamlod.core.errors import InputError
+from streamlod.server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
+from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
+from streamlod.server.ingest.sync.grid import period_of
+from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.timeline import Timeline
 
 _LOG = logging.getLogger(__name__)
 _MIN_DELAY, _MAX_DELAY = 0.25, 5.0  # seconds between attempts

@@ -8,14 +8,14 @@ from typing import Any, Protocol
 import av
 import numpy as np
 
-from core.arrays import UInt8
-from core.data.announced import AnnouncedPicture, announced_picture
-from core.data.pictures import decode
-from core.errors import InputError
-from server.ingest.cameras.reader import max_pixels
-from server.ingest.push.message import Codec, PushMessage
-from server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
-from server.ingest.sync.picture import Picture
+from streamlod.core.arrays import UInt8
+from streamlod.core.data.announced import AnnouncedPicture, announced_picture
+from streamlod.core.data.pictures import decode
+from streamlod.core.errors import InputError
+from streamlod.server.ingest.cameras.reader import max_pixels
+from streamlod.server.ingest.push.message import Codec, PushMessage
+from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting
+from streamlod.server.ingest.sync.picture import Picture
 
 
 class PushTarget(Protocol):

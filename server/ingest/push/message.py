@@ -17,8 +17,8 @@ from typing import Any
 
 import msgpack
 
-from core.close_codes import CloseCode
-from core.errors import SessionError
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
 
 PUSH_SUBPROTOCOL = "streamlod.push.v1"
 MAX_MESSAGE_BYTES = 16 << 20

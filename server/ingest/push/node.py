@@ -16,10 +16,10 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from core.close_codes import REFUSALS
-from core.errors import InputError, StreamlodError
-from server.ingest.push.capture import CaptureCamera, Taken
-from server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, PushMessage, pack_push
+from streamlod.core.close_codes import REFUSALS
+from streamlod.core.errors import InputError, StreamlodError
+from streamlod.server.ingest.push.capture import CaptureCamera, Taken
+from streamlod.server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, PushMessage, pack_push
 
 _LOG = logging.getLogger(__name__)
 _MAX_UNACKNOWLEDGED = 4  # unacknowledged pictures; a further one is dropped, because queueing it would add delay

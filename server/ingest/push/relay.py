@@ -14,12 +14,12 @@ from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from core.close_codes import CloseCode
-from core.errors import InputError, SessionError
-from server.ingest.push.message import MAX_MESSAGE_BYTES, PushMessage, pack_push, parse_push
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import InputError, SessionError
+from streamlod.server.ingest.push.message import MAX_MESSAGE_BYTES, PushMessage, pack_push, parse_push
 
 if TYPE_CHECKING:
-    from server.ingest.push.intake import Intake
+    from streamlod.server.ingest.push.intake import Intake
 
 _LOG = logging.getLogger(__name__)
 _MAX_ANSWER_BYTES = 4096

@@ -14,9 +14,9 @@ from fastapi import APIRouter
 from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from core.close_codes import CloseCode
-from core.errors import InputError, SessionError
-from server.ingest.push.message import PUSH_SUBPROTOCOL, PushMessage, parse_push
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import InputError, SessionError
+from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, PushMessage, parse_push
 
 _LOG = logging.getLogger(__name__)
 _MAX_REASON_BYTES = 123  # bytes, RFC 6455 section 5.5

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from core.arrays import UInt8
-from server.ingest.sync.clock import ClockSource
+from streamlod.core.arrays import UInt8
+from streamlod.server.ingest.sync.clock import ClockSource
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from statistics import median_low
 
-from server.ingest.sync.grid import Grid, best_phase, period_of, phase_of
-from server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.grid import Grid, best_phase, period_of, phase_of
+from streamlod.server.ingest.sync.picture import Picture
 
 _SECOND_NS = 1_000_000_000
 _AHEAD_NS = _SECOND_NS  # a picture this much earlier than its camera rig's usual delay has a wrong time

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import ray
 
-from core.background_log import log_in_background
-from core.version import streamlod_version
-from server.ingest.push.relay import pass_on
-from server.ingest.push.socket_folder import SocketFolder
-from server.pipeline.spec import StreamSpec
-from server.worker.cluster.link import LinkAddress, dial, listening_at
-from server.worker.process import run_worker
+from streamlod.core.background_log import log_in_background
+from streamlod.core.version import streamlod_version
+from streamlod.server.ingest.push.relay import pass_on
+from streamlod.server.ingest.push.socket_folder import SocketFolder
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.worker.cluster.link import LinkAddress, dial, listening_at
+from streamlod.server.worker.process import run_worker
 
 
 class WorkerActor:

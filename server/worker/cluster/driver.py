@@ -21,15 +21,15 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from core.background_log import log_in_background
-from core.errors import BackendUnavailable, StreamlodError
-from core.version import streamlod_version
-from server.ingest.push.relay import pass_on, serving_socket
-from server.pipeline.spec import StreamSpec
-from server.settings import RaySettings
-from server.worker.cluster.link import LinkAddress, cut, dial, listening_at
-from server.worker.cluster.room import NoRoom
-from server.worker.process import Sender, Tag, receive_resume, send_resume
+from streamlod.core.background_log import log_in_background
+from streamlod.core.errors import BackendUnavailable, StreamlodError
+from streamlod.core.version import streamlod_version
+from streamlod.server.ingest.push.relay import pass_on, serving_socket
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import RaySettings
+from streamlod.server.worker.cluster.link import LinkAddress, cut, dial, listening_at
+from streamlod.server.worker.cluster.room import NoRoom
+from streamlod.server.worker.process import Sender, Tag, receive_resume, send_resume
 
 _LOG = logging.getLogger(__name__)
 _JOIN_SECONDS = 30.0  # after which a cluster that does not answer is given up; Ray itself waits for minutes
@@ -54,7 +54,7 @@ def run_on_ray(
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the supervisor decides
     log_in_background()
-    from server.worker.cluster.placing import joined, reserve
+    from streamlod.server.worker.cluster.placing import joined, reserve
 
     sender = Sender(pipe)
     waiting = threading.Timer(_JOIN_SECONDS, _give_up, (settings, sender))

@@ -15,12 +15,12 @@ from ray.util import placement_group, placement_group_table, remove_placement_gr
 from ray.util.placement_group import PlacementGroup
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
-from core.errors import BackendUnavailable
-from server.pipeline.spec import StreamSpec
-from server.settings import RaySettings
-from server.worker.cluster.actor import WorkerActor
-from server.worker.cluster.link import LinkAddress
-from server.worker.cluster.room import Amounts, Holding, NoRoom, needs, shortage
+from streamlod.core.errors import BackendUnavailable
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import RaySettings
+from streamlod.server.worker.cluster.actor import WorkerActor
+from streamlod.server.worker.cluster.link import LinkAddress
+from streamlod.server.worker.cluster.room import Amounts, Holding, NoRoom, needs, shortage
 
 _LOG = logging.getLogger(__name__)
 _MARK = "streamlod"  # a placement group's name has this, the stream's id and something that makes it unique

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from core.errors import InputError
+from streamlod.core.errors import InputError
 
 Amounts = Mapping[str, float]  # by resource: CPU, GPU
 _EXACT = 1e-4  # Ray counts in ten-thousandths

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from client.evaluation.measure.footage import Footage, open_footage
-from core.data import linspace_split
-from core.synthetic import SyntheticSpec, write_clip
-from core.train import TrainConfig
+from streamlod.client.evaluation.measure.footage import Footage, open_footage
+from streamlod.core.data import linspace_split
+from streamlod.core.synthetic import SyntheticSpec, write_clip
+from streamlod.core.train import TrainConfig
 
 SPEC = SyntheticSpec(cameras=4, frames=3, width=96, height=54)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from client.evaluation.rows import study_rows
-from client.evaluation.study import StudyOptions, run_study
+from streamlod.client.evaluation.rows import study_rows
+from streamlod.client.evaluation.study import StudyOptions, run_study
 from tests.client.evaluation.conftest import shortened
 from tests.device.pretend import counted
 

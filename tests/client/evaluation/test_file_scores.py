@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from client.commands import evaluate, export
-from client.evaluation.file_scores import evaluate_file
-from client.evaluation.report.output import side_by_side
-from core.errors import InputError
-from core.render.splatter import Splatter
-from core.scene.anchors import Scene
+from streamlod.client.commands import evaluate, export
+from streamlod.client.evaluation.file_scores import evaluate_file
+from streamlod.client.evaluation.report.output import side_by_side
+from streamlod.core.errors import InputError
+from streamlod.core.render.splatter import Splatter
+from streamlod.core.scene.anchors import Scene
 from tests.client.clips import plain_scene, states, write_clip
 from tests.core.data.writers import llff_rows, write_video
 

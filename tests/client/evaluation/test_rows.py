@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from client.evaluation.design import one_at_a_time
-from client.evaluation.rows import ABLATIONS, study_rows, unquantised
-from core.errors import InputError
-from core.train import preset
+from streamlod.client.evaluation.design import one_at_a_time
+from streamlod.client.evaluation.rows import ABLATIONS, study_rows, unquantised
+from streamlod.core.errors import InputError
+from streamlod.core.train import preset
 
 
 def test_every_ablation_changes_something_and_names_are_unique() -> None:

@@ -10,16 +10,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from client.evaluation.design import one_at_a_time
-from client.evaluation.measure.footage import chosen_split
-from client.evaluation.report.quoted import MEET_ROOM, N3DV
-from client.evaluation.resume import earlier_report
-from client.evaluation.rows import Row, study_rows
-from client.evaluation.study import StudyOptions, run_study
-from client.evaluation.summary import FIGURES
-from client.evaluation.tradeoff import COSTS, TradeoffOptions, beaten_by, run_tradeoff
-from core.data.pictures import read_picture
-from core.errors import InputError
+from streamlod.client.evaluation.design import one_at_a_time
+from streamlod.client.evaluation.measure.footage import chosen_split
+from streamlod.client.evaluation.report.quoted import MEET_ROOM, N3DV
+from streamlod.client.evaluation.resume import earlier_report
+from streamlod.client.evaluation.rows import Row, study_rows
+from streamlod.client.evaluation.study import StudyOptions, run_study
+from streamlod.client.evaluation.summary import FIGURES
+from streamlod.client.evaluation.tradeoff import COSTS, TradeoffOptions, beaten_by, run_tradeoff
+from streamlod.core.data.pictures import read_picture
+from streamlod.core.errors import InputError
 from tests.client.evaluation.conftest import SPEC, shortened
 
 

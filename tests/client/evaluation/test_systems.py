@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from client.evaluation.measure.footage import Footage, open_footage
-from client.evaluation.measure.scores import draw
-from client.evaluation.rows import unquantised
-from client.evaluation.summary import run_figures, spread
-from client.evaluation.systems import FirstFrames, run_system, with_steps
-from core.data import linspace_split
-from core.errors import InputError
-from core.train import TrainConfig
+from streamlod.client.evaluation.measure.footage import Footage, open_footage
+from streamlod.client.evaluation.measure.scores import draw
+from streamlod.client.evaluation.rows import unquantised
+from streamlod.client.evaluation.summary import run_figures, spread
+from streamlod.client.evaluation.systems import FirstFrames, run_system, with_steps
+from streamlod.core.data import linspace_split
+from streamlod.core.errors import InputError
+from streamlod.core.train import TrainConfig
 from tests.client.evaluation.conftest import SPEC, shortened
 
 CONFIG = shortened(TrainConfig())
@@ -97,6 +97,6 @@ def test_a_study_needs_a_held_out_camera(clip: object, footage: Footage) -> None
 
 
 def _names() -> tuple[str, ...]:
-    from client.evaluation.summary import FIGURES
+    from streamlod.client.evaluation.summary import FIGURES
 
     return FIGURES

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from codec.container import SlodWriter
+from streamlod.codec.container import SlodWriter
 from tests.client.web.miniserver import WEB, Clip, make_clip
 from tests.client.web.scenes import make_scene
 

@@ -18,10 +18,10 @@ from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
 from fastapi.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import Scene
-from core.scene.residual import difference
-from server.http.static_page import PageFiles
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
+from streamlod.server.http.static_page import PageFiles
 from tests.client.web.scenes import moved
 
 WEB = Path(__file__).parents[3] / "client" / "web"

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import Float32, Float64
-from core.camera import Camera, look_at, pinhole
-from core.scene.anchors import LATENTS, SCALINGS, AnchorLevel, AnchorWeights, Scene, SceneHeader
-from core.scene.octree import Octree, morton_key
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.scene.anchors import LATENTS, SCALINGS, AnchorLevel, AnchorWeights, Scene, SceneHeader
+from streamlod.core.scene.octree import Octree, morton_key
 
 SLOTS, FEATURES, LEVELS = 4, 12, 3
 _LIFT = 8.0  # keeps the hidden layer in the linear half of its rectifier

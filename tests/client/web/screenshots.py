@@ -12,9 +12,9 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from codec.container import SlodReader, SlodWriter
-from codec.decoder import SceneDecoder
-from core.scene.anchors import Scene
+from streamlod.codec.container import SlodReader, SlodWriter
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.core.scene.anchors import Scene
 from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene

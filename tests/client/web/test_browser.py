@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from core.camera import Camera, pinhole
-from core.render import cpu
-from core.scene.anchors import Scene
-from core.scene.expand import expand
+from streamlod.core.camera import Camera, pinhole
+from streamlod.core.render import cpu
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
 from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
@@ -406,8 +406,8 @@ def test_embedding_page_hears_and_commands(page: Any, clip: Clip, tmp_path: Path
 
 def test_real_server_live_seek_restart(page: Any, clip: Clip, recording: Path) -> None:
     """The real server plays a file: the page follows it to its end, seeks in the window, steps, and goes on."""
-    from server.pipeline.spec import StreamSpec
-    from server.settings import Settings
+    from streamlod.server.pipeline.spec import StreamSpec
+    from streamlod.server.settings import Settings
     from tests.server.conftest import running
 
     with running(Settings(), StreamSpec(play=recording, loop=False)) as server:
@@ -433,8 +433,8 @@ def test_real_server_live_seek_restart(page: Any, clip: Clip, recording: Path) -
 
 def test_real_server_restarted_in_mid_stream(page: Any, clip: Clip, recording: Path) -> None:
     """A server stops while frames arrive, and another takes its place: the page waits, then shows that one's stream."""
-    from server.pipeline.spec import StreamSpec
-    from server.settings import Settings
+    from streamlod.server.pipeline.spec import StreamSpec
+    from streamlod.server.settings import Settings
     from tests.server.conftest import running
 
     with held_ports(1) as (port,):

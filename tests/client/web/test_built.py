@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from codec.container import SlodWriter
+from streamlod.codec.container import SlodWriter
 from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
 from tests.client.web.test_browser import INSPECT, shows

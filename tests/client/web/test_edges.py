@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from server.pipeline.spec import StreamSpec
-from server.settings import EdgeSettings, Settings
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import EdgeSettings, Settings
 from tests.client.web.test_browser import shows
 from tests.server.conftest import Clip, Running, make_clip, running
 from tests.server.edge.processes import wait

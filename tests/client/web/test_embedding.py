@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 from starlette.middleware.cors import CORSMiddleware
 
-from codec.container import SlodReader
-from codec.decoder import SceneDecoder
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
 from tests.client.web.test_browser import KEEP_TOASTS, WAIT, QuietHandler, eventually, said, shows
 from tests.server.conftest import running

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.camera import Camera, pinhole
+from streamlod.core.camera import Camera, pinhole
 from tests.client.web.miniserver import Behaviour, Clip, create_app, serving
 from tests.client.web.test_browser import WAIT, eventually, psnr, reference, shows
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe, encode_residual
-from core.render import cpu
-from core.scene.anchors import Scene
-from core.scene.interpolate import interpolate
-from core.scene.residual import difference
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.render import cpu
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.interpolate import interpolate
+from streamlod.core.scene.residual import difference
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import WAIT, comes_to_show, picture, psnr, reference, shows

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.scene.residual import difference
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.residual import difference
 from tests.client.web.conftest import WEB
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe
-from core.arrays import Float64
-from core.render.pick import depth_along, pick
-from core.scene.anchors import Scene
-from core.scene.expand import anchor_positions, expand
-from core.scene.gaussians import GaussianCloud
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.core.arrays import Float64
+from streamlod.core.render.pick import depth_along, pick
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import anchor_positions, expand
+from streamlod.core.scene.gaussians import GaussianCloud
 from tests.client.web.scenes import make_scene
 
 HERE = Path(__file__).parent
@@ -72,7 +72,7 @@ def _with_needles(scene: Scene) -> Scene:
 def _pick_all(cloud: GaussianCloud, origin: Float64, ray: Float64) -> Float64 | None:
     """As `pick`, but hits what reaches far along the ray as well."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("core.render.pick.MAX_SPREAD", np.inf)
+        patch.setattr("streamlod.core.render.pick.MAX_SPREAD", np.inf)
         return pick(cloud, origin, ray)
 
 

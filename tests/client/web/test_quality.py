@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.container import SlodWriter
+from streamlod.codec.container import SlodWriter
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import WAIT, eventually, shows

@@ -15,9 +15,9 @@ from fastapi.staticfiles import StaticFiles
 from PIL import Image
 from starlette.routing import Mount
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe
-from core.camera import Camera
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.core.camera import Camera
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import picture, psnr, shows
@@ -91,7 +91,7 @@ def test_spark_shows_the_same(page: Any, tmp_path: Path, kind: str) -> None:
     file = tmp_path / "scene.slod"
     with SlodWriter(file) as writer:
         writer.append(encode_keyframe(scene, time_ns=0))
-    command = [sys.executable, "-m", "server.cli", "export", str(file), "--format", kind]
+    command = [sys.executable, "-m", "streamlod.server.cli", "export", str(file), "--format", kind]
     subprocess.run([*command, "--out", str(tmp_path / f"scene.{kind}")], check=True, timeout=60)
     (tmp_path / "host.html").write_text(HOST)
     app = create_app(make_clip(make_scene(10), 2), Behaviour(), tmp_path)

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from codec.container import SlodWriter
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.codec.container import SlodWriter
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import INSPECT, WAIT, shows

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from codec.container import SlodWriter
-from core.render.splatter import Splatter
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings
+from streamlod.codec.container import SlodWriter
+from streamlod.core.render.splatter import Splatter
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings
 from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
 from tests.client.web.miniserver import Clip, make_clip
 from tests.client.web.scenes import make_scene

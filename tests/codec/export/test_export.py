@@ -10,11 +10,11 @@ import gsply
 import numpy as np
 import pytest
 
-from codec.export import bake, encode_ply, encode_spz, write_snapshot
-from core.arrays import Float32
-from core.errors import InputError
-from core.scene.expand import expand
-from core.scene.gaussians import GaussianCloud
+from streamlod.codec.export import bake, encode_ply, encode_spz, write_snapshot
+from streamlod.core.arrays import Float32
+from streamlod.core.errors import InputError
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.gaussians import GaussianCloud
 from tests.codec.scenes import make_scene
 
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from core.arrays import Float64
-from core.camera import Camera
-from core.data import open_dataset
-from core.data.lens import undistort
-from core.errors import InputError
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera
+from streamlod.core.data import open_dataset
+from streamlod.core.data.lens import undistort
+from streamlod.core.errors import InputError
 from tests.core.data.writers import read_back, rig, write_caliscope
 
 PRESENT = [[True, True], [True, True], [True, False], [False, True], [True, True]]

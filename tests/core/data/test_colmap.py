@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
-from core.arrays import UInt8
-from core.camera import Camera
-from core.data import open_dataset
-from core.data.colmap.model import read_model, read_points
-from core.errors import InputError
-from core.frames import PointCloud
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data import open_dataset
+from streamlod.core.data.colmap.model import read_model, read_points
+from streamlod.core.errors import InputError
+from streamlod.core.frames import PointCloud
 from tests.core.data.writers import (
     COLMAP_MODELS,
     picture,

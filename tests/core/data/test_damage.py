@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.data import open_dataset
-from core.errors import InputError
+from streamlod.core.data import open_dataset
+from streamlod.core.errors import InputError
 from tests.core.data.writers import (
     picture,
     rig,

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from core.arrays import Float64, UInt8
-from core.camera import Camera
-from core.data.lens import (
+from streamlod.core.arrays import Float64, UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.data.lens import (
     development,
     distort,
     opencv_camera,
@@ -19,7 +19,7 @@ from core.data.lens import (
     undistort,
     undistorted_camera,
 )
-from core.errors import InputError
+from streamlod.core.errors import InputError
 from tests.core.data.writers import rig
 
 BARREL = np.array([-0.33, 0.046, -0.004, 0.004, 0.067])

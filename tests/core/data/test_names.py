@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from core.data.names import in_numeric_order, listed
+from streamlod.core.data.names import in_numeric_order, listed
 
 
 def test_numbers_sort_as_numbers() -> None:

@@ -9,8 +9,8 @@ import av
 import numpy as np
 import pytest
 
-from core.data import LAYOUTS, open_dataset
-from core.errors import InputError
+from streamlod.core.data import LAYOUTS, open_dataset
+from streamlod.core.errors import InputError
 from tests.core.data.writers import (
     llff_rows,
     picture,

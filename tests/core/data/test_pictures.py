@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from core.data.pictures import picture_size, read_picture
-from core.errors import InputError
+from streamlod.core.data.pictures import picture_size, read_picture
+from streamlod.core.errors import InputError
 from tests.core.data.writers import picture, write_picture
 
 

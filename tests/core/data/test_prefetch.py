@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from core.data import prefetch
+from streamlod.core.data import prefetch
 
 
 class Counted:

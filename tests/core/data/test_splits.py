@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.data import linspace_split, read_split
-from core.errors import InputError
+from streamlod.core.data import linspace_split, read_split
+from streamlod.core.errors import InputError
 
 MEET_ROOM = [f"cam_{number}" for number in range(13)]
 

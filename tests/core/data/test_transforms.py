@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.data import open_dataset
-from core.data.transforms import opengl_pose
-from core.errors import InputError
+from streamlod.core.data import open_dataset
+from streamlod.core.data.transforms import opengl_pose
+from streamlod.core.errors import InputError
 from tests.core.data.writers import picture, read_back, rig, write_picture, write_transforms, write_video
 
 NAMES = ("cam00", "cam02", "cam10")

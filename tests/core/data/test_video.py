@@ -7,9 +7,9 @@ from pathlib import Path
 import av
 import pytest
 
-from core.data.sources import read_exactly
-from core.data.video import VideoInfo, probe_video, read_video
-from core.errors import InputError
+from streamlod.core.data.sources import read_exactly
+from streamlod.core.data.video import VideoInfo, probe_video, read_video
+from streamlod.core.errors import InputError
 from tests.core.data.writers import picture, read_back, write_video
 
 

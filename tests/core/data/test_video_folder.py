@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.data import open_dataset
-from core.data.dataset import Dataset
-from core.data.video_folder import llff_pose
-from core.errors import InputError
+from streamlod.core.data import open_dataset
+from streamlod.core.data.dataset import Dataset
+from streamlod.core.data.video_folder import llff_pose
+from streamlod.core.errors import InputError
 from tests.core.data.writers import (
     llff_rows,
     read_back,

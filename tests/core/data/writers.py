@@ -12,8 +12,8 @@ import av
 import cv2
 import numpy as np
 
-from core.arrays import Float64, UInt8
-from core.camera import Camera, look_at, pinhole
+from streamlod.core.arrays import Float64, UInt8
+from streamlod.core.camera import Camera, look_at, pinhole
 
 COLMAP_MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
 

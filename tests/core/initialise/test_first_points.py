@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.camera import look_at, pinhole
-from core.data import open_dataset
-from core.errors import InputError
-from core.frames import FrameSet, PointCloud
-from core.initialise import first_points
-from core.initialise.bounds import geometric_bounds
-from core.initialise.views import inside, project
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.data import open_dataset
+from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.initialise import first_points
+from streamlod.core.initialise.bounds import geometric_bounds
+from streamlod.core.initialise.views import inside, project
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=63)
 PIXELS = SPEC.cameras * SPEC.width * SPEC.height

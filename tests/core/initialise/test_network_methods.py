@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 import pytest
 
-from core.camera import Camera, look_at, pinhole
-from core.errors import BackendUnavailable
-from core.frames import FrameSet
-from core.initialise import first_points
-from core.initialise.methods.depth_anything import DepthAnythingPoints, poses_to_tell
-from core.initialise.views import inside, project
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.errors import BackendUnavailable
+from streamlod.core.frames import FrameSet
+from streamlod.core.initialise import first_points
+from streamlod.core.initialise.methods.depth_anything import DepthAnythingPoints, poses_to_tell
+from streamlod.core.initialise.views import inside, project
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=70)
 DATASET = open_synthetic(SPEC)

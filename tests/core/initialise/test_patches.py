@@ -7,13 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.arrays import Float32, Float64
-from core.camera import Camera, look_at, pinhole
-from core.initialise import patch_kernel
-from core.initialise.patch_kernel import COLOUR_CLAMP, COLOUR_SCALE, FLAT, LONE, RADIUS, SAMPLES, STRIDE, UNSEEN, Pairs
-from core.initialise.patches import slanted
-from core.initialise.sweep import pair_geometry, sweep_views
-from core.initialise.views import WorkingViews, pixel_centres, unproject
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.initialise import patch_kernel
+from streamlod.core.initialise.patch_kernel import (
+    COLOUR_CLAMP,
+    COLOUR_SCALE,
+    FLAT,
+    LONE,
+    RADIUS,
+    SAMPLES,
+    STRIDE,
+    UNSEEN,
+    Pairs,
+)
+from streamlod.core.initialise.patches import slanted
+from streamlod.core.initialise.sweep import pair_geometry, sweep_views
+from streamlod.core.initialise.views import WorkingViews, pixel_centres, unproject
 
 WIDTH, HEIGHT = 64, 48
 BOUNDS = (0.8, 8.0)

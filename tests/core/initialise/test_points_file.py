@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.errors import InputError
-from core.initialise import read_points
+from streamlod.core.errors import InputError
+from streamlod.core.initialise import read_points
 
 POSITIONS = np.array([[0, 1, 2], [3, 4, 5], [-1, -2, 0.5]], np.float32)
 COLOURS = np.array([[0, 51, 255], [255, 0, 0], [102, 102, 102]], np.uint8)

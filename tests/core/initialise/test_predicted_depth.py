@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.errors import InputError
-from core.initialise.predicted_depth import (
+from streamlod.core.errors import InputError
+from streamlod.core.initialise.predicted_depth import (
     PredictedDepth,
     fit_scale_and_shift,
     global_scale,
@@ -14,8 +14,8 @@ from core.initialise.predicted_depth import (
     place_depth,
     predicted_points,
 )
-from core.initialise.views import WorkingViews, inside, project
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.initialise.views import WorkingViews, inside, project
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=112, height=70)
 DATASET = open_synthetic(SPEC)

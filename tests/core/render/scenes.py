@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.arrays import Float64
-from core.camera import Camera, look_at, pinhole
-from core.render import Backend, rasterise
-from core.render.raster import Probe
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float64
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.render import Backend, rasterise
+from streamlod.core.render.raster import Probe
+from streamlod.core.scene.gaussians import GaussianCloud
 
 NAMES = ("means", "quaternions", "scales", "opacities", "colours")
 BACKGROUND = np.array([0.1, 0.2, 0.3], np.float32)

@@ -7,9 +7,9 @@ import shutil
 import pytest
 import torch
 
-from core.errors import BackendUnavailable
-from core.render import select
-from core.render.backends import cuda_fault
+from streamlod.core.errors import BackendUnavailable
+from streamlod.core.render import select
+from streamlod.core.render.backends import cuda_fault
 from tests.core.render.scenes import make_camera, make_cloud, run
 
 

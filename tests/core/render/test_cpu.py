@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from core.errors import InputError
-from core.render import rasterise
-from core.render.cpu import render
-from core.render.cpu.workspace import POOL
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.errors import InputError
+from streamlod.core.render import rasterise
+from streamlod.core.render.cpu import render
+from streamlod.core.render.cpu.workspace import POOL
+from streamlod.core.scene.gaussians import GaussianCloud
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, run
 from tests.threads import MAX_THREADS, kernel_threads
 

@@ -6,8 +6,8 @@ import weakref
 import pytest
 import torch
 
-from core.render import rasterise
-from core.render.tiles import tile_grid
+from streamlod.core.render import rasterise
+from streamlod.core.render.tiles import tile_grid
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, relative, run
 from tests.core.render.test_extremes import CAMERA, CULLED, DRAWN, ODD, PLACES, check_finite, odd, without_odd
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import Camera, pinhole
-from core.render import Raster, rasterise
-from core.render.cpu.autograd import rasterise_over
-from core.render.cpu.backdrop import Backdrop, prepare
-from core.render.cpu.dirty_tiles import touched_tiles
-from core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
-from core.scene.gaussians import GaussianCloud
-from core.train.field.decode import Splats
-from core.train.optimise.losses import photometric_loss
-from core.train.residual.region import loss_boxes
-from core.train.residual.tile_cache import make_tile_cache
+from streamlod.core.camera import Camera, pinhole
+from streamlod.core.render import Raster, rasterise
+from streamlod.core.render.cpu.autograd import rasterise_over
+from streamlod.core.render.cpu.backdrop import Backdrop, prepare
+from streamlod.core.render.cpu.dirty_tiles import touched_tiles
+from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH, Box
+from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.optimise.losses import photometric_loss
+from streamlod.core.train.residual.region import loss_boxes
+from streamlod.core.train.residual.tile_cache import make_tile_cache
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
 from tests.threads import MAX_THREADS, kernel_threads
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from core.camera import Camera, pinhole
-from core.errors import ModelError
-from core.render.cpu import render
-from core.scene.gaussians import GaussianCloud, concatenate
+from streamlod.core.camera import Camera, pinhole
+from streamlod.core.errors import ModelError
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.gaussians import GaussianCloud, concatenate
 from tests.core.render.scenes import BACKGROUND, NAMES, Outcome, make_camera, make_cloud, relative, run
 
 CAMERA = make_camera()

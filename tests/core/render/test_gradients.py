@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from core.render.cpu import frame
-from core.render.cpu.kernels import backward, project_backward
+from streamlod.core.render.cpu import frame
+from streamlod.core.render.cpu.kernels import backward, project_backward
 from tests.core.render.scenes import NAMES, Outcome, make_camera, make_cloud, relative, run
 
 BOUND = 1e-4

@@ -13,11 +13,11 @@ import pytest
 import torch
 from torch import Tensor
 
-import core.render.cuda
-from core.camera import pinhole
-from core.render import rasterise
-from core.render.reference import _visible, blend, project
-from core.render.tiles import tile_grid
+import streamlod.core.render.cuda
+from streamlod.core.camera import pinhole
+from streamlod.core.render import rasterise
+from streamlod.core.render.reference import _visible, blend, project
+from streamlod.core.render.tiles import tile_grid
 from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud, relative, run
 
 
@@ -55,7 +55,7 @@ def rasterization(
 
 @pytest.fixture(autouse=True)
 def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(core.render.cuda, "_gsplat", lambda: rasterization)
+    monkeypatch.setattr(streamlod.core.render.cuda, "_gsplat", lambda: rasterization)
 
 
 @pytest.mark.parametrize("moving", [None, 25])

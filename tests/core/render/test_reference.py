@@ -5,8 +5,8 @@ import math
 import numpy as np
 import torch
 
-from core.camera import pinhole
-from core.render import rasterise
+from streamlod.core.camera import pinhole
+from streamlod.core.render import rasterise
 from tests.core.render.scenes import NAMES, make_camera, make_cloud
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from core import runtime
-from core.render import cpu
+from streamlod.core import runtime
+from streamlod.core.render import cpu
 
 NAMES = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "NUMBA_THREADING_LAYER", "NUMBA_CACHE_DIR")
 
@@ -39,11 +39,12 @@ def test_what_the_user_set_stays() -> None:
 
 def test_whatever_kernels_are_compiled_from_is_found(tmp_path: Path) -> None:
     files = {
-        "core/kernels.py": "import numba\nfrom core import rules\n@numba.njit()\ndef f(): ...\n",
-        "core/rules.py": "from core.deep.numbers import ONE\n",
+        "core/kernels.py": "import numba\nfrom streamlod.core import rules\n@numba.njit()\ndef f(): ...\n",
+        "core/rules.py": "from streamlod.core.deep.numbers import ONE\n",
         "core/deep/numbers.py": "ONE = 1\n",
-        "core/caller.py": "from core.kernels import f\n",
-        "codec/coder/rans.py": "from codec.coder.compiled import compiled\nfrom codec import tables\n",
+        "core/caller.py": "from streamlod.core.kernels import f\n",
+        "codec/coder/rans.py": "from streamlod.codec.coder.compiled import compiled\n"
+        "from streamlod.codec import tables\n",
         "codec/coder/compiled.py": "from numba import njit\njit = njit()\n",
         "codec/tables.py": "",
     }
@@ -53,16 +54,20 @@ def test_whatever_kernels_are_compiled_from_is_found(tmp_path: Path) -> None:
         path.write_text(text)
     found = set(runtime.kernel_sources(tmp_path))
     assert found == {
-        *("core.kernels", "core.rules", "core.deep.numbers"),
-        *("codec.coder.rans", "codec.coder.compiled", "codec.tables"),
+        *("streamlod.core.kernels", "streamlod.core.rules", "streamlod.core.deep.numbers"),
+        *("streamlod.codec.coder.rans", "streamlod.codec.coder.compiled", "streamlod.codec.tables"),
     }
 
 
 def test_every_compiled_function_lies_in_a_kernel_source() -> None:
     found = runtime.kernel_sources(Path(runtime.__file__).parents[1])
-    assert {"core.render.cpu.kernels.inline.simd", "core.scene.entropy_model", "codec.coder.rans"} <= set(found)
-    assert "core.errors" not in found  # whatever many import would renew the whole cache with each change
-    assert "core.train.trainer" not in found
+    assert {
+        "streamlod.core.render.cpu.kernels.inline.simd",
+        "streamlod.core.scene.entropy_model",
+        "streamlod.codec.coder.rans",
+    } <= set(found)
+    assert "streamlod.core.errors" not in found  # whatever many import would renew the whole cache with each change
+    assert "streamlod.core.train.trainer" not in found
 
 
 def test_a_changed_kernel_gets_a_new_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:

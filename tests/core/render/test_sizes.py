@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from core.arrays import Float32
-from core.camera import pinhole
-from core.render.cpu import render
-from core.scene.gaussians import GaussianCloud
+from streamlod.core.arrays import Float32
+from streamlod.core.camera import pinhole
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.gaussians import GaussianCloud
 
 _DEPTH, _COUNT = 2.0, 48  # of a sheet of Gaussians, as many a side
 

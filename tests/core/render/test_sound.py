@@ -10,9 +10,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from core.camera import pinhole
-from core.render.reference import rotation
-from core.render.sound import DeviceCamera, device_camera, sound
+from streamlod.core.camera import pinhole
+from streamlod.core.render.reference import rotation
+from streamlod.core.render.sound import DeviceCamera, device_camera, sound
 from tests.core.render.scenes import NAMES
 from tests.core.render.test_extremes import CAMERA, CULLED, ODD, odd
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from codec.coder import column_model
-from codec.coder.entropy import encode_items
-from core.scene.entropy_model import BINS, SCALES, UNIT_BIN, bin_of, magnitude_bits
+from streamlod.codec.coder import column_model
+from streamlod.codec.coder.entropy import encode_items
+from streamlod.core.scene.entropy_model import BINS, SCALES, UNIT_BIN, bin_of, magnitude_bits
 
 
 def test_bins_are_quarter_octaves() -> None:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.arrays import Float64
-from core.scene.anchors import Scene
-from core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, expand, expand_slots
-from core.scene.gaussians import GaussianCloud
-from core.scene.octree import Octree
+from streamlod.core.arrays import Float64
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, expand, expand_slots
+from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.scene.octree import Octree
 from tests.codec.scenes import make_scene, move
 
 EYE = np.array([0.4, 0.2, -3.5])

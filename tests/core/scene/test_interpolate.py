@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.render.splatter import draw_cloud
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.scene.gaussians import GaussianCloud
-from core.scene.interpolate import can_interpolate, interpolate
+from streamlod.core.render.splatter import draw_cloud
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.scene.interpolate import can_interpolate, interpolate
 from tests.client.web.scenes import make_scene, moved
 from tests.codec.scenes import grow, move
 from tests.codec.scenes import make_scene as random_scene

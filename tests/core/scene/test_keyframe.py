@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe
-from core.scene.expand import expand
-from core.scene.keyframe import as_keyframe, keyframe_error
-from core.scene.octree import morton_key
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.keyframe import as_keyframe, keyframe_error
+from streamlod.core.scene.octree import morton_key
 from tests.codec.scenes import assert_same_state, grow, make_scene, move
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.scene.octree import MAX_LEVELS, Octree, level_for_distance, morton_key
+from streamlod.core.scene.octree import MAX_LEVELS, Octree, level_for_distance, morton_key
 
 coordinates = st.lists(st.tuples(*[st.integers(-(2**19), 2**19)] * 3), min_size=1, max_size=40)
 

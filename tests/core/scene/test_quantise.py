@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from core.scene.quantise import dead_zone, saturate, trailing_zeros
+from streamlod.core.scene.quantise import dead_zone, saturate, trailing_zeros
 
 finite = st.floats(-1e12, 1e12)
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.scene.anchors import Scene
-from core.scene.residual import LevelResidual, apply, difference
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import LevelResidual, apply, difference
 from tests.codec.scenes import assert_same_state, grow, make_scene, move
 
 START = make_scene((6, 40), slots=1, features=2)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.data import open_dataset
-from core.errors import InputError
-from core.synthetic import (
+from streamlod.core.data import open_dataset
+from streamlod.core.errors import InputError
+from streamlod.core.synthetic import (
     SyntheticSpec,
     cameras,
     open_synthetic,

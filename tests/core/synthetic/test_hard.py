@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.arrays import Float64
-from core.synthetic import SyntheticSpec, cameras, moving_surface, render_frame, surface_motion
-from core.synthetic.kinds.hard import KIND
-from core.synthetic.parts import Part
+from streamlod.core.arrays import Float64
+from streamlod.core.synthetic import SyntheticSpec, cameras, moving_surface, render_frame, surface_motion
+from streamlod.core.synthetic.kinds.hard import KIND
+from streamlod.core.synthetic.parts import Part
 
 PARTS = {"ball": 0, "cloth": slice(16, 64), "globe": 64, "box": 65, "parcel": -2, "door": -1}
 

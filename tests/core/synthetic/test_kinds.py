@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.arrays import Float64
-from core.errors import InputError
-from core.initialise.views import pixel_centres, project, unproject
-from core.synthetic import SyntheticSpec, cameras, open_synthetic, render_frame, render_image, surface_motion
-from core.synthetic.kinds import KINDS
-from core.synthetic.render import scene_at
+from streamlod.core.arrays import Float64
+from streamlod.core.errors import InputError
+from streamlod.core.initialise.views import pixel_centres, project, unproject
+from streamlod.core.synthetic import SyntheticSpec, cameras, open_synthetic, render_frame, render_image, surface_motion
+from streamlod.core.synthetic.kinds import KINDS
+from streamlod.core.synthetic.render import scene_at
 
 
 def small(kind: str, **changed: float) -> SyntheticSpec:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.arrays import Bool, Float64
-from core.camera import Camera
-from core.errors import InputError
-from core.initialise.views import pixel_centres, project, unproject
-from core.synthetic import (
+from streamlod.core.arrays import Bool, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.errors import InputError
+from streamlod.core.initialise.views import pixel_centres, project, unproject
+from streamlod.core.synthetic import (
     GroundTruth,
     SyntheticSpec,
     cameras,
@@ -20,8 +20,8 @@ from core.synthetic import (
     render_image,
     surface_motion,
 )
-from core.synthetic import render as inside
-from core.synthetic.kinds import KINDS
+from streamlod.core.synthetic import render as inside
+from streamlod.core.synthetic.kinds import KINDS
 
 SPEC = SyntheticSpec(cameras=5, frames=60, width=160, height=90, noise=0.0)
 

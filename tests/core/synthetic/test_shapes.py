@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.synthetic.casting import cast
-from core.synthetic.lighting import distances
-from core.synthetic.parts import Part, assemble, turn
-from core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM
+from streamlod.core.synthetic.casting import cast
+from streamlod.core.synthetic.lighting import distances
+from streamlod.core.synthetic.parts import Part, assemble, turn
+from streamlod.core.synthetic.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, ROOM
 
 KINDS = {
     "box": (BOX, (0.3, 0.5, 0.2)),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from core.scene.octree import Octree
-from core.train.config import ModelConfig
-from core.train.field.field import Field
-from core.train.keyframe.seeding import _first_network
+from streamlod.core.scene.octree import Octree
+from streamlod.core.train.config import ModelConfig
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.keyframe.seeding import _first_network
 
 
 def random_field(

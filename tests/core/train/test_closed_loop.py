@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.arrays import UInt8
-from core.data import Dataset
-from core.frames import FrameSet, PointCloud
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.expand import expand
-from core.scene.keyframe import as_keyframe
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.arrays import UInt8
+from streamlod.core.data import Dataset
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=4, frames=12, width=96, height=54, fps=10.0)

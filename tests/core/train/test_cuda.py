@@ -9,21 +9,21 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import LATENTS, OFFSET_LATENTS
-from core.scene.expand import expand
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import PredictConfig, TrainConfig, Trainer
-from core.train.config import KeyframeConfig
-from core.train.field.decode import Network, decode, decode_reference
-from core.train.field.exposure import Exposure
-from core.train.keyframe.random_background import over_colour
-from core.train.optimise.adam import RowAdam
-from core.train.optimise.losses import photometric_loss, photometric_reference
-from core.train.optimise.penalty import penalty
-from core.train.optimise.rate import residual_bits, residual_bits_reference
-from core.train.residual.apply import UnitChange, applied
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import LATENTS, OFFSET_LATENTS
+from streamlod.core.scene.expand import expand
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import PredictConfig, TrainConfig, Trainer
+from streamlod.core.train.config import KeyframeConfig
+from streamlod.core.train.field.decode import Network, decode, decode_reference
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.keyframe.random_background import over_colour
+from streamlod.core.train.optimise.adam import RowAdam
+from streamlod.core.train.optimise.losses import photometric_loss, photometric_reference
+from streamlod.core.train.optimise.penalty import penalty
+from streamlod.core.train.optimise.rate import residual_bits, residual_bits_reference
+from streamlod.core.train.residual.apply import UnitChange, applied
 from tests.core.train.fields import random_field
 from tests.core.true_points import true_points
 

@@ -9,18 +9,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.camera import Camera
-from core.data import Dataset
-from core.errors import ModelError
-from core.frames import FrameSet
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.expand import expand
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import TrainConfig, TrainedFrame, Trainer, preset
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.camera import Camera
+from streamlod.core.data import Dataset
+from streamlod.core.errors import ModelError
+from streamlod.core.frames import FrameSet
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import TrainConfig, TrainedFrame, Trainer, preset
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=5, frames=4, width=96, height=54, seed=1)

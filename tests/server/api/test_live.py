@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from codec.packet.info import peek
-from codec.packet.packet import PacketKind
-from core.close_codes import CloseCode
-from core.errors import SessionError
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings
+from streamlod.codec.packet.info import peek
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.close_codes import CloseCode
+from streamlod.core.errors import SessionError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings
 from tests.codec.scenes import assert_same_level, assert_same_state
 from tests.server.conftest import Clip, Running, Viewer, make_clip, running, viewing
 

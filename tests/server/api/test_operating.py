@@ -16,12 +16,12 @@ import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from codec.container import SlodReader
-from core.errors import InputError
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
-from server.stream.worker_stream import WorkerStream
-from server.worker.process import Sender, Tag
+from streamlod.codec.container import SlodReader
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.worker.process import Sender, Tag
 from tests.attack.test_rights import bearer, close_code, write_tokens
 from tests.server.conftest import Clip, Running, make_clip, running, viewing
 
@@ -205,7 +205,7 @@ def test_events_are_told_as_they_happen_and_again_to_those_who_were_away(
 
 
 def test_events_tell_each_token_what_it_may_know(clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.api.access.RECHECK_SECONDS", 0.2)
+    monkeypatch.setattr("streamlod.server.api.access.RECHECK_SECONDS", 0.2)
     grants: dict[str, Any] = {
         "all": {"rights": ["read", "control"]},
         "reader": {"rights": ["read"], "streams": "main"},
@@ -245,7 +245,7 @@ def test_events_tell_each_token_what_it_may_know(clip: Clip, tmp_path: Path, mon
 def test_a_web_token_is_withdrawn_by_its_name_or_hash(tmp_path: Path) -> None:
     import jwt
 
-    from server.auth.gate import hash_token
+    from streamlod.server.auth.gate import hash_token
 
     revoked = tmp_path / "revoked"
     revoked.write_text("")
@@ -349,7 +349,7 @@ def _no_room(*arguments: Any) -> None:
 def test_a_stream_that_cannot_be_created_leaves_the_recording_of_an_earlier_one(
     clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", _no_room)
+    monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", _no_room)
     (tmp_path / "data").mkdir()
     again = {"id": "gone", "data": str(tmp_path / "data"), "start": True}
     with running(Settings(state=tmp_path, jobs="ray")) as server, server.client(timeout=60) as client:

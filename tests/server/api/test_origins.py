@@ -12,8 +12,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import Close
 from websockets.sync.client import connect
 
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.server.conftest import Running, running
 
 _STREAM = StreamSpec(play=Path("nothing.slod"))

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from codec.container import SlodWriter
-from core.render.splatter import Splatter
-from core.scene.anchors import Scene
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.codec.container import SlodWriter
+from streamlod.core.render.splatter import Splatter
+from streamlod.core.scene.anchors import Scene
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene
 from tests.server.conftest import running

@@ -12,12 +12,12 @@ import jwt
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from codec.container import SlodReader
-from codec.decoder import SceneDecoder
-from core.errors import InputError
-from server.auth.gate import hash_token
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings, load_settings
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.core.errors import InputError
+from streamlod.server.auth.gate import hash_token
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings, load_settings
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Running, kept_from, running, viewing
 

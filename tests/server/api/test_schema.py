@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings
 from tests.server.conftest import Clip, Running, running
 
 SCHEMATHESIS = Path(sys.executable).with_name("schemathesis")

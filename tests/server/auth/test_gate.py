@@ -27,12 +27,12 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 from jwt.utils import base64url_encode
 from websockets.sync.client import connect
 
-from core.errors import InputError
-from server.auth.gate import Gate, Right, hash_token
-from server.auth.keys import parse_keys
-from server.auth.links import LinkSigner
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.core.errors import InputError
+from streamlod.server.auth.gate import Gate, Right, hash_token
+from streamlod.server.auth.keys import parse_keys
+from streamlod.server.auth.links import LinkSigner
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.e2e.test_server_process import serving
 from tests.server.conftest import Clip, running
 
@@ -169,8 +169,8 @@ def test_a_key_set_is_fetched_kept_and_fetched_again_for_new_keys(clip: Clip, mo
             answer["body"]["keys"] = [public_key(second, "second")]
             assert status(token(second, "EdDSA", "second")) == 401  # asked a moment ago
             assert len(asked) == 1
-            monkeypatch.setattr("server.auth.keys._PAUSE_SECONDS", 0.0)
-            monkeypatch.setattr("server.api.access._REFUSAL_SECONDS", 0.0)
+            monkeypatch.setattr("streamlod.server.auth.keys._PAUSE_SECONDS", 0.0)
+            monkeypatch.setattr("streamlod.server.api.access._REFUSAL_SECONDS", 0.0)
             assert status(token(second, "EdDSA", "second")) == 200
             assert status(token(first, "EdDSA", "first")) == 401
             failures: tuple[dict[str, Any], ...]
@@ -178,7 +178,7 @@ def test_a_key_set_is_fetched_kept_and_fetched_again_for_new_keys(clip: Clip, mo
             failures += ({"body": {"keys": ["x" * 70_000]}},)
             slow = b"HTTP/1.1 200 OK\r\n\r\n" + b" " * 1000  # a byte in time, and no end
             failures += {"raw": b"rubbish\r\n\r\n", "pause": 0}, {"raw": slow, "pause": 0.1}
-            monkeypatch.setattr("server.auth.keys._FETCH_SECONDS", 0.8)
+            monkeypatch.setattr("streamlod.server.auth.keys._FETCH_SECONDS", 0.8)
             for broken in failures:
                 answer.clear()
                 answer.update(broken)
@@ -191,7 +191,7 @@ def test_a_key_set_is_fetched_kept_and_fetched_again_for_new_keys(clip: Clip, mo
 
 
 def test_a_known_key_does_not_wait_while_others_are_fetched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.auth.keys._PAUSE_SECONDS", 0.0)
+    monkeypatch.setattr("streamlod.server.auth.keys._PAUSE_SECONDS", 0.0)
     private = ed25519.Ed25519PrivateKey.generate()
     answer: dict[str, Any] = {"body": {"keys": [public_key(private, "known")]}}
     known, unknown = (token(private, "EdDSA", name) for name in ("known", "unknown"))
@@ -216,7 +216,7 @@ def test_a_known_key_does_not_wait_while_others_are_fetched(monkeypatch: pytest.
 def test_signed_links_open_their_path_until_they_expire(
     clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.api.access._REFUSAL_SECONDS", 0.0)
+    monkeypatch.setattr("streamlod.server.api.access._REFUSAL_SECONDS", 0.0)
     tokens, key = tmp_path / "tokens.json", tmp_path / "link.key"
     tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "main"}]))
     key.write_text("s" * 32)

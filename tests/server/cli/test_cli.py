@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from server.cli import main as cli
+from streamlod.server.cli import main as cli
 from tests.client.clips import states, write_clip
 from tests.core.data.writers import llff_rows, rig, write_video_clip
 
@@ -28,7 +28,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 def streamlod(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run the command to its end."""
-    command = [sys.executable, "-m", "server.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "streamlod.server.cli", *map(str, arguments)]
     return subprocess.run(
         command, capture_output=True, text=True, timeout=100, check=False, env={**os.environ, **environment}
     )
@@ -219,7 +219,7 @@ def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:
 
 @pytest.mark.long
 def test_serve_and_view_until_interrupted(run: Run, tmp_path: Path, scene: Path) -> None:
-    command = [sys.executable, "-m", "server.cli", "serve", "--play", str(scene), "--port", "0"]
+    command = [sys.executable, "-m", "streamlod.server.cli", "serve", "--play", str(scene), "--port", "0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
         assert server.stderr is not None
         try:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-OPEN = "import logging; logging.basicConfig(level=20); from server.cli.demo import open_page; print(open_page('http://h:1'))"
+OPEN = "import logging; logging.basicConfig(level=20); from streamlod.server.cli.demo import open_page; print(open_page('http://h:1'))"
 
 
 @pytest.mark.skipif(sys.platform in ("darwin", "win32"), reason="there is always a screen")

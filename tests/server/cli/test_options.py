@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from typer import BadParameter
 
-from server.cli.options import fields_in
+from streamlod.server.cli.options import fields_in
 
 
 @pytest.mark.parametrize(

@@ -11,17 +11,17 @@ from pathlib import Path
 import pytest
 import torch
 
-from core.render import backends
-from server.doctor import backends as checks
-from server.doctor.finding import Finding, Verdict
-from server.doctor.host import check_host
-from server.doctor.report import as_json, as_table, worst
+from streamlod.core.render import backends
+from streamlod.server.doctor import backends as checks
+from streamlod.server.doctor.finding import Finding, Verdict
+from streamlod.server.doctor.host import check_host
+from streamlod.server.doctor.report import as_json, as_table, worst
 
 NO_GPU = not torch.cuda.is_available()
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "server.cli", *arguments]
+    command = [sys.executable, "-m", "streamlod.server.cli", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 

@@ -75,7 +75,7 @@ def begin(
     if source is not None:
         environment["PYTHONPATH"] = str(source)
     log = folder / f"{time.monotonic_ns()}.log"
-    command = [sys.executable, "-m", "server.cli", *map(str, arguments), "--port", str(port)]
+    command = [sys.executable, "-m", "streamlod.server.cli", *map(str, arguments), "--port", str(port)]
     with log.open("wb") as file:
         process = subprocess.Popen(command, stderr=file, stdout=file, cwd=source, env=os.environ | environment)
     return process, log

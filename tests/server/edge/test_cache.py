@@ -18,8 +18,8 @@ import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from server.pipeline.spec import StreamSpec
-from server.settings import EdgeSettings, Settings
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import EdgeSettings, Settings
 from tests.server.conftest import Clip, Running, Viewer, running, viewing
 from tests.server.edge.processes import wait
 from tests.server.ports import free_ports

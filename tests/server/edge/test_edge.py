@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import httpx
 import pytest
 
-from core.scene.anchors import Scene
+from streamlod.core.scene.anchors import Scene
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip
 from tests.server.edge.processes import Node, begin, listening, wait, wait_live

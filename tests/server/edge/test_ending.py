@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from server.edge.ending import end, stop_if_cancelled
+from streamlod.server.edge.ending import end, stop_if_cancelled
 
 
 async def deaf_once() -> None:

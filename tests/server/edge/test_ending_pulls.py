@@ -6,12 +6,12 @@ import asyncio
 from contextlib import suppress
 from datetime import UTC, datetime
 
-from server.api.registry import Registry
-from server.edge.edge import Edge
-from server.edge.origin import OriginStream
-from server.edge.supply import PacketTaker
-from server.settings import Settings
-from server.stream.bus import Bus
+from streamlod.server.api.registry import Registry
+from streamlod.server.edge.edge import Edge
+from streamlod.server.edge.origin import OriginStream
+from streamlod.server.edge.supply import PacketTaker
+from streamlod.server.settings import Settings
+from streamlod.server.stream.bus import Bus
 
 
 class SlowToEnd:

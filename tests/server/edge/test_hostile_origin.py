@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 
-from server.settings import EdgeSettings, Limits, Settings
+from streamlod.server.settings import EdgeSettings, Limits, Settings
 from tests.server.conftest import Clip, running, viewing
 from tests.server.edge.processes import wait
 
@@ -138,7 +138,7 @@ def test_what_the_origin_says_wrong_harms_nobody(name: str, clip: Clip, caplog: 
                 break
             assert time.monotonic() < limit
     assert origin.hellos[0]["relay"] is True
-    assert not [record for record in caplog.records if record.exc_info and record.name.startswith("server")]
+    assert not [record for record in caplog.records if record.exc_info and record.name.startswith("streamlod.server")]
 
 
 LISTINGS = {

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from client.connection.edges import edges_of, nearest
-from client.connection.link import WatchOptions
-from client.connection.watch import watch
-from client.events import Disconnected, NewScene, Notice, Welcome
+from streamlod.client.connection.edges import edges_of, nearest
+from streamlod.client.connection.link import WatchOptions
+from streamlod.client.connection.watch import watch
+from streamlod.client.events import Disconnected, NewScene, Notice, Welcome
 from tests.server.conftest import Clip
 from tests.server.edge.processes import Node, begin, listening, wait
 from tests.server.ports import held_ports
@@ -101,7 +101,7 @@ def test_a_viewer_takes_the_edge_that_answers(nodes: tuple[Node, Node, Node], mo
     with socket.create_server(("127.0.0.1", 0)) as silent, held_ports(1) as (missing,):
         lost = [f"ws://127.0.0.1:{port}{path}" for port in (silent.getsockname()[1], missing)]
         assert asyncio.run(nearest(lost)) is None
-        monkeypatch.setattr("client.connection.edges._ANSWER_SECONDS", 20.0)
+        monkeypatch.setattr("streamlod.client.connection.edges._ANSWER_SECONDS", 20.0)
         assert asyncio.run(nearest([*lost, live(nodes[2])])) == live(nodes[2])
 
 
@@ -127,7 +127,7 @@ def test_a_killed_edge_is_replaced_by_the_other(
     nodes: tuple[Node, Node, Node], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It was chosen as the nearest of the edges that the origin names, where the first one has gone."""
-    monkeypatch.setattr("client.connection.edges._ANSWER_SECONDS", 20.0)
+    monkeypatch.setattr("streamlod.client.connection.edges._ANSWER_SECONDS", 20.0)
     killed = nodes[2]
     nodes[1].kill()  # so that the nearest is the one that is killed
     seen = look(live(nodes[0]), killed.kill, 50, 20, WatchOptions(nearest=True))

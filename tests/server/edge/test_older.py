@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from core.scene.anchors import Scene
+from streamlod.core.scene.anchors import Scene
 from tests.server.conftest import Clip
 from tests.server.edge.processes import Node, node, wait
 from tests.server.ports import free_ports
@@ -32,11 +32,11 @@ VIEWER = """
 import asyncio, json, sys
 from contextlib import aclosing
 from hashlib import sha256
-from client.events import NewScene
+from streamlod.client.events import NewScene
 try:
-    from client.connection.watch import watch
+    from streamlod.client.connection.watch import watch
 except ImportError:
-    from client.connection import watch
+    from streamlod.client.connection import watch
 
 def state_hash(scene):
     return sha256(b"".join(bytes(column) for level in scene.levels for column in level.state())).hexdigest()

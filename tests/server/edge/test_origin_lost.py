@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from server.pipeline.spec import StreamSpec
-from server.settings import EdgeSettings, Settings
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import EdgeSettings, Settings
 from tests.server.conftest import Clip, Running, running, viewing
 from tests.server.edge.processes import Node, node, wait, wait_live
 

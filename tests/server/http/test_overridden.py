@@ -20,9 +20,9 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.protocol import Protocol
 from websockets.server import ServerProtocol
 
-from server.http.limits import LimitedProtocol
-from server.http.websocket import ViewerProtocol
-from server.service.run import Server
+from streamlod.server.http.limits import LimitedProtocol
+from streamlod.server.http.websocket import ViewerProtocol
+from streamlod.server.service.run import Server
 
 WEBSOCKET = """connection_made(transport) data_received(data) handle_text(event) handle_cont(event) handle_ping()
     pause_writing() resume_writing() connection_lost(exc) handle_close(event) shutdown() handle_parser_exception()

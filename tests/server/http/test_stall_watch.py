@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from codec.container import SlodWriter
-from codec.encoder import encode_keyframe
-from server.pipeline.spec import StreamSpec
-from server.settings import Limits, Settings
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Limits, Settings
 from tests.codec.scenes import make_scene
 from tests.server.conftest import Running, running
 from tests.server.test_faults import masked, raw

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from websockets.frames import Frame, Opcode
 
-from server.http.websocket import Connection
-from server.protocol.packets import binary_frame, text_frame
+from streamlod.server.http.websocket import Connection
+from streamlod.server.protocol.packets import binary_frame, text_frame
 
 _STUCK_SECONDS = 1.2  # a pause of this process that is longer looks like a peer that takes nothing
 

@@ -16,7 +16,7 @@ import av
 import numpy as np
 import pytest
 
-from core.arrays import UInt8
+from streamlod.core.arrays import UInt8
 
 FPS, WIDTH, HEIGHT = 30, 160, 128
 _BITS, _ROWS = 16, 16

@@ -9,7 +9,7 @@ from contextlib import closing
 
 import pytest
 
-from server.ingest.ahead import just_in_time
+from streamlod.server.ingest.ahead import just_in_time
 
 
 def test_the_next_one_is_made_while_the_last_one_is_used_but_not_at_its_beginning() -> None:

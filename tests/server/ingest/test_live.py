@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.frames import FrameSet
-from server.ingest.live import LiveDataset, open_live
-from server.ingest.statistics import Statistics
-from server.ingest.sync.clock import ClockSource
-from server.ingest.sync.synchroniser import CameraState
+from streamlod.core.frames import FrameSet
+from streamlod.server.ingest.live import LiveDataset, open_live
+from streamlod.server.ingest.statistics import Statistics
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.rig import (
     FPS,
     NEEDS_FFMPEG,

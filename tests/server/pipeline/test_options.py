@@ -12,19 +12,19 @@ import pytest
 import typer
 from pydantic import ValidationError
 
-from core.data import LAYOUTS
-from core.errors import InputError
-from core.initialise import METHODS
-from core.train import preset
-from server.api.reach import POINT_METHODS
-from server.cli.main import serve, train
-from server.cli.options import TRAINING, takes
-from server.pipeline.job import JOB_OPTIONS, TrainJob
-from server.pipeline.new_stream import NewStream
-from server.pipeline.options import Option
-from server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
-from server.service.app import create_app
-from server.settings import Settings, load_settings
+from streamlod.core.data import LAYOUTS
+from streamlod.core.errors import InputError
+from streamlod.core.initialise import METHODS
+from streamlod.core.train import preset
+from streamlod.server.api.reach import POINT_METHODS
+from streamlod.server.cli.main import serve, train
+from streamlod.server.cli.options import TRAINING, takes
+from streamlod.server.pipeline.job import JOB_OPTIONS, TrainJob
+from streamlod.server.pipeline.new_stream import NewStream
+from streamlod.server.pipeline.options import Option
+from streamlod.server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import Settings, load_settings
 
 PAGE = (Path(__file__).parents[3] / "docs" / "operations.md").read_text()
 # One value of each that is no default: as words of the command line, and as JSON.

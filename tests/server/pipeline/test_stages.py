@@ -13,20 +13,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from codec.container import SlodReader
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_residual
-from codec.packet.info import peek
-from codec.packet.packet import PacketKind
-from core.errors import InputError, ModelError
-from core.frames import FrameSet
-from core.scene.anchors import Scene
-from core.synthetic import SyntheticSpec
-from core.train import TrainedFrame, Trainer
-from server.pipeline.job import TrainJob
-from server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
-from server.pipeline.trace import Span
-from server.worker.process import Resume, Sender, Tag, show_again, train
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_residual
+from streamlod.codec.packet.info import peek
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.errors import InputError, ModelError
+from streamlod.core.frames import FrameSet
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.synthetic import SyntheticSpec
+from streamlod.core.train import TrainedFrame, Trainer
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
+from streamlod.server.pipeline.trace import Span
+from streamlod.server.worker.process import Resume, Sender, Tag, show_again, train
 from tests.core.true_points import true_points
 from tests.server.brief import brief_training
 
@@ -144,7 +144,7 @@ def test_a_failing_encoder_ends_the_stream_and_the_training(job: TrainJob, monke
             raise ModelError("the encoder broke")
         return encode_residual(before, *arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("server.pipeline.stages.encode_residual", encode)
+    monkeypatch.setattr("streamlod.server.pipeline.stages.encode_residual", encode)
     frames = train_stream(open_job(job))
     assert [next(frames).version, next(frames).version] == [0, 1]
     with pytest.raises(ModelError, match="the encoder broke"):

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import InputError
-from server.pipeline import warming
-from server.pipeline.rehearsal import rehearse
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline import warming
+from streamlod.server.pipeline.rehearsal import rehearse
 
 ROOT = Path(__file__).parents[3]
 
@@ -22,9 +22,10 @@ def test_the_list_has_every_part_that_can_be_warmed() -> None:
     for package in ("core", "codec"):
         for path in (ROOT / package).rglob("warm*.py"):
             module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-            assert f"from {module} import" in source or f"from {module.rpartition('.')[0]} import warm" in source, (
-                module
-            )
+            assert (
+                f"from streamlod.{module} import" in source
+                or f"from streamlod.{module.rpartition('.')[0]} import warm" in source
+            ), module
 
 
 def test_the_codec_is_warmed() -> None:

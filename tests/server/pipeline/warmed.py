@@ -9,10 +9,10 @@ import sys
 
 from numba.core.dispatcher import Dispatcher
 
-from core.initialise import first_points
-from core.synthetic import SyntheticSpec, open_synthetic
-from server.pipeline.rehearsal import rehearse
-from server.pipeline.warming import WARM_UPS
+from streamlod.core.initialise import first_points
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.server.pipeline.rehearsal import rehearse
+from streamlod.server.pipeline.warming import WARM_UPS
 
 
 def kernels() -> dict[str, Dispatcher]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from multiprocessing.connection import Connection
 
-from codec.container import SlodReader
-from server.pipeline.spec import StreamSpec
-from server.worker.process import Sender, Tag, receive_resume
+from streamlod.codec.container import SlodReader
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.worker.process import Sender, Tag, receive_resume
 
 
 def work(spec: StreamSpec, pipe: Connection, *_: object) -> None:

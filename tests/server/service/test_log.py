@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from core.background_log import MAX_LINES, BackgroundHandler
+from streamlod.core.background_log import MAX_LINES, BackgroundHandler
 from tests.server.conftest import Clip
 from tests.server.ports import held_ports
 
@@ -36,7 +36,7 @@ def answer(port: int, path: str) -> bytes:
 def serving(clip: Clip, stderr: int) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
     """A server that plays a clip and logs into a descriptor, once it is live."""
     with held_ports(1) as (port,):  # it cannot say which it has: nobody reads its log
-        command = [sys.executable, "-m", "server.cli", "serve", "--play", str(clip.path), "--port", str(port)]
+        command = [sys.executable, "-m", "streamlod.server.cli", "serve", "--play", str(clip.path), "--port", str(port)]
         process = subprocess.Popen(command, stderr=stderr)
         try:
             limit, state = time.monotonic() + 30, ""

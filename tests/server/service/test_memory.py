@@ -14,9 +14,9 @@ from tests.bench.idle_bench import cpu_seconds, megabytes, serving
 _RUN = """
 import re, sys
 from pathlib import Path
-import server.service.run, server.worker.process
-from server.pipeline.warming import warm_codec
-from server.service.memory import leave_out_linear_algebra, page_out_compiler
+import streamlod.server.service.run, server.worker.process
+from streamlod.server.pipeline.warming import warm_codec
+from streamlod.server.service.memory import leave_out_linear_algebra, page_out_compiler
 
 def resident():
     return int(re.search(r"^Rss:\\s+(\\d+)", Path("/proc/self/smaps_rollup").read_text(), re.MULTILINE)[1])

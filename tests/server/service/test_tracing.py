@@ -19,9 +19,9 @@ pytest.importorskip("opentelemetry.sdk", reason="OpenTelemetry is missing: pip i
 
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 
-from server.pipeline.spec import StreamSpec
-from server.service.app import create_app
-from server.settings import Settings
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
 from tests.server.edge.processes import node, wait
 from tests.server.ports import held_ports
@@ -116,8 +116,10 @@ def test_two_servers_tell_the_way_of_a_frame_as_one_trace(clip: Clip, tmp_path: 
 
 
 def test_what_a_worker_did_to_a_frame_is_in_the_frames_trace(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.worker.supervisor.run_worker", work)
-    monkeypatch.setattr("server.service.tracing._EXPORT_SECONDS", 30.0)  # the end waits until all 700 spans are sent
+    monkeypatch.setattr("streamlod.server.worker.supervisor.run_worker", work)
+    monkeypatch.setattr(
+        "streamlod.server.service.tracing._EXPORT_SECONDS", 30.0
+    )  # the end waits until all 700 spans are sent
     with (
         collector() as (address, told),
         running(Settings(trace_endpoint=address), StreamSpec(play=clip.path)) as server,
@@ -167,9 +169,9 @@ WITHOUT = """
 import sys
 for package in ("sdk", "exporter"):  # FastAPI may need the rest
     sys.modules[f"opentelemetry.{package}"] = None
-from core.errors import BackendUnavailable
-from server.service.app import create_app
-from server.settings import Settings
+from streamlod.core.errors import BackendUnavailable
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import Settings
 create_app(Settings())
 try:
     create_app(Settings(trace_endpoint="http://127.0.0.1:4318"))

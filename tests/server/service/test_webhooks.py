@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from core.errors import InputError
-from server.pipeline.spec import StreamSpec
-from server.service.app import create_app
-from server.service.webhooks import read_key, signature
-from server.settings import Settings, Webhook
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service.app import create_app
+from streamlod.server.service.webhooks import read_key, signature
+from streamlod.server.settings import Settings, Webhook
 from tests.server.conftest import running
 
 _KEY = b"k" * 40
@@ -63,7 +63,7 @@ def wait_for(received: list[Any], count: int) -> None:
 
 
 def test_an_event_is_signed_and_tried_again_until_it_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.service.webhooks.RETRY_SECONDS", (0.05, 0.05, 0.05))
+    monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", (0.05, 0.05, 0.05))
     with receiver(500, 302, 204) as (url, received):
         with running(settings_for(tmp_path, url, events=("stream.*",), streams="ma*"), _STREAM):
             wait_for(received, 4)  # three attempts for `starting`, and then `failed`
@@ -79,7 +79,7 @@ def test_an_event_is_signed_and_tried_again_until_it_is_taken(tmp_path: Path, mo
 
 
 def test_an_event_that_nobody_takes_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.service.webhooks.RETRY_SECONDS", (0.01, 0.01))
+    monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", (0.01, 0.01))
     with receiver(500) as (url, received), running(settings_for(tmp_path, url), _STREAM):
         wait_for(received, 6)
         kinds = [json.loads(body)["data"]["state"] for _, body in received]
@@ -90,7 +90,7 @@ def test_an_event_that_nobody_takes_is_given_up(tmp_path: Path, monkeypatch: pyt
 def test_nothing_is_sent_into_networks_that_are_not_listed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, networks: tuple[str, ...]
 ) -> None:
-    monkeypatch.setattr("server.service.webhooks.RETRY_SECONDS", (0.01,))
+    monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", (0.01,))
     with receiver(200) as (url, received), running(settings_for(tmp_path, url, networks), _STREAM) as server:
         server.wait(lambda stream: stream["state"] == "failed")
         limit = time.monotonic() + 5

@@ -6,14 +6,21 @@ from dataclasses import replace
 
 import pytest
 
-from codec.encoder import encode_keyframe
-from server.protocol.packets import PIECE_BYTES, Position, StreamPacket, binary_frame, payload_bytes, stream_packet
-from server.settings import Limits
-from server.stream.broadcast import Broadcast, Receiver
-from server.stream.counters import Counters
-from server.stream.hub import Hub
-from server.viewer.delivery import Delivery
-from server.viewer.playhead import Playhead
+from streamlod.codec.encoder import encode_keyframe
+from streamlod.server.protocol.packets import (
+    PIECE_BYTES,
+    Position,
+    StreamPacket,
+    binary_frame,
+    payload_bytes,
+    stream_packet,
+)
+from streamlod.server.settings import Limits
+from streamlod.server.stream.broadcast import Broadcast, Receiver
+from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.hub import Hub
+from streamlod.server.viewer.delivery import Delivery
+from streamlod.server.viewer.playhead import Playhead
 from tests.codec.scenes import make_scene
 
 

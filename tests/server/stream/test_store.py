@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from codec.container import SlodReader
-from core.errors import InputError
-from server.protocol.packets import Position, StreamPacket, stream_packet
-from server.settings import Retention
-from server.stream.bus import Bus
-from server.stream.store import Recording, Store
+from streamlod.codec.container import SlodReader
+from streamlod.core.errors import InputError
+from streamlod.server.protocol.packets import Position, StreamPacket, stream_packet
+from streamlod.server.settings import Retention
+from streamlod.server.stream.bus import Bus
+from streamlod.server.stream.store import Recording, Store
 from tests.server.conftest import make_clip
 
 

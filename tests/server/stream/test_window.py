@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 
-from server.protocol.packets import PacketWindow, stream_packet
+from streamlod.server.protocol.packets import PacketWindow, stream_packet
 from tests.server.conftest import Clip
 
 _MAX_BYTES = 400_000

@@ -7,8 +7,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from server.protocol.packets import StreamPacket, stream_packet
-from server.stream.bus import Bus
+from streamlod.server.protocol.packets import StreamPacket, stream_packet
+from streamlod.server.stream.bus import Bus
 from tests.server.conftest import make_clip
 
 

@@ -6,10 +6,10 @@ import asyncio
 import threading
 from pathlib import Path
 
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
-from server.stream.worker_stream import WorkerStream
-from server.worker.process import Tag
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.worker.process import Tag
 from tests.server.conftest import Clip
 
 

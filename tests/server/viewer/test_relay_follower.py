@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-import server.stream.stream
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+import streamlod.server.stream.stream
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, Viewer, make_clip, running, viewing
 
 
@@ -65,7 +65,7 @@ def test_each_epoch_is_announced_before_its_first_packet(tmp_path_factory: pytes
 def test_a_relay_that_falls_behind_is_told_so_and_begins_with_a_keyframe(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server.stream.stream, "_HUB_BYTES", 4000)
+    monkeypatch.setattr(streamlod.server.stream.stream, "_HUB_BYTES", 4000)
     clip = make_clip(tmp_path_factory.mktemp("long") / "scene.slod", 200, key_every=10)
     limits = Settings().limits.model_copy(update={"flight_bytes": 65536})
     with (

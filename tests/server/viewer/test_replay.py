@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from server.pipeline.spec import StreamSpec
-from server.protocol.packets import Position, StreamPacket, binary_frame, stream_packet
-from server.settings import Limits, Settings
-from server.stream.bus import Bus
-from server.stream.counters import Counters
-from server.stream.hub import Hub
-from server.stream.worker_stream import WorkerStream
-from server.viewer.delivery import Delivery
-from server.viewer.follower import Follower
-from server.viewer.pacing import LevelControl
-from server.viewer.replay import Replay
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.packets import Position, StreamPacket, binary_frame, stream_packet
+from streamlod.server.settings import Limits, Settings
+from streamlod.server.stream.bus import Bus
+from streamlod.server.stream.counters import Counters
+from streamlod.server.stream.hub import Hub
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.viewer.delivery import Delivery
+from streamlod.server.viewer.follower import Follower
+from streamlod.server.viewer.pacing import LevelControl
+from streamlod.server.viewer.replay import Replay
 from tests.server.conftest import Clip, kept_from, make_clip
 
 

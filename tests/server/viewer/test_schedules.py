@@ -14,20 +14,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-import server.stream.hub
-import server.stream.stream
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.residual import difference
-from server.pipeline.spec import StreamSpec
-from server.protocol.messages import Ack, Hello, Pause, Play, Seek, Set
-from server.protocol.packets import Position
-from server.settings import Limits, Retention, Settings
-from server.stream.store import Store
-from server.stream.worker_stream import WorkerStream
-from server.viewer.session import ViewerSession
-from server.worker.process import Tag
+import streamlod.server.stream.hub
+import streamlod.server.stream.stream
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.residual import difference
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.messages import Ack, Hello, Pause, Play, Seek, Set
+from streamlod.server.protocol.packets import Position
+from streamlod.server.settings import Limits, Retention, Settings
+from streamlod.server.stream.store import Store
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.viewer.session import ViewerSession
+from streamlod.server.worker.process import Tag
 from tests.codec.scenes import grow, make_scene, move
 
 LIMITS = Limits(viewer_lag_seconds=0.01, messages_per_second=1e6, flight_bytes=65536)
@@ -230,9 +230,11 @@ async def play(folder: Path | None, seed: int, viewers: int) -> None:
 
 
 def run_schedules(folder: Path, monkeypatch: pytest.MonkeyPatch, rounds: int) -> None:
-    monkeypatch.setattr(server.stream.stream, "_HUB_BYTES", 4000)  # so that viewers fall out of the hub's window
     monkeypatch.setattr(
-        server.stream.hub, "_STATE_BYTES", 30_000
+        streamlod.server.stream.stream, "_HUB_BYTES", 4000
+    )  # so that viewers fall out of the hub's window
+    monkeypatch.setattr(
+        streamlod.server.stream.hub, "_STATE_BYTES", 30_000
     )  # and out of the states that one residual can start from
     for seed in range(rounds):
         asyncio.run(play(folder / str(seed) if seed % 2 else None, seed, VIEWERS))

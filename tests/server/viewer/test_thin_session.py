@@ -18,18 +18,18 @@ from prometheus_client import generate_latest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
-from codec.container import SlodWriter
-from core.camera import Camera
-from core.errors import SessionError
-from core.render.splatter import Splatter
-from core.scene.anchors import Scene
-from core.scene.gaussians import GaussianCloud
-from server.pipeline.spec import StreamSpec
-from server.protocol.messages import parse_control, parse_hello
-from server.protocol.thin_messages import ViewMessage
-from server.service.metrics import collector_registry
-from server.settings import Limits, Settings
-from server.viewer.renderer import GRADES, HEADER, GradeControl, draw, fitted
+from streamlod.codec.container import SlodWriter
+from streamlod.core.camera import Camera
+from streamlod.core.errors import SessionError
+from streamlod.core.render.splatter import Splatter
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.messages import parse_control, parse_hello
+from streamlod.server.protocol.thin_messages import ViewMessage
+from streamlod.server.service.metrics import collector_registry
+from streamlod.server.settings import Limits, Settings
+from streamlod.server.viewer.renderer import GRADES, HEADER, GradeControl, draw, fitted
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene
 from tests.server.conftest import Running, running, viewing

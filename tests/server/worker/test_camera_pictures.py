@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from core.frames import FrameSet
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
-from server.stream.worker_stream import WorkerStream
-from server.worker.camera_pictures import CameraPictures, unpack_pictures
-from server.worker.process import Tag
+from streamlod.core.frames import FrameSet
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.worker.camera_pictures import CameraPictures, unpack_pictures
+from streamlod.server.worker.process import Tag
 from tests.attack.test_rights import bearer, write_tokens
 from tests.server.conftest import Clip, running
 

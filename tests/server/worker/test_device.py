@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import server.worker.supervisor
-from core.synthetic import SyntheticSpec
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+import streamlod.server.worker.supervisor
+from streamlod.core.synthetic import SyntheticSpec
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.core.true_points import true_points
 from tests.device import worker
 from tests.server.conftest import running
@@ -25,7 +25,7 @@ SPEC = SyntheticSpec(cameras=3, frames=3, width=64, height=36)
 def test_a_worker_trains_on_the_device_that_was_asked_for(
     gpu: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server.worker.supervisor, "run_worker", worker.run_worker)
+    monkeypatch.setattr(streamlod.server.worker.supervisor, "run_worker", worker.run_worker)
     points = true_points(SPEC)
     np.savez(tmp_path / "points.npz", positions=points.positions[::4], colours=points.colours[::4])
     job = TrainJob(synthetic=asdict(SPEC), preset="live", points=str(tmp_path / "points.npz"), device="cuda")

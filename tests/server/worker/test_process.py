@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.errors import InputError
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec, spec_from_json
-from server.settings import Settings, WorkerSettings
-from server.stream.worker_stream import WorkerStream
-from server.worker.cluster.room import Shortage
-from server.worker.process import Resume, Sender, Tag, play, receive_resume, send_resume
-from server.worker.supervisor import Ending, Supervisor
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec, spec_from_json
+from streamlod.server.settings import Settings, WorkerSettings
+from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.worker.cluster.room import Shortage
+from streamlod.server.worker.process import Resume, Sender, Tag, play, receive_resume, send_resume
+from streamlod.server.worker.supervisor import Ending, Supervisor
 from tests.server.conftest import Clip, running
 
 
@@ -41,7 +41,7 @@ def received(clip: Clip, resume: Resume) -> list[tuple[Tag, bytes]]:
 
 def test_a_file_is_played_packet_by_packet(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.sleep", lambda _: None)
-    monkeypatch.setattr("server.worker.process.Sender.send", collect := Collector())
+    monkeypatch.setattr("streamlod.server.worker.process.Sender.send", collect := Collector())
     received(clip, Resume())
     assert [body for tag, body in collect.messages if tag is Tag.PACKET] == clip.packets
     collect.messages.clear()

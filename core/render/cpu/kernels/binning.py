@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from core.arrays import Float32, Int32, Int64, UInt8
-from core.render.cpu.kernels.inline.constants import KERNEL, RECORD, SERIAL
-from core.render.cpu.kernels.inline.simd import prefetch
-from core.render.cpu.kernels.inline.tile import tile_span
+from streamlod.core.arrays import Float32, Int32, Int64, UInt8
+from streamlod.core.render.cpu.kernels.inline.constants import KERNEL, RECORD, SERIAL
+from streamlod.core.render.cpu.kernels.inline.simd import prefetch
+from streamlod.core.render.cpu.kernels.inline.tile import tile_span
 
 _AHEAD = 16  # records between asking for one and using it
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from core.arrays import Float32, Int32, UInt8
-from core.render.cpu.kernels.inline.constants import (
+from streamlod.core.arrays import Float32, Int32, UInt8
+from streamlod.core.render.cpu.kernels.inline.constants import (
     EXTENT_X,
     EXTENT_Y,
     HALF,
@@ -21,7 +21,7 @@ from core.render.cpu.kernels.inline.constants import (
     TILE_WIDTH,
     ZERO,
 )
-from core.render.cpu.kernels.inline.tile import ellipse_span, tile_span
+from streamlod.core.render.cpu.kernels.inline.tile import ellipse_span, tile_span
 
 
 @njit(**{**SERIAL, "cache": True})

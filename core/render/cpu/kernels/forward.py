@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from core.arrays import Float32, Int32, Int64
-from core.render.cpu.kernels.inline.constants import (
+from streamlod.core.arrays import Float32, Int32, Int64
+from streamlod.core.render.cpu.kernels.inline.constants import (
     ALPHA_MAX,
     BLUE,
     CONIC_A,
@@ -33,7 +33,7 @@ from core.render.cpu.kernels.inline.constants import (
     TRANSMITTANCE_MIN,
     ZERO,
 )
-from core.render.cpu.kernels.inline.simd import (
+from streamlod.core.render.cpu.kernels.inline.simd import (
     above,
     at_least,
     choose,
@@ -46,7 +46,7 @@ from core.render.cpu.kernels.inline.simd import (
     splat,
     store,
 )
-from core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part
+from streamlod.core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part
 
 _AHEAD = 8  # list entries between asking for a record and using it
 _CHECK = 32  # Gaussians between looks at whether the tile is finished

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from core.arrays import Float32, Float64
-from core.render.cpu.kernels.inline.constants import INLINE, KERNEL, LANES, ONE, SERIAL, TWO, ZERO
-from core.render.cpu.kernels.inline.simd import load, splat, store
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.render.cpu.kernels.inline.constants import INLINE, KERNEL, LANES, ONE, SERIAL, TWO, ZERO
+from streamlod.core.render.cpu.kernels.inline.simd import load, splat, store
 
 RADIUS = 5
 _TAPS = 2 * RADIUS + 1

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from core.arrays import Float32, Int32
-from core.render.cpu.kernels.inline.constants import (
+from streamlod.core.arrays import Float32, Int32
+from streamlod.core.render.cpu.kernels.inline.constants import (
     ALPHA_MIN,
     CENTRE_X,
     CENTRE_Y,
@@ -33,7 +33,7 @@ from core.render.cpu.kernels.inline.constants import (
     TWO,
     ZERO,
 )
-from core.render.cpu.kernels.inline.geometry import (
+from streamlod.core.render.cpu.kernels.inline.geometry import (
     clamp,
     rotation,
     slope_limits,

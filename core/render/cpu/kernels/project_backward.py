@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from core.arrays import Float32, Int32
-from core.render.cpu.kernels.inline.constants import (
+from streamlod.core.arrays import Float32, Int32
+from streamlod.core.render.cpu.kernels.inline.constants import (
     CONIC_A,
     CONIC_B,
     CONIC_C,
@@ -36,7 +36,7 @@ from core.render.cpu.kernels.inline.constants import (
     SUMS,
     TWO,
 )
-from core.render.cpu.kernels.inline.geometry import (
+from streamlod.core.render.cpu.kernels.inline.geometry import (
     clamp,
     rotation,
     slope_limits,

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from client.evaluation.measure.memory import forget_peak, peak_bytes
+from streamlod.client.evaluation.measure.memory import forget_peak, peak_bytes
 
 SIZE = 256 * 2**20
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from client.evaluation.measure.moving import MIN_PIXELS, MovingPixels, moving_score
-from core.arrays import Bool, UInt8
-from core.metrics import psnr
-from core.synthetic import SyntheticSpec, cameras, render_frame, render_image
+from streamlod.client.evaluation.measure.moving import MIN_PIXELS, MovingPixels, moving_score
+from streamlod.core.arrays import Bool, UInt8
+from streamlod.core.metrics import psnr
+from streamlod.core.synthetic import SyntheticSpec, cameras, render_frame, render_image
 
 SPEC = SyntheticSpec(cameras=3, frames=12, width=160, height=90, speed=3.0)
 

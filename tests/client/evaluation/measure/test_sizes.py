@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from client.evaluation.measure.footage import Footage
-from client.evaluation.measure.sizes import (
+from streamlod.client.evaluation.measure.footage import Footage
+from streamlod.client.evaluation.measure.sizes import (
     KEYFRAME_INTERVAL,
     entropy_bits,
     packet_size,
@@ -16,10 +16,10 @@ from client.evaluation.measure.sizes import (
     shannon_residual_bytes,
     stream_bytes,
 )
-from codec.refresh import RefreshRule
-from core.scene.residual import difference
-from core.train import TrainConfig, Trainer
-from server.pipeline.job import TrainJob
+from streamlod.codec.refresh import RefreshRule
+from streamlod.core.scene.residual import difference
+from streamlod.core.train import TrainConfig, Trainer
+from streamlod.server.pipeline.job import TrainJob
 from tests.client.evaluation.conftest import shortened
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from client.evaluation.measure.footage import Footage
-from client.evaluation.measure.truth import dynamic_precision_recall, shown_motion
-from core.camera import Camera
-from core.scene.anchors import Scene
-from core.train import TrainConfig, Trainer
+from streamlod.client.evaluation.measure.footage import Footage
+from streamlod.client.evaluation.measure.truth import dynamic_precision_recall, shown_motion
+from streamlod.core.camera import Camera
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.train import TrainConfig, Trainer
 from tests.client.evaluation.conftest import SPEC
 
 QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pictures show

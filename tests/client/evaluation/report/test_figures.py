@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from client.evaluation.report.figures import Axis, Curve, Dot, curves, scatter
+from streamlod.client.evaluation.report.figures import Axis, Curve, Dot, curves, scatter
 
 NAMESPACE = "{http://www.w3.org/2000/svg}"
 

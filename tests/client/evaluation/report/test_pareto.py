@@ -7,7 +7,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from client.evaluation.report.pareto import pareto_front
+from streamlod.client.evaluation.report.pareto import pareto_front
 
 values = st.integers(-5, 5).map(float)
 clouds = st.lists(st.tuples(values, values), max_size=30)

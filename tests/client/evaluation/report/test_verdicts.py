@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from client.evaluation.report.verdicts import PUBLISHED, agrees, paired, verdict_table
+from streamlod.client.evaluation.report.verdicts import PUBLISHED, agrees, paired, verdict_table
 
 
 def run(seed: int, psnr: float, size: float | None = 1000.0) -> dict[str, Any]:

@@ -9,18 +9,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from core.arrays import Float32
-from core.camera import look_at, pinhole
-from core.initialise import first_points
-from core.initialise.confidence.evidence import CUES, Matches, evidence
-from core.initialise.confidence.gaps import in_gaps
-from core.initialise.confidence.network import Confidence, usual_confidence
-from core.initialise.methods.learned import LearnedSweep
-from core.initialise.methods.plane_sweep import PlaneSweep
-from core.initialise.patch_kernel import UNSEEN
-from core.initialise.patches import SlantedMap
-from core.initialise.views import WorkingViews, working_views
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.arrays import Float32
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.initialise import first_points
+from streamlod.core.initialise.confidence.evidence import CUES, Matches, evidence
+from streamlod.core.initialise.confidence.gaps import in_gaps
+from streamlod.core.initialise.confidence.network import Confidence, usual_confidence
+from streamlod.core.initialise.methods.learned import LearnedSweep
+from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
+from streamlod.core.initialise.patch_kernel import UNSEEN
+from streamlod.core.initialise.patches import SlantedMap
+from streamlod.core.initialise.views import WorkingViews, working_views
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 from tests.core.initialise.test_patches import BOUNDS, floor_picture
 from tests.core.initialise.test_patches import camera as floor_camera
 
@@ -161,7 +161,7 @@ def test_noise_on_a_plain_floor_is_not_believed() -> None:
 
 def test_the_weights_belong_to_these_cues() -> None:
     with (
-        (files("core.initialise.confidence") / "network.npz").open("rb") as file,
+        (files("streamlod.core.initialise.confidence") / "network.npz").open("rb") as file,
         np.load(file, allow_pickle=False) as arrays,
     ):
         assert tuple(arrays["cues"]) == CUES

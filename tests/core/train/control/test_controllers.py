@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from codec.encoder import encode_residual
-from core.arrays import UInt8
-from core.data import Dataset
-from core.frames import FrameSet
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import TrainConfig, Trainer, preset
+from streamlod.codec.encoder import encode_residual
+from streamlod.core.arrays import UInt8
+from streamlod.core.data import Dataset
+from streamlod.core.frames import FrameSet
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import TrainConfig, Trainer, preset
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=4, frames=5, width=64, height=36, fps=4.0)  # a quarter of a second a frame: fast motion

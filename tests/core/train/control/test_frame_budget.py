@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from core.train.control.frame_budget import FixedSteps, FrameBudget
+from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget
 
 
 class Clock:

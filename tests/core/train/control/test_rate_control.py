@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.train.config import PredictConfig
-from core.train.control.rate_control import RateControl
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.control.rate_control import RateControl
 
 FPS = 30.0
 

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.scene.anchors import Scene
-from core.scene.expand import expand
-from core.train.config import PredictConfig
-from core.train.field.convert import field_of, level_starts, scene_of
-from core.train.field.decode import Network, decode, decode_reference
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import field_of, level_starts, scene_of
+from streamlod.core.train.field.decode import Network, decode, decode_reference
 from tests.core.train.fields import random_field
 from tests.threads import MAX_THREADS, kernel_threads
 

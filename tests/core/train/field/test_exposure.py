@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.camera import pinhole
-from core.render.backends import Backend
-from core.render.differentiable import rasterise
-from core.train.field.decode import Splats
-from core.train.field.exposure import Exposure, fitted, neutral
+from streamlod.core.camera import pinhole
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.field.exposure import Exposure, fitted, neutral
 
 CAMERA = pinhole("camera", (40, 40), (24, 16), (48, 32), np.eye(4))
 EXPOSURE = Exposure(torch.tensor([[1.0, 1.0, 1.0], [0.8, 1.1, 1.3]]), torch.tensor([[0.0, 0, 0], [0.05, -0.02, 0.1]]))

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from core.camera import look_at, pinhole
-from core.scene.anchors import FEATURE_LATENTS, OFFSET_LATENTS, AnchorWeights
-from core.train.config import PredictConfig
-from core.train.field.convert import scene_of
-from core.train.field.field import Field
-from core.train.field.rounding import Precision, usual_precision
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.scene.anchors import FEATURE_LATENTS, OFFSET_LATENTS, AnchorWeights
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import Precision, usual_precision
 from tests.core.train.fields import random_field
 
 PREDICT = PredictConfig(feature_step=0.5, offset_step=0.25)

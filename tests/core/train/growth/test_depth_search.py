@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from core.arrays import Float32, Float64
-from core.camera import Camera
-from core.initialise.sweep import pair_geometry
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
-from core.train.growth.depth_search import best_planes, inverse_depths, matched_pixels
-from core.train.kernels.windows import HALF, UNSEEN
-from core.train.pictures.views import Views
+from streamlod.core.arrays import Float32, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.initialise.sweep import pair_geometry
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.train.growth.depth_search import best_planes, inverse_depths, matched_pixels
+from streamlod.core.train.kernels.windows import HALF, UNSEEN
+from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 
 SPEC = SyntheticSpec(cameras=5, frames=1, width=128, height=72)

@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.synthetic import SyntheticSpec, open_synthetic, render_frame
-from core.train.field.field import Field
-from core.train.growth.errors import ErrorNodes, error_nodes, values_at
-from core.train.pictures.views import Views
+from streamlod.core.camera import Camera
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.errors import ErrorNodes, error_nodes, values_at
+from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 
 SPEC = SyntheticSpec(cameras=4, frames=1, width=128, height=72)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from core.train.config import KeyframeConfig
-from core.train.growth.gradient import GrowthStatistics, grow
-from core.train.optimise.adam import RowAdam
-from core.train.optimise.schedule import ViewOrder, dropout_keep, unlocked_level
+from streamlod.core.train.config import KeyframeConfig
+from streamlod.core.train.growth.gradient import GrowthStatistics, grow
+from streamlod.core.train.optimise.adam import RowAdam
+from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, unlocked_level
 from tests.core.train.fields import random_field
 
 THRESHOLD = 1.0

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import Camera, look_at, pinhole
-from core.frames import PointCloud
-from core.initialise.methods.combined import merged
-from core.initialise.views import inside, project, unproject
-from core.scene.expand import anchor_positions
-from core.scene.octree import Octree
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Trainer, preset
-from core.train.field.field import Field
-from core.train.growth.near_space import near_space
-from core.train.keyframe.seeding import seed_field
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.methods.combined import merged
+from streamlod.core.initialise.views import inside, project, unproject
+from streamlod.core.scene.expand import anchor_positions
+from streamlod.core.scene.octree import Octree
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Trainer, preset
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth.near_space import near_space
+from streamlod.core.train.keyframe.seeding import seed_field
 from tests.core.true_points import true_points
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from core.errors import InputError
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import KeyframeConfig, PredictConfig, Trainer, preset
-from core.train.field.field import Field
-from core.train.growth import later, rules
-from core.train.growth.gradient import GrowthStatistics, NewAnchors
+from streamlod.core.errors import InputError
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import KeyframeConfig, PredictConfig, Trainer, preset
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.growth import later, rules
+from streamlod.core.train.growth.gradient import GrowthStatistics, NewAnchors
 from tests.core.true_points import true_points
 
 

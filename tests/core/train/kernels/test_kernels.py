@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import pinhole
-from core.scene.anchors import LATENTS
-from core.train.growth.depth_search import matched_pixels
-from core.train.kernels import adam, decode, rate, windows
-from core.train.kernels.warming import warm
-from core.train.optimise.adam import RowAdam, update, update_all, update_reference
-from core.train.optimise.rate import residual_bits, residual_bits_reference
-from core.train.pictures.views import Views
+from streamlod.core.camera import pinhole
+from streamlod.core.scene.anchors import LATENTS
+from streamlod.core.train.growth.depth_search import matched_pixels
+from streamlod.core.train.kernels import adam, decode, rate, windows
+from streamlod.core.train.kernels.warming import warm
+from streamlod.core.train.optimise.adam import RowAdam, update, update_all, update_reference
+from streamlod.core.train.optimise.rate import residual_bits, residual_bits_reference
+from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 from tests.threads import MAX_THREADS, kernel_threads
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Trainer, preset
-from core.train.pictures.views import Views
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Trainer, preset
+from streamlod.core.train.pictures.views import Views
 from tests.core.train.keyframe.test_first_frame import ring, short
 from tests.core.true_points import true_points
 

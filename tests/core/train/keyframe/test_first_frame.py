@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import Camera, look_at, pinhole
-from core.frames import FrameSet, PointCloud
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import HIDDEN, Scene
-from core.scene.expand import expand
-from core.train import TrainConfig, Trainer, preset
-from core.train.field.heads import separate_heads
-from core.train.keyframe.levels import needed_levels
-from core.train.pictures.views import Views
+from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import HIDDEN, Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.field.heads import separate_heads
+from streamlod.core.train.keyframe.levels import needed_levels
+from streamlod.core.train.pictures.views import Views
 
 UP = np.array([0.0, -1.0, 0.0])
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import look_at, pinhole
-from core.train.field.field import Field, visible_levels
-from core.train.field.rendered import rendered
-from core.train.motion.coverage import coverage
-from core.train.motion.scores import tiles_of
-from core.train.pictures.views import Views
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.train.field.field import Field, visible_levels
+from streamlod.core.train.field.rendered import rendered
+from streamlod.core.train.motion.coverage import coverage
+from streamlod.core.train.motion.scores import tiles_of
+from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
 
 POSE = look_at(np.array([0.0, -3.0, 0.5]), np.zeros(3), np.array([0.0, 0.0, 1.0]))

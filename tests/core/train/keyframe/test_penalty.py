@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from core.frames import PointCloud
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.expand import expand
-from core.train import Trainer, preset
-from core.train.config import KeyframeConfig
-from core.train.field.decode import Splats
-from core.train.field.exposure import neutral
-from core.train.keyframe.drawing import ViewLoss
-from core.train.pictures.views import Views
+from streamlod.core.frames import PointCloud
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.expand import expand
+from streamlod.core.train import Trainer, preset
+from streamlod.core.train.config import KeyframeConfig
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.keyframe.drawing import ViewLoss
+from streamlod.core.train.pictures.views import Views
 from tests.core.train.keyframe.test_first_frame import frames, ring, short, wall
 
 

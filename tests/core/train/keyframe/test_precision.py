@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.scene.octree import Octree
-from core.train.config import PredictConfig
-from core.train.field.convert import field_of, scene_of
-from core.train.field.decode import Network
-from core.train.field.field import Field
-from core.train.field.rounding import Precision, usual_precision
-from core.train.keyframe.precision import (
+from streamlod.core.scene.octree import Octree
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import field_of, scene_of
+from streamlod.core.train.field.decode import Network
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import Precision, usual_precision
+from streamlod.core.train.keyframe.precision import (
     COARSEST,
     Sensitivity,
     measured_precision,

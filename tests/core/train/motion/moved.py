@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from core.camera import Camera
-from core.render.differentiable import rasterise
-from core.synthetic import SyntheticSpec, cameras
-from core.train.config import PredictConfig
-from core.train.field.convert import scene_of
-from core.train.field.field import Field
-from core.train.field.rounding import usual_precision
-from core.train.pictures.views import Views
-from core.train.residual.state import State, fresh_state
+from streamlod.core.camera import Camera
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.synthetic import SyntheticSpec, cameras
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import usual_precision
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.state import State, fresh_state
 from tests.core.train.fields import random_field
 
 _PLACE = torch.tensor([-0.2, 1.6, 1.0])

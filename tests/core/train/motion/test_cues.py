@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from core.errors import InputError
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import PredictConfig, Trainer, preset
-from core.train.motion import cues
-from core.train.motion.partition import Observation, Partition
+from streamlod.core.errors import InputError
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import PredictConfig, Trainer, preset
+from streamlod.core.train.motion import cues
+from streamlod.core.train.motion.partition import Observation, Partition
 from tests.core.true_points import true_points
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from core.train.motion.masks import changed_pixels, dynamic_anchors, mixture_threshold
+from streamlod.core.train.motion.masks import changed_pixels, dynamic_anchors, mixture_threshold
 
 FLOOR = 0.02
 

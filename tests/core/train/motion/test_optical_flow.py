@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import torch
 
-from core.camera import Camera
-from core.train.motion.optical_flow import AnchorFlow, anchor_flow, picture_flow
+from streamlod.core.camera import Camera
+from streamlod.core.train.motion.optical_flow import AnchorFlow, anchor_flow, picture_flow
 from tests.core.train.motion.moved import RIG, Moved, moved_state
 
 LEAST = 0.5

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from core.train.motion.optical_flow import AnchorFlow
-from core.train.motion.scene_flow import flow_error, projection_jacobians, scene_flow
+from streamlod.core.train.motion.optical_flow import AnchorFlow
+from streamlod.core.train.motion.scene_flow import flow_error, projection_jacobians, scene_flow
 from tests.core.train.motion.moved import RIG
 from tests.core.train.motion.test_optical_flow import camera_pixels
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from core.synthetic import SyntheticSpec, cameras
-from core.train.motion.steady import mean_motion, moves_steadily
+from streamlod.core.synthetic import SyntheticSpec, cameras
+from streamlod.core.train.motion.steady import mean_motion, moves_steadily
 
 RIG = cameras(SyntheticSpec(cameras=3, width=240, height=136))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from core.train.optimise.convergence import PLATEAU_STEP_FACTOR, EpochProgress, PlateauProgress
+from streamlod.core.train.optimise.convergence import PLATEAU_STEP_FACTOR, EpochProgress, PlateauProgress
 
 
 def steps_of(run: PlateauProgress, loss: Callable[[int, float], float | None], views: int = 3) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from core.train.optimise.mean import MeanOfSteps
+from streamlod.core.train.optimise.mean import MeanOfSteps
 
 
 def test_mean_is_of_all_steps_that_were_counted() -> None:

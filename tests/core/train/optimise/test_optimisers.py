@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.errors import InputError
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Trainer, preset
-from core.train.optimise import optimisers
+from streamlod.core.errors import InputError
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Trainer, preset
+from streamlod.core.train.optimise import optimisers
 from tests.core.true_points import true_points
 
 

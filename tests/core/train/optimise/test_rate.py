@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from codec.chunks.change import Elapsed
-from codec.chunks.level import encode_change
-from core.scene.anchors import LATENTS
-from core.scene.quantise import dead_zone
-from core.train.optimise.rate import residual_bits
+from streamlod.codec.chunks.change import Elapsed
+from streamlod.codec.chunks.level import encode_change
+from streamlod.core.scene.anchors import LATENTS
+from streamlod.core.scene.quantise import dead_zone
+from streamlod.core.train.optimise.rate import residual_bits
 from tests.codec.scenes import make_scene
 
 

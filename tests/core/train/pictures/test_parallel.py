@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from core.arrays import Float32
-from core.train.pictures.parallel import map_pairs
+from streamlod.core.arrays import Float32
+from streamlod.core.train.pictures.parallel import map_pairs
 from tests.threads import MAX_THREADS, kernel_threads
 
 

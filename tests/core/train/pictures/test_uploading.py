@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from core.frames import FrameSet
-from core.train.pictures.uploading import _MAX_FRAMES, Uploader
+from streamlod.core.frames import FrameSet
+from streamlod.core.train.pictures.uploading import _MAX_FRAMES, Uploader
 
 
 @pytest.fixture(params=["cpu", pytest.param("gpu", marks=pytest.mark.cuda)])

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from core.train import KeyframeConfig, ModelConfig, PredictConfig, preset
-from core.train.presets.paper import paper_table
-from core.train.setting import Choice
+from streamlod.core.train import KeyframeConfig, ModelConfig, PredictConfig, preset
+from streamlod.core.train.presets.paper import paper_table
+from streamlod.core.train.setting import Choice
 
 DOCUMENT = Path(__file__).parents[4] / "docs" / "preset-paper.md"
 PARTS = [ModelConfig, KeyframeConfig, PredictConfig]

@@ -9,20 +9,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from codec.decoder import SceneDecoder
-from codec.encoder import encode_keyframe, encode_residual
-from core.data import Dataset
-from core.frames import FrameSet
-from core.metrics import psnr
-from core.render.cpu import render
-from core.scene.anchors import AnchorLevel, Scene
-from core.scene.expand import expand
-from core.scene.keyframe import as_keyframe, coarseness
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import TrainConfig, Trainer, preset
-from core.train.field.convert import field_of, scene_of
-from core.train.field.field import Field
-from core.train.refresh.background import FRAMES
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.data import Dataset
+from streamlod.core.frames import FrameSet
+from streamlod.core.metrics import psnr
+from streamlod.core.render.cpu import render
+from streamlod.core.scene.anchors import AnchorLevel, Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.keyframe import as_keyframe, coarseness
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.field.convert import field_of, scene_of
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.refresh.background import FRAMES
 from tests.core.train.fields import random_field
 from tests.core.true_points import true_points
 

@@ -9,27 +9,27 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.camera import look_at, pinhole
-from core.frames import FrameSet
-from core.scene.anchors import Scene
-from core.scene.keyframe import as_keyframe, coarseness
-from core.scene.residual import apply
-from core.train import ModelConfig, PredictConfig, TrainConfig, TrainedFrame, Trainer
-from core.train.field.convert import field_of, level_starts, scene_of
-from core.train.field.exposure import neutral
-from core.train.field.field import Field
-from core.train.field.rendered import rendered
-from core.train.field.rounding import round_through
-from core.train.growth.gradient import NewAnchors
-from core.train.growth.later import AnchorAllowance, later_growth
-from core.train.growth.new_anchors import first_values
-from core.train.motion.partition import Partition
-from core.train.optimise.optimisers import Adam, RowOptimiser
-from core.train.pictures.views import Views
-from core.train.residual.added_anchors import AddedAnchors
-from core.train.residual.state import State, fresh_state
-from core.train.residual.trainer import ResidualTrainer
-from core.train.residual.update import IntegerUpdate, residual_of
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.frames import FrameSet
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.keyframe import as_keyframe, coarseness
+from streamlod.core.scene.residual import apply
+from streamlod.core.train import ModelConfig, PredictConfig, TrainConfig, TrainedFrame, Trainer
+from streamlod.core.train.field.convert import field_of, level_starts, scene_of
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rendered import rendered
+from streamlod.core.train.field.rounding import round_through
+from streamlod.core.train.growth.gradient import NewAnchors
+from streamlod.core.train.growth.later import AnchorAllowance, later_growth
+from streamlod.core.train.growth.new_anchors import first_values
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.optimise.optimisers import Adam, RowOptimiser
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.added_anchors import AddedAnchors
+from streamlod.core.train.residual.state import State, fresh_state
+from streamlod.core.train.residual.trainer import ResidualTrainer
+from streamlod.core.train.residual.update import IntegerUpdate, residual_of
 from tests.core.train.fields import random_field
 
 WIDTH, HEIGHT = 96, 64

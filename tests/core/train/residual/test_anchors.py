@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import pinhole
-from core.train.config import PredictConfig
-from core.train.field.convert import scene_of
-from core.train.optimise.optimisers import Adam
-from core.train.residual.anchors import TrainedAnchors
-from core.train.residual.harmful import nothing_judged
-from core.train.residual.state import State, fresh_state
+from streamlod.core.camera import pinhole
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.optimise.optimisers import Adam
+from streamlod.core.train.residual.anchors import TrainedAnchors
+from streamlod.core.train.residual.harmful import nothing_judged
+from streamlod.core.train.residual.state import State, fresh_state
 from tests.core.train.fields import random_field
 
 NUMBERS = ("level", "voxel", "extra_level", "position", "feature", "offset", "scaling")  # of a new anchor

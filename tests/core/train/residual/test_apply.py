@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.scene.anchors import LATENTS, OFFSET_LATENTS
-from core.train.field.field import Field
-from core.train.residual.apply import UnitChange, applied, applied_reference
+from streamlod.core.scene.anchors import LATENTS, OFFSET_LATENTS
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.residual.apply import UnitChange, applied, applied_reference
 from tests.core.train.fields import random_field
 
 NAMES = ("feature", "offset", "position")

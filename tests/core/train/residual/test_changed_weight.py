@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from core.camera import look_at, pinhole
-from core.train import PredictConfig
-from core.train.field.exposure import neutral
-from core.train.field.rendered import rendered
-from core.train.motion.partition import Partition
-from core.train.pictures.views import Views
-from core.train.residual.state import fresh_state
-from core.train.residual.trainer import ResidualTrainer
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.train import PredictConfig
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.field.rendered import rendered
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.state import fresh_state
+from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.client.web.scenes import make_scene
 
 CONFIG = PredictConfig(epochs=20, minimum_steps=0, least_gain=0.0, rate_weight=0.0)

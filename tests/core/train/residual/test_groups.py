@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import look_at, pinhole
-from core.scene.octree import Octree
-from core.train.config import PredictConfig
-from core.train.field.convert import scene_of
-from core.train.field.exposure import neutral
-from core.train.field.field import Field
-from core.train.field.rendered import rendered
-from core.train.motion.partition import Partition
-from core.train.pictures.views import Views
-from core.train.residual.groups import neighbourhoods
-from core.train.residual.state import fresh_state
-from core.train.residual.trainer import ResidualTrainer
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.scene.octree import Octree
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rendered import rendered
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.groups import neighbourhoods
+from streamlod.core.train.residual.state import fresh_state
+from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.core.train.fields import random_field
 
 WIDTH, HEIGHT = 96, 64

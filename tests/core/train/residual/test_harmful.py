@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from core.camera import look_at, pinhole
-from core.render.differentiable import rasterise
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import Trainer, preset
-from core.train.field.decode import Splats
-from core.train.residual.harmful import error_without, judged
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import Trainer, preset
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.residual.harmful import error_without, judged
 from tests.core.train.fields import random_field
 from tests.core.true_points import true_points
 

@@ -9,16 +9,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.camera import pinhole
-from core.train.config import PredictConfig
-from core.train.field.convert import scene_of
-from core.train.field.exposure import neutral
-from core.train.motion.partition import Partition
-from core.train.optimise.adam import RowAdam
-from core.train.optimise.optimisers import RowOptimiser
-from core.train.pictures.views import Views
-from core.train.residual.state import fresh_state
-from core.train.residual.trainer import ResidualTrainer
+from streamlod.core.camera import pinhole
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.optimise.adam import RowAdam
+from streamlod.core.train.optimise.optimisers import RowOptimiser
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.state import fresh_state
+from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.core.train.fields import random_field
 
 WIDTH, HEIGHT = 40, 24

@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from core.camera import look_at, pinhole
-from core.train.pictures.views import Views
-from core.train.residual.references import as_filmed, renewed_references, stagnant
-from core.train.residual.state import State, fresh_state
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.references import as_filmed, renewed_references, stagnant
+from streamlod.core.train.residual.state import State, fresh_state
 from tests.client.web.scenes import make_scene
 
 TARGET = torch.full((2, 20, 30, 3), 0.5)

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 import torch
 
-from core.camera import look_at, pinhole
-from core.scene.residual import apply
-from core.train.config import PredictConfig
-from core.train.field.convert import field_of, level_starts, scene_of
-from core.train.field.exposure import neutral
-from core.train.field.rendered import rendered
-from core.train.growth.later import AnchorAllowance, ByError
-from core.train.motion.partition import Partition
-from core.train.pictures.views import Views
-from core.train.residual.rewriting import pull_of, rewritten_anchors, values_of
-from core.train.residual.state import State, fresh_state
-from core.train.residual.trainer import ResidualTrainer
-from core.train.residual.update import IntegerUpdate, residual_of, strongest_changes
+from streamlod.core.camera import look_at, pinhole
+from streamlod.core.scene.residual import apply
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import field_of, level_starts, scene_of
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.field.rendered import rendered
+from streamlod.core.train.growth.later import AnchorAllowance, ByError
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.residual.rewriting import pull_of, rewritten_anchors, values_of
+from streamlod.core.train.residual.state import State, fresh_state
+from streamlod.core.train.residual.trainer import ResidualTrainer
+from streamlod.core.train.residual.update import IntegerUpdate, residual_of, strongest_changes
 from tests.core.train.fields import random_field
 
 WIDTH, HEIGHT = 96, 64

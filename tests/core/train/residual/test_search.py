@@ -9,17 +9,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from client.evaluation.measure.moving import MovingPixels
-from client.evaluation.measure.scores import draw
-from codec.encoder import encode_residual
-from core.arrays import Bool
-from core.frames import FrameSet
-from core.render.differentiable import rasterise
-from core.scene.anchors import Scene
-from core.synthetic import SyntheticSpec, open_synthetic
-from core.train import TrainConfig, Trainer, preset
-from core.train.field.decode import Splats
-from core.train.residual.search import better_starts, guessed_positions
+from streamlod.client.evaluation.measure.moving import MovingPixels
+from streamlod.client.evaluation.measure.scores import draw
+from streamlod.codec.encoder import encode_residual
+from streamlod.core.arrays import Bool
+from streamlod.core.frames import FrameSet
+from streamlod.core.render.differentiable import rasterise
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.residual.search import better_starts, guessed_positions
 from tests.core.train.motion.moved import RIG, Moved, moved_state
 from tests.core.true_points import true_points
 

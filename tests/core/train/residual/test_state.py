@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from core.camera import pinhole
-from core.scene.residual import apply
-from core.train.config import PredictConfig
-from core.train.field.convert import level_starts, scene_of
-from core.train.growth.new_anchors import added_levels
-from core.train.motion.partition import Partition
-from core.train.residual.state import fresh_state
-from core.train.residual.update import no_update, residual_of
+from streamlod.core.camera import pinhole
+from streamlod.core.scene.residual import apply
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import level_starts, scene_of
+from streamlod.core.train.growth.new_anchors import added_levels
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.residual.state import fresh_state
+from streamlod.core.train.residual.update import no_update, residual_of
 from tests.core.train.fields import random_field
 
 

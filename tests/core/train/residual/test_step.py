@@ -18,17 +18,17 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-import core.render.cuda
-from core.camera import pinhole
-from core.train.config import PredictConfig
-from core.train.field.convert import scene_of
-from core.train.field.exposure import neutral
-from core.train.growth.later import AnchorAllowance, ByError
-from core.train.keyframe.trainer import Views
-from core.train.motion.partition import Partition
-from core.train.optimise.schedule import ViewOrder
-from core.train.residual.state import State, fresh_state
-from core.train.residual.trainer import ResidualTrainer
+import streamlod.core.render.cuda
+from streamlod.core.camera import pinhole
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import scene_of
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.growth.later import AnchorAllowance, ByError
+from streamlod.core.train.keyframe.trainer import Views
+from streamlod.core.train.motion.partition import Partition
+from streamlod.core.train.optimise.schedule import ViewOrder
+from streamlod.core.train.residual.state import State, fresh_state
+from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.core.train.fields import random_field
 
 WIDTH, HEIGHT = 40, 24
@@ -74,7 +74,7 @@ def test_the_mode_sees_what_makes_a_host_wait() -> None:
 
 @pytest.mark.parametrize("view_dependent", [False, True])
 def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, view_dependent: bool) -> None:
-    monkeypatch.setattr(core.render.cuda, "_gsplat", lambda: splat)
+    monkeypatch.setattr(streamlod.core.render.cuda, "_gsplat", lambda: splat)
     config = PredictConfig(rate_weight=0.005)
     trainer = on_meta(prepared(view_dependent))
     assert isinstance(trainer, ResidualTrainer)
@@ -116,7 +116,7 @@ def on_meta(value: Any) -> Any:
         return type(value)(on_meta(item) for item in value)
     if is_dataclass(value) and not isinstance(value, type):
         return replace(value, **{field.name: on_meta(getattr(value, field.name)) for field in fields(value)})
-    if type(value).__module__.startswith("core.train") and not isinstance(value, ViewOrder):
+    if type(value).__module__.startswith("streamlod.core.train") and not isinstance(value, ViewOrder):
         for name, item in vars(value).items():
             setattr(value, name, on_meta(item))
     return value

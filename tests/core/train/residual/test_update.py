@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.train.residual.update import IntegerUpdate, strongest_changes
+from streamlod.core.train.residual.update import IntegerUpdate, strongest_changes
 
 
 def quanta(sizes: list[int]) -> IntegerUpdate:

@@ -16,7 +16,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from server.settings import JetStreamSettings, Retention, Settings
+from streamlod.server.settings import JetStreamSettings, Retention, Settings
 from tests.server.ports import held_ports
 
 RETENTION = Retention(bytes=50_000_000)

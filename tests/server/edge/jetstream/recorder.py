@@ -11,12 +11,12 @@ from contextlib import aclosing, contextmanager, suppress
 from nats.aio.msg import Msg
 from websockets.exceptions import ConnectionClosed
 
-from server.edge.jetstream.archive import id_of
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.messages import Assembler, Names, parse_id
-from server.edge.jetstream.reading import Selection, read
-from server.protocol.packets import Position
-from server.settings import Settings
+from streamlod.server.edge.jetstream.archive import id_of
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.messages import Assembler, Names, parse_id
+from streamlod.server.edge.jetstream.reading import Selection, read
+from streamlod.server.protocol.packets import Position
+from streamlod.server.settings import Settings
 from tests.server.conftest import Running, Viewer, viewing
 from tests.server.edge.processes import Node
 

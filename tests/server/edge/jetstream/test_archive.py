@@ -14,13 +14,13 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 
 from nats.js.api import StreamConfig
 
-from core.errors import InputError
-from server.edge.jetstream.archive import Archive
-from server.edge.jetstream.bus import ArchiveBus
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.messages import MAX_PIECE_BYTES, Names, pieces_of
-from server.edge.jetstream.reading import Selection, read
-from server.protocol.packets import Position, stream_packet
+from streamlod.core.errors import InputError
+from streamlod.server.edge.jetstream.archive import Archive
+from streamlod.server.edge.jetstream.bus import ArchiveBus
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.messages import MAX_PIECE_BYTES, Names, pieces_of
+from streamlod.server.edge.jetstream.reading import Selection, read
+from streamlod.server.protocol.packets import Position, stream_packet
 from tests.server.conftest import Clip
 from tests.server.edge.jetstream.nats_servers import nats, needs_nats
 

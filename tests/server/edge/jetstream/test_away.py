@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
-from server.pipeline.spec import StreamSpec
+from streamlod.server.pipeline.spec import StreamSpec
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Viewer, running, viewing
 from tests.server.edge.jetstream.nats_servers import nats, needs_nats

@@ -7,9 +7,9 @@ from contextlib import suppress
 
 import pytest
 
-from server.edge.jetstream import connection as module
-from server.edge.jetstream.connection import NatsConnection
-from server.settings import JetStreamSettings
+from streamlod.server.edge.jetstream import connection as module
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.settings import JetStreamSettings
 
 pytest.importorskip("nats")
 ATTEMPTS = 4

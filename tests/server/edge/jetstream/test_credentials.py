@@ -16,8 +16,8 @@ pytest.importorskip("nkeys", reason="nkeys is missing: pip install 'streamlod[je
 
 import nkeys
 
-from server.pipeline.spec import StreamSpec
-from server.settings import Settings
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running
 from tests.server.edge.jetstream.nats_servers import nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, stored

@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import MAX_REFUSED, SILENT_SECONDS, Directory
-from server.edge.jetstream.messages import Names
-from server.settings import Settings
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.directory import MAX_REFUSED, SILENT_SECONDS, Directory
+from streamlod.server.edge.jetstream.messages import Names
+from streamlod.server.settings import Settings
 
 
 def test_each_stream_is_told_of_once_and_only_so_many_are_kept_in_mind(caplog: pytest.LogCaptureFixture) -> None:

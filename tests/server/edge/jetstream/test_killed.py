@@ -13,8 +13,8 @@ import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
-from server.edge.jetstream.messages import Names, parse_id
-from server.protocol.packets import Position
+from streamlod.server.edge.jetstream.messages import Names, parse_id
+from streamlod.server.protocol.packets import Position
 from tests.server.conftest import Clip
 from tests.server.edge.jetstream.nats_servers import Nats, NatsServer, nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, recording, stored, stored_at, waiting_bytes

@@ -18,15 +18,15 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 from nats.aio.client import Client
 from nats.aio.msg import Msg
 
-from server.edge.ending import end
-from server.edge.jetstream import live, live_packets
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.live import LiveSender
-from server.edge.jetstream.live_reading import LiveReader
-from server.edge.jetstream.messages import MSG_ID, Names, pieces_of
-from server.protocol.packets import Place, Position, StreamPacket, stream_packet
-from server.settings import JetStreamSettings
-from server.stream.bus import RECORD_SECONDS
+from streamlod.server.edge.ending import end
+from streamlod.server.edge.jetstream import live, live_packets
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.live import LiveSender
+from streamlod.server.edge.jetstream.live_reading import LiveReader
+from streamlod.server.edge.jetstream.messages import MSG_ID, Names, pieces_of
+from streamlod.server.protocol.packets import Place, Position, StreamPacket, stream_packet
+from streamlod.server.settings import JetStreamSettings
+from streamlod.server.stream.bus import RECORD_SECONDS
 from tests.server.conftest import Clip
 from tests.server.edge.jetstream.nats_servers import nats, needs_nats
 

@@ -12,22 +12,22 @@ import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
-from codec.encoder import encode_keyframe, encode_residual
-from core.errors import BitstreamError
-from core.scene.anchors import Scene
-from core.scene.residual import difference
-from server.edge.jetstream import merging
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import Directory
-from server.edge.jetstream.merging import Merger
-from server.edge.jetstream.messages import LivePacket, Names
-from server.edge.jetstream.supply import ArchivedStream
-from server.edge.origin import OriginStream
-from server.edge.stream import EdgeStream
-from server.protocol.packets import Position, stream_packet
-from server.settings import Settings
-from server.stream.feed import Feed
-from server.stream.traces import Traces
+from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.core.errors import BitstreamError
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.residual import difference
+from streamlod.server.edge.jetstream import merging
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.directory import Directory
+from streamlod.server.edge.jetstream.merging import Merger
+from streamlod.server.edge.jetstream.messages import LivePacket, Names
+from streamlod.server.edge.jetstream.supply import ArchivedStream
+from streamlod.server.edge.origin import OriginStream
+from streamlod.server.edge.stream import EdgeStream
+from streamlod.server.protocol.packets import Position, stream_packet
+from streamlod.server.settings import Settings
+from streamlod.server.stream.feed import Feed
+from streamlod.server.stream.traces import Traces
 from tests.codec.scenes import assert_same_state, make_scene, move
 from tests.server.conftest import Clip
 

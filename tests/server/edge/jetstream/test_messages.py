@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from server.edge.jetstream.messages import MAX_PIECE_BYTES, Assembler, parse_id, pieces_of
-from server.protocol.packets import StreamPacket, stream_packet
+from streamlod.server.edge.jetstream.messages import MAX_PIECE_BYTES, Assembler, parse_id, pieces_of
+from streamlod.server.protocol.packets import StreamPacket, stream_packet
 from tests.server.conftest import Clip
 
 INCARNATION = "0123456789abcdef"

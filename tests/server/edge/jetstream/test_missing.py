@@ -7,16 +7,16 @@ import sys
 
 import pytest
 
-from core.errors import InputError
-from server.service.app import create_app
-from server.settings import EdgeSettings, Settings
+from streamlod.core.errors import InputError
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import EdgeSettings, Settings
 
 WITHOUT_NATS = """
 import sys
 sys.modules["nats"] = None
-from core.errors import BackendUnavailable
-from server.service.app import create_app
-from server.settings import Settings
+from streamlod.core.errors import BackendUnavailable
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import Settings
 try:
     create_app(Settings(bus="jetstream"))
 except BackendUnavailable as error:

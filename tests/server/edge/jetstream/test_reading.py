@@ -10,9 +10,9 @@ import pytest
 
 pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[jetstream]'")
 
-from server.edge.jetstream import reading
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.reading import Selection, read
+from streamlod.server.edge.jetstream import reading
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.reading import Selection, read
 from tests.server.edge.jetstream.nats_servers import Nats, nats, needs_nats
 
 pytestmark = needs_nats

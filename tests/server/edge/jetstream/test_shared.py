@@ -17,13 +17,13 @@ pytest.importorskip("nats", reason="nats-py is missing: pip install 'streamlod[j
 
 from websockets.exceptions import ConnectionClosed
 
-from codec.container import SlodReader
-from server.edge.jetstream import directory, publisher
-from server.edge.jetstream.connection import NatsConnection
-from server.edge.jetstream.directory import Claim
-from server.edge.jetstream.messages import Names
-from server.pipeline.spec import StreamSpec
-from server.settings import MEGABYTE, Retention
+from streamlod.codec.container import SlodReader
+from streamlod.server.edge.jetstream import directory, publisher
+from streamlod.server.edge.jetstream.connection import NatsConnection
+from streamlod.server.edge.jetstream.directory import Claim
+from streamlod.server.edge.jetstream.messages import Names
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import MEGABYTE, Retention
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Running, make_clip, running, viewing
 from tests.server.edge.jetstream.nats_servers import RETENTION, Nats, nats, needs_nats

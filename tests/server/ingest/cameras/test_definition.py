@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from core.data import open_dataset
-from core.errors import InputError
-from server.ingest.cameras.address import parse_address
-from server.ingest.cameras.definition import read_definition
-from server.ingest.live import open_live
+from streamlod.core.data import open_dataset
+from streamlod.core.errors import InputError
+from streamlod.server.ingest.cameras.address import parse_address
+from streamlod.server.ingest.cameras.definition import read_definition
+from streamlod.server.ingest.live import open_live
 from tests.core.data.writers import picture, rig, write_transforms
 from tests.server.ingest.rig import write_definition
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import socket
 import time
 
-from server.ingest.cameras.address import parse_address
-from server.ingest.cameras.reader import Reader
-from server.ingest.sync.timeline import Timeline
+from streamlod.server.ingest.cameras.address import parse_address
+from streamlod.server.ingest.cameras.reader import Reader
+from streamlod.server.ingest.sync.timeline import Timeline
 from tests.attack.test_http_cameras import Faults
 from tests.server.ports import free_ports
 

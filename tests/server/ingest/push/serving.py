@@ -13,9 +13,9 @@ import uvicorn
 from fastapi import FastAPI
 from starlette.websockets import WebSocket
 
-from core.errors import InputError
-from server.ingest.push.relay import RelayedIntake
-from server.ingest.push.router import AnyIntake, push_router
+from streamlod.core.errors import InputError
+from streamlod.server.ingest.push.relay import RelayedIntake
+from streamlod.server.ingest.push.router import AnyIntake, push_router
 
 
 @contextmanager

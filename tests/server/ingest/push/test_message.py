@@ -25,14 +25,21 @@ from hypothesis import strategies as st
 from starlette.websockets import WebSocket
 from websockets.exceptions import ConnectionClosed
 
-from core.errors import InputError, SessionError
-from core.frames import FrameSet
-from server.ingest.live import LiveDataset, open_live
-from server.ingest.push.intake import Intake
-from server.ingest.push.message import MAX_MESSAGE_BYTES, PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push, parse_push
-from server.ingest.push.relay import RelayedIntake
-from server.ingest.sync.clock import ClockSource
-from server.ingest.sync.synchroniser import CameraState
+from streamlod.core.errors import InputError, SessionError
+from streamlod.core.frames import FrameSet
+from streamlod.server.ingest.live import LiveDataset, open_live
+from streamlod.server.ingest.push.intake import Intake
+from streamlod.server.ingest.push.message import (
+    MAX_MESSAGE_BYTES,
+    PUSH_SUBPROTOCOL,
+    Codec,
+    PushMessage,
+    pack_push,
+    parse_push,
+)
+from streamlod.server.ingest.push.relay import RelayedIntake
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.synchroniser import CameraState
 from tests.server.ingest.push.serving import relayed, serving_push
 from tests.server.ingest.rig import FPS, HEIGHT, WIDTH, burnt, number_of, write_definition
 

@@ -18,13 +18,13 @@ from starlette.websockets import WebSocket
 from websockets.sync.server import ServerConnection, serve
 from websockets.typing import Subprotocol
 
-from core.errors import InputError, SessionError
-from server.ingest.cameras.address import Address, webcam_options
-from server.ingest.push import node
-from server.ingest.push.capture import CaptureCamera, find_cameras
-from server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, parse_push
-from server.ingest.push.node import Pushed, push
-from server.ingest.push.router import AnyIntake
+from streamlod.core.errors import InputError, SessionError
+from streamlod.server.ingest.cameras.address import Address, webcam_options
+from streamlod.server.ingest.push import node
+from streamlod.server.ingest.push.capture import CaptureCamera, find_cameras
+from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, parse_push
+from streamlod.server.ingest.push.node import Pushed, push
+from streamlod.server.ingest.push.router import AnyIntake
 from tests.server.ingest.push.serving import serving_push
 from tests.server.ingest.rig import FPS, burnt, number_of, write_clip
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from server.ingest.push import socket_folder
-from server.ingest.push.socket_folder import SocketFolder
+from streamlod.server.ingest.push import socket_folder
+from streamlod.server.ingest.push.socket_folder import SocketFolder
 
 _HOLD = """
 import sys
-from server.ingest.push.socket_folder import SocketFolder
+from streamlod.server.ingest.push.socket_folder import SocketFolder
 folder = SocketFolder()
 folder.new_socket().touch()
 print("ready", flush=True)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from server.ingest.sync.clock import ClockSource
-from server.ingest.sync.picture import Picture
-from server.ingest.sync.synchroniser import CameraState, Instant, Synchroniser
+from streamlod.server.ingest.sync.clock import ClockSource
+from streamlod.server.ingest.sync.picture import Picture
+from streamlod.server.ingest.sync.synchroniser import CameraState, Instant, Synchroniser
 
 MS = 1_000_000
 PERIOD = 33_333_333  # 30 fps

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from server.pipeline.spec import StreamSpec
-from server.worker import process
-from server.worker.cluster import actor, driver
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.worker import process
+from streamlod.server.worker.cluster import actor, driver
 
 
 class PlayingActor(actor.WorkerActor):
@@ -30,7 +30,7 @@ class BriefActor(actor.WorkerActor):
 
 
 def _train_briefly(*arguments: Any) -> None:
-    from core.train.presets.named import PRESETS, preset  # numba with it, which counts its threads once
+    from streamlod.core.train.presets.named import PRESETS, preset  # numba with it, which counts its threads once
 
     brief = preset("live")
     with pytest.MonkeyPatch.context() as patch:
@@ -50,6 +50,6 @@ def train_on_ray(*arguments: Any) -> None:
 
 def _run(kind: type[actor.WorkerActor], arguments: tuple[Any, ...]) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("server.worker.cluster.placing.WorkerActor", kind)
-        patch.setattr("server.worker.cluster.placing._SECONDS", 10.0)  # a busy machine finds room late
+        patch.setattr("streamlod.server.worker.cluster.placing.WorkerActor", kind)
+        patch.setattr("streamlod.server.worker.cluster.placing._SECONDS", 10.0)  # a busy machine finds room late
         driver.run_on_ray(*arguments)

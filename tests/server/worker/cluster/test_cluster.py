@@ -12,10 +12,10 @@ import pytest
 
 pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
 
-from client.evaluation.jobs import in_order
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.settings import RaySettings, Settings, WorkerSettings
+from streamlod.client.evaluation.jobs import in_order
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import RaySettings, Settings, WorkerSettings
 from tests.server.conftest import make_clip, running, viewing
 from tests.server.worker.cluster import actors
 from tests.server.worker.cluster.nodes import Nodes, ray_nodes
@@ -50,8 +50,8 @@ def settings(nodes: Nodes, cpus: float, *, spare: bool = False) -> Settings:
 def test_a_stream_without_room_is_refused_with_what_would_have_to_stop(
     nodes: Nodes, clip: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", actors.play_on_ray)
-    monkeypatch.setattr("server.stream.worker_stream._PLACING_SECONDS", 60.0)  # Ray may load slowly
+    monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", actors.play_on_ray)
+    monkeypatch.setattr("streamlod.server.stream.worker_stream._PLACING_SECONDS", 60.0)  # Ray may load slowly
     source = {"data": str(clip)}
     with running(settings(nodes, 2)) as server, server.client(timeout=90) as client:
         assert client.post("/v1/streams", json={"id": "first", "start": True, **source}).status_code == 201
@@ -90,7 +90,7 @@ def test_runs_of_a_study_are_made_by_the_cluster_and_come_in_order(
 def test_a_stream_goes_on_at_another_node_when_its_own_is_killed(
     nodes: Nodes, clip: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", actors.play_on_ray)
+    monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", actors.play_on_ray)
     spec = StreamSpec(job=TrainJob(data=clip))
     with running(settings(nodes, 1, spare=True), spec) as server, viewing(server) as viewer:
         viewer.hello()

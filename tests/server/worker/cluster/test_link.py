@@ -19,15 +19,15 @@ from typing import cast
 
 import pytest
 
-from core.errors import BackendUnavailable, InputError, SessionError
-from core.version import streamlod_version
-from server.ingest.push.intake import Intake
-from server.ingest.push.message import Codec, PushMessage
-from server.ingest.push.relay import RelayedIntake, listening, pass_on, serving_socket
-from server.worker.cluster import link
-from server.worker.cluster.driver import _pass_all, passing_pictures
-from server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
-from server.worker.process import Resume, send_resume
+from streamlod.core.errors import BackendUnavailable, InputError, SessionError
+from streamlod.core.version import streamlod_version
+from streamlod.server.ingest.push.intake import Intake
+from streamlod.server.ingest.push.message import Codec, PushMessage
+from streamlod.server.ingest.push.relay import RelayedIntake, listening, pass_on, serving_socket
+from streamlod.server.worker.cluster import link
+from streamlod.server.worker.cluster.driver import _pass_all, passing_pictures
+from streamlod.server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
+from streamlod.server.worker.process import Resume, send_resume
 
 HOST = "127.0.0.1"
 STARTED = json.dumps({"version": streamlod_version(), "pictures": None}).encode()

@@ -11,19 +11,19 @@ from pathlib import Path
 
 import pytest
 
-from core.errors import InputError
-from server.pipeline.job import TrainJob
-from server.pipeline.spec import StreamSpec
-from server.settings import RaySettings, Settings
-from server.worker.cluster.driver import run_on_ray
-from server.worker.process import Tag
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import RaySettings, Settings
+from streamlod.server.worker.cluster.driver import run_on_ray
+from streamlod.server.worker.process import Tag
 
 WITHOUT_RAY = """
 import sys
 sys.modules["ray"] = None
-from core.errors import BackendUnavailable
-from server.service.app import create_app
-from server.settings import Settings
+from streamlod.core.errors import BackendUnavailable
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import Settings
 create_app(Settings())
 try:
     create_app(Settings(jobs="ray"))
@@ -32,8 +32,8 @@ except BackendUnavailable as error:
 """
 WITH_RAY = """
 import sys
-from server.service.app import create_app
-from server.settings import Settings
+from streamlod.server.service.app import create_app
+from streamlod.server.settings import Settings
 create_app(Settings(jobs="ray"))
 print(*[name for name in sys.modules if name.split(".")[0] == "ray"])
 """
@@ -56,7 +56,7 @@ def test_a_server_loads_nothing_of_it_itself() -> None:
 def join_nothing(pipe: Connection) -> None:
     """The local process of a stream, where nothing listens at the cluster's address."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("server.worker.cluster.driver._JOIN_SECONDS", 2.0)
+        patch.setattr("streamlod.server.worker.cluster.driver._JOIN_SECONDS", 2.0)
         settings, spec = RaySettings(address="127.0.0.2:1"), StreamSpec(job=TrainJob(data=Path("data")))
         run_on_ray(settings, 1000, spec, pipe)
 

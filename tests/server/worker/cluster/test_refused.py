@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("ray", reason="ray is missing: pip install 'streamlod[ray]'")
 
-from server.settings import Settings, WorkerSettings
+from streamlod.server.settings import Settings, WorkerSettings
 from tests.server.conftest import running
 from tests.server.worker.cluster.no_room import find_no_room
 
@@ -18,7 +18,7 @@ RIGHTS = ["read", "control"]
 
 
 def test_a_refusal_names_only_streams_that_the_caller_may_see(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.stream.worker_stream.run_on_ray", find_no_room)
+    monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", find_no_room)
     holders = {"stage": "stage-*", "all": "*"}
     tokens = tmp_path / "tokens.json"
     tokens.write_text(json.dumps([

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from server.worker.cluster.room import Amounts, Holding, Shortage, needs, shortage
+from streamlod.server.worker.cluster.room import Amounts, Holding, Shortage, needs, shortage
 
 NODES = {"a": {"CPU": 4.0, "GPU": 1.0, "memory": 1e9}, "b": {"CPU": 8.0}}
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from core.render import tiles
+from streamlod.core.render import tiles
 
 # The image model, gsplat's rules but for LOW_PASS: every backend and the reference follow them.
 ALPHA_MIN = np.float32(1 / 255)  # weaker contributions are skipped

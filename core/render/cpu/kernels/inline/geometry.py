@@ -6,8 +6,8 @@ from typing import Any
 
 from numba import njit
 
-from core.arrays import Float32
-from core.render.cpu.kernels.inline.constants import (
+from streamlod.core.arrays import Float32
+from streamlod.core.render.cpu.kernels.inline.constants import (
     CENTRE_X,
     CENTRE_Y,
     FIELD_MARGIN,

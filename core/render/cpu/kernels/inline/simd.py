@@ -17,7 +17,7 @@ from numba.extending import intrinsic as _intrinsic
 from numba.extending import lower_builtin, models
 from numba.extending import register_model as _register_model
 
-from core.render.cpu.kernels.inline.constants import LANES
+from streamlod.core.render.cpu.kernels.inline.constants import LANES
 
 # Numba's own types describe these functions' definitions, not what kernels call.
 intrinsic: Any = _intrinsic

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from core.arrays import Float32
-from core.render.cpu.kernels.inline.constants import (
+from streamlod.core.arrays import Float32
+from streamlod.core.render.cpu.kernels.inline.constants import (
     CONIC_B,
     DETERMINANT,
     EIGHT,
@@ -29,8 +29,8 @@ from core.render.cpu.kernels.inline.constants import (
     TILE_WIDTH,
     ZERO,
 )
-from core.render.cpu.kernels.inline.geometry import clamp
-from core.render.cpu.kernels.inline.simd import above, higher_of, keep_where, lane_sum, load, lower_of, splat
+from streamlod.core.render.cpu.kernels.inline.geometry import clamp
+from streamlod.core.render.cpu.kernels.inline.simd import above, higher_of, keep_where, lane_sum, load, lower_of, splat
 
 # exp(8 x) = p(x)^8: a polynomial of degree 5 on [-0.78, 0], squared three times; relative error 3e-6. That is range
 # enough, since alpha >= 1/255 means sigma <= ln(255 OPACITY_MAX) = 6.234.
