@@ -10,7 +10,7 @@ export OMP_WAIT_POLICY = PASSIVE
 export PYTHONDONTWRITEBYTECODE =
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-long test-cluster lint bench bench-web clean
+.PHONY: help install demo test test-long test-cluster api lint bench bench-web clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -38,10 +38,14 @@ test-long: install ## Run those that take more than four seconds or need Chromiu
 test-cluster: install ## Run the tests of several servers: edges, NATS, Ray
 	$(PYTEST) -n $$(getconf _NPROCESSORS_ONLN) -m cluster
 
+api: install ## Print docs/reference/api.md from the docstrings of the public interface
+	$(BIN)/python -m tests.api_pages
+
 lint: install ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy examples
 
 bench: install ## List the benchmarks; run one with .venv/bin/streamlod bench NAME
 	$(BIN)/streamlod bench

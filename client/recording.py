@@ -16,12 +16,13 @@ from streamlod.core.scene.anchors import Scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedFrame:
-    """One decoded instant of a file.
+    """A decoded instant of a file.
 
     Attributes:
         scene: the state.
         time_ns: presentation time.
-        key_bytes, predicted_bytes: sizes of the packets that led here from the frame before.
+        key_bytes: size of the key packets that led here from the frame before; 0 where there were none.
+        predicted_bytes: size of the other packets that led here.
     """
 
     scene: Scene
@@ -104,3 +105,41 @@ def versions(path: Path) -> tuple[int, ...]:
             return tuple(sorted({entry.to_version for entry in reader.entries}))
     except BitstreamError as error:
         raise InputError(path, f"is damaged: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingFile:
+    """A recorded stream on disk; nothing of it stays open between calls.
+
+    Attributes:
+        path: the `.slod` file.
+        versions: numbers of the states that it holds, ascending.
+    """
+
+    path: Path
+    versions: tuple[int, ...]
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """All frames in order, each decoded when it is asked for.
+
+        Raises:
+            InputError: the file is cut or damaged.
+        """
+        return decode_frames(self.path)
+
+    def scene(self, version: int) -> Scene:
+        """The state at one of `versions`, decoded from the keyframe before it.
+
+        Raises:
+            InputError: the file is cut or damaged, or does not reach the version.
+        """
+        return decode_version(self.path, version)
+
+
+def open_recording(path: Path) -> RecordingFile:
+    """A `.slod` file, for reading.
+
+    Raises:
+        InputError: the file cannot be opened, or is cut or damaged.
+    """
+    return RecordingFile(path, versions(path))

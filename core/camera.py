@@ -26,7 +26,8 @@ class Camera:
         name: as in the data set, for example ``cam00``.
         intrinsics: [3,3] float64, focal lengths and principal point in pixels.
         world_to_camera: [4,4] float64 rigid transform.
-        width, height: picture size in pixels.
+        width: of pictures, in pixels.
+        height: of pictures, in pixels.
         distortion: [5] float64 OpenCV k1 k2 p1 p2 k3; zeros for a pinhole.
 
     Raises:

@@ -16,7 +16,7 @@ FILES = {name for name in TRACKED if name and (ROOT / name).is_file()}
 FOLDERS = {str(parent) for name in FILES for parent in PurePosixPath(name).parents}
 BASENAMES = {PurePosixPath(name).name for name in FILES}
 MADE_UP = {"tests/core/render/test_runtime.py"}  # writes a small project of its own
-TOP_FOLDERS = "core|codec|client|server|tests|docs|docker"
+TOP_FOLDERS = "core|codec|client|server|tests|docs|docker|examples"
 CODE = sorted(
     name
     for name in FILES - MADE_UP

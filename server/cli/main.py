@@ -15,6 +15,7 @@ import typer
 
 from streamlod.core.background_log import LOG_FORMAT
 from streamlod.core.errors import InputError
+from streamlod.core.version import streamlod_version
 from streamlod.server.cli.explain import INTERRUPTED, explain
 from streamlod.server.cli.options import (
     DEFAULTS,
@@ -48,7 +49,6 @@ from streamlod.server.pipeline.spec import STREAM_OPTIONS, spec_from_json
 
 app = typer.Typer(
     name="streamlod",
-    help="Live free-viewpoint video: train a scene frame by frame from synchronised cameras, stream it, watch it.",
     epilog="--debug (tracebacks) and --verbose (more log) may stand anywhere. Try `streamlod demo` first.",
     no_args_is_help=True,
     add_completion=False,
@@ -56,6 +56,21 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"streamlod {streamlod_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def options_of_all(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Say which version this is.")
+    ] = False,
+) -> None:
+    """Live free-viewpoint video: train a scene frame by frame from synchronised cameras, stream it, watch it."""
 
 
 @app.command()

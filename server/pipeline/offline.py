@@ -1,0 +1,50 @@
+"""Training of a recording from Python: a job in, a file and its figures out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingFigures:
+    """The outcome of a training.
+
+    Attributes:
+        frames: number of frames in the file.
+        size_bytes: of the file.
+        seconds: from the beginning to the end.
+    """
+
+    frames: int
+    size_bytes: int
+    seconds: float
+
+
+def train_recording(
+    job: TrainJob, out: Path, on_frame: Callable[[EncodedFrame], None] = lambda _: None
+) -> TrainingFigures:
+    """Train a job into the `.slod` file `out`, which appears when it is complete; figures of each frame go beside it.
+
+    Args:
+        job: the recording and the settings; ``TrainJob(data=Path("clip"), test=("cam00",))``.
+        on_frame: called with each frame as soon as it is written.
+
+    Raises:
+        InputError: the recording, the choice of cameras or the place of the file cannot be used.
+        BackendUnavailable: the device that the job asks for is not there.
+    """
+    begin, count = time.perf_counter(), 0
+
+    def counted(frame: EncodedFrame) -> None:
+        nonlocal count
+        count += 1
+        on_frame(frame)
+
+    train_clip(open_job(job), out, counted)
+    return TrainingFigures(count, out.stat().st_size, time.perf_counter() - begin)
