@@ -10,7 +10,7 @@ export OMP_WAIT_POLICY = PASSIVE
 export PYTHONDONTWRITEBYTECODE =
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-long test-cluster api lint bench bench-web clean
+.PHONY: help install demo test test-all api lint bench bench-web clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -29,19 +29,17 @@ $(STAMP): pyproject.toml constraints.txt
 demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-output/ and keeps serving
 	$(BIN)/streamlod demo
 
-test: install ## Run the tests
+test: install ## Run the tests that take less than four seconds each and need no browser
 	$(PYTEST) -n auto
 
-test-long: install ## Run those that take more than four seconds or need Chromium
+test-all: lint test ## ruff, mypy and all tests: also long ones, those in Chromium, and those of several servers
 	$(PYTEST) -n auto -m '(browser or long) and not cluster and not slow'
-
-test-cluster: install ## Run the tests of several servers: edges, NATS, Ray
 	$(PYTEST) -n $$(getconf _NPROCESSORS_ONLN) -m cluster
 
 api: install ## Print docs/reference/api.md from the docstrings of the public interface
 	$(BIN)/python -m tests.api_pages
 
-lint: install ## ruff and mypy
+lint: install ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -1,10 +1,9 @@
-"""Build hook of the viewer page: assembles its WebAssembly kernel from text, and packs its files for wheels."""
+"""Build hook of the viewer page: assembles its WebAssembly kernel from text, and compresses its files for wheels."""
 
 from __future__ import annotations
 
 import gzip
 import os
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,18 +12,17 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGE = Path("streamlod/client/web")
-SHADER = re.compile(r"#version.*?`", re.DOTALL)  # GLSL in a script
-CAST = re.compile(r"(?<=[=(,;:?!&|{}\[+-])\(([a-z][\w.#]*(?:\([^()]*\))?)\)(?=[.,;)\]}])")  # what a type was said of
-CONSTANTS = re.compile(r"\blet \w+=[^;{}`]*(?:;let \w+=[^;{}`]*)+;")  # declared one after the other
 SERVED = {".js", ".css", ".html", ".svg", ".wasm"}
 
 
 class BuildPage(BuildHookInterface):  # type: ignore[type-arg]
-    """Writes kernel.wasm next to kernel.wat, for wheels and editable installs alike; neither it nor what is packed is
-    kept in the repository."""
+    """Writes kernel.wasm next to kernel.wat, for wheels and editable installs alike.
+
+    Neither it nor the compressed files are kept in the repository.
+    """
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Before files are collected: make what is missing, and announce it."""
+        """Make what is missing before files are collected, and announce it."""
         import wasmtime
 
         page = Path(self.root) / PAGE
@@ -46,40 +44,19 @@ class BuildPage(BuildHookInterface):  # type: ignore[type-arg]
             build_data["force_include"][str(place)] = f"{PAGE}/{name}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """After the archive is written."""
+        """Remove the compressed files after the archive is written."""
         if hasattr(self, "packed"):
             self.packed.cleanup()
 
 
 def pack(folder: Path) -> Iterator[tuple[str, bytes]]:
-    """Paths inside `folder` and contents of the page's files without comments, compressed twice: `ui/main.js.br` and
-    `ui/main.js.gz`."""
+    """Paths inside `folder` and contents of the page's files, compressed twice: `ui/main.js.br` and `ui/main.js.gz`.
+
+    Scripts stay as they are written, so that what a browser shows can be read and debugged.
+    """
     import brotli  # type: ignore[import-untyped]
-    import rjsmin  # type: ignore[import-untyped]
 
     for path in sorted(path for path in folder.rglob("*") if path.suffix in SERVED):
-        content = path.read_bytes()
-        if path.suffix == ".js":
-            script = rjsmin.jsmin(SHADER.sub(_without_comments, content.decode())).replace("}\n", "}")
-            script = re.sub(r"\bconst\b", "let", script)  # shorter; our shaders have no const
-            script = re.sub(r"(?<=[=,(*+<>?:&|-])0(?=\.\d)|(?<!\d),(?=\})", "", script)  # 0.5 is .5; last commas
-            script = CAST.sub(r"\1", script)
-            script = CONSTANTS.sub(lambda several: several[0].replace(";let ", ","), script)
-            # semicolons before braces can be left out, except in shaders
-            content = re.sub(rf"({SHADER.pattern})|;(?=\}})", r"\1", script, flags=re.DOTALL).encode()
-        elif path.suffix == ".css":
-            content = re.sub(rb"/\*.*?\*/\s*", b"", content, flags=re.DOTALL)
-            content = re.sub(rb"\s*([{};])\s*|([:,])\s+", rb"\1\2", content)
-        elif path.suffix == ".html":
-            content = re.sub(rb"\n\s+", b"\n", content)
-        elif path.suffix == ".wasm":  # its last section: names for debuggers
-            content = re.sub(rb"\0[\x80-\xff]?[\0-\x7f]\x04name.*", b"", content, flags=re.DOTALL)
-        name = path.relative_to(folder).as_posix()
-        tried = (brotli.compress(content, mode, lgwin=window) for mode in range(3) for window in range(10, 19, 2))
-        yield f"{name}.br", min(tried, key=len)
+        name, content = path.relative_to(folder).as_posix(), path.read_bytes()
+        yield f"{name}.br", brotli.compress(content)
         yield f"{name}.gz", gzip.compress(content, mtime=0)
-
-
-def _without_comments(shader: re.Match[str]) -> str:
-    version, _, rest = re.sub(r" *//.*", "", shader[0]).partition("\n")
-    return version + "\n" + re.sub(r"\s*([^\w\s$`])\s*", r"\1", rest)
