@@ -11,11 +11,14 @@
   const PARAMETERS = ["stream", "src", "camera", "t", "quality", "thin", "together", "token"]; // of the page's address
   const METHODS = ["state", "seek", "play", "pause", "step", "loop", "setCamera", "captureFrame", "inspect", "destroy"];
   const VERSION = 1;
+  const SILENT = `The player at ${base.host} does not answer: the server is down, or does not allow this page to embed it (setting frame_ancestors).`;
+  const READY_MS = 20_000; // in which the page must answer
   const STYLE = `
     :host { display: inline-block; position: relative; width: 640px; aspect-ratio: 16 / 9; background: #0b0e14; }
     iframe, button { position: absolute; inset: 0; width: 100%; height: 100%; border: 0; padding: 0; background: none; }
     button { cursor: pointer; display: grid; place-items: center; }
     img { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: cover; }
+    p { position: absolute; inset: 0; margin: auto; height: fit-content; padding: 24px; text-align: center; color: #a6b0bf; font: 14px/1.45 system-ui, sans-serif; }
     span { position: relative; width: 68px; height: 68px; border-radius: 50%; background: rgb(11 14 20 / 70%); color: #fff; display: grid; place-items: center; font-size: 26px; }`;
 
   class StreamlodPlayer extends HTMLElement {
@@ -26,6 +29,16 @@
     #asked = 0;
     /** @type {Promise<void>} */
     #ready = Promise.resolve();
+    #timer = 0;
+
+    static get observedAttributes() {
+      return [...PARAMETERS, "controls"];
+    }
+
+    /** Attributes may change later: the picture begins anew. */
+    attributeChangedCallback() {
+      if (this.#frame) this.#frame.replaceWith(this.#open());
+    }
     /** @type {(event: MessageEvent) => void} */
     #listen = (event) => this.#hear(event);
 
@@ -47,6 +60,7 @@
       window.removeEventListener("message", this.#listen);
       for (const { reject } of this.#calls.values()) reject(new Error("the player was removed"));
       this.#calls.clear();
+      clearTimeout(this.#timer);
       this.#frame = null;
     }
 
@@ -62,9 +76,23 @@
       frame.title = this.getAttribute("title") ?? "Free-viewpoint video";
       frame.allow = "fullscreen; xr-spatial-tracking; clipboard-write; screen-wake-lock";
       frame.src = address.href;
-      // The page says "ready" when it takes calls; those made before wait for it.
-      this.#ready = new Promise((resolve) => this.addEventListener("ready", () => resolve(), { once: true }));
+      // The page says "ready" when it takes calls; those made before wait for it. A page that does not come (the
+      // server is down, or does not list this site in `frame_ancestors`) says nothing at all.
+      clearTimeout(this.#timer);
+      this.#ready = new Promise((resolve, reject) => {
+        this.addEventListener("ready", () => resolve(), { once: true });
+        this.#timer = setTimeout(() => reject(new Error(SILENT)), READY_MS);
+      });
+      this.#ready.then(() => clearTimeout(this.#timer), (error) => this.#fail(error));
       return (this.#frame = frame);
+    }
+
+    /** @param {Error} error */
+    #fail(error) {
+      if (!this.#frame) return;
+      this.#frame.replaceWith(Object.assign(document.createElement("p"), { textContent: error.message }));
+      this.#frame = null;
+      this.dispatchEvent(new ErrorEvent("error", { message: error.message, error }));
     }
 
     /** @param {MessageEvent} event */

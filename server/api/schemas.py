@@ -21,8 +21,10 @@ _STREAM_EXAMPLE: dict[str, Any] = {
 
 _MANIFEST_EXAMPLE: dict[str, Any] = {
     "stream": "main", "incarnation": "9f86d081884c7d65", "state": "live", "epoch": 1, "levels": 5, "fps": 30.0,
-    "window": {"oldest": {"epoch": 1, "version": 0}, "newest": {"epoch": 1, "version": 57}},
+    "window": {"oldest": {"epoch": 1, "version": 0}, "newest": {"epoch": 1, "version": 57},
+               "newest_time_ns": 1764000061000000000},
     "gops": [{"epoch": 1, "first": 0, "last": 57, "packets": 58, "bytes": 812345, "begun_ns": 1764000000000000000,
+              "first_time_ns": 1763999992000000000, "last_time_ns": 1764000061000000000,
               "path": "/v1/streams/main/incarnations/9f86d081884c7d65/gops/1/0"}],
     "edges": ["https://edge1.example"],
 }  # fmt: skip
@@ -40,6 +42,7 @@ class WindowBody(BaseModel):
 
     oldest: PositionBody
     newest: PositionBody
+    newest_time_ns: int = Field(description="when the newest was filmed, as its packet says")
 
 
 class StreamBody(BaseModel):
@@ -91,7 +94,9 @@ class GroupBody(BaseModel):
     last: int = Field(description="newest version")
     packets: int
     bytes: int
-    begun_ns: int | None = Field(description="Unix time of its keyframe, where it is recorded")
+    begun_ns: int | None = Field(description="Unix time at which its keyframe was recorded, where it is recorded")
+    first_time_ns: int | None = Field(description="when its keyframe was filmed, as its packet says")
+    last_time_ns: int | None = Field(description="when its newest version was filmed, as its packet says")
     path: str
 
 

@@ -293,5 +293,7 @@ def _group(stream: Stream, group: RetainedGroup) -> dict[str, Any]:
         "packets": group.packets,
         "bytes": group.size_bytes,
         "begun_ns": group.begun_ns,
+        "first_time_ns": group.first_time_ns,
+        "last_time_ns": group.last_time_ns,
         "path": f"/v1/streams/{stream.id}/incarnations/{stream.incarnation}/gops/{first.epoch}/{first.version}",
     }

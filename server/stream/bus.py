@@ -11,10 +11,12 @@ import asyncio
 from collections.abc import Collection
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
 from streamlod.codec.container import SlodReader
+from streamlod.core.errors import BitstreamError, InputError
 from streamlod.server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
 from streamlod.server.stream.store import Recording, Segment
 
@@ -29,7 +31,9 @@ class RetainedGroup:
     Attributes:
         first, last: positions of its keyframe and of its newest packet.
         packets, size_bytes: count and sum of sizes of its packets.
-        begun_ns: Unix time of its keyframe, where it is recorded.
+        begun_ns: Unix time at which its keyframe was recorded, where it is recorded.
+        first_time_ns, last_time_ns: times at which its keyframe and its newest packet were filmed, as these packets
+            say; None where they cannot be read.
     """
 
     first: Position
@@ -37,6 +41,8 @@ class RetainedGroup:
     packets: int
     size_bytes: int
     begun_ns: int | None
+    first_time_ns: int | None = None
+    last_time_ns: int | None = None
 
 
 class Outbox(Protocol):
@@ -112,8 +118,10 @@ class Bus:
     async def groups(self) -> list[RetainedGroup]:
         """All retained groups of pictures, oldest first."""
         found = {packets[0].position: _in_memory(packets) for packets in self.window.groups()}
-        for s in self.recording.segments if self.recording else ():
-            held = found.get(s.first) or RetainedGroup(s.first, s.last, s.packets, s.size_bytes, None)
+        segments = list(self.recording.segments) if self.recording else []
+        times = await asyncio.to_thread(lambda: [_filmed(s) for s in segments if s.first not in found])
+        for s in segments:
+            held = found.get(s.first) or RetainedGroup(s.first, s.last, s.packets, s.size_bytes, None, *times.pop(0))
             found[s.first] = replace(held, begun_ns=s.begun_ns)
         return [found[first] for first in sorted(found)]
 
@@ -157,7 +165,27 @@ class Bus:
 
 def _in_memory(packets: list[StreamPacket]) -> RetainedGroup:
     size_bytes = sum(len(packet.data) for packet in packets)
-    return RetainedGroup(packets[0].position, packets[-1].position, len(packets), size_bytes, None)
+    filmed = packets[0].info.time_ns, packets[-1].info.time_ns
+    return RetainedGroup(packets[0].position, packets[-1].position, len(packets), size_bytes, None, *filmed)
+
+
+def _filmed(segment: Segment) -> tuple[int | None, int | None]:
+    return _filmed_in(segment.path, segment.first, segment.last)
+
+
+@lru_cache(maxsize=4096)
+def _filmed_in(path: Path, first: Position, last: Position) -> tuple[int | None, int | None]:
+    """Times of the first and last packet of a recorded group; kept, as a group of these positions never changes."""
+    try:
+        with SlodReader(path) as reader:
+            return reader.entries[0].time_ns, reader.entries[-1].time_ns
+    except (
+        OSError,
+        IndexError,
+        InputError,
+        BitstreamError,
+    ):  # deleted meanwhile, or damaged: the group is still listed
+        return None, None
 
 
 def _read_segments(segments: list[Segment], first: Position, last: Position) -> list[StreamPacket]:

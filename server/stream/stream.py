@@ -121,11 +121,12 @@ class Stream:
 
     @property
     def window(self) -> dict[str, Any] | None:
-        """Oldest and newest position, as in docs/protocol.md."""
-        oldest, newest = self.bus.oldest, self.newest
+        """Oldest and newest position, and when the newest was filmed, as in docs/protocol.md."""
+        oldest, newest = self.bus.oldest, self.hub.newest
         if oldest is None or newest is None:
             return None
-        return {"oldest": oldest.to_json(), "newest": newest.to_json()}
+        filmed = {"newest_time_ns": newest.info.time_ns}
+        return {"oldest": oldest.to_json(), "newest": newest.position.to_json(), **filmed}
 
     def describe(self) -> dict[str, Any]:
         """STREAM of docs/protocol.md."""

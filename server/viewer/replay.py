@@ -14,7 +14,7 @@ from streamlod.server.viewer.pacing import LevelControl
 
 _LOG = logging.getLogger(__name__)
 _CHUNK_VERSIONS = 16  # read at once
-_MAX_GAP_SECONDS = 2.0
+_MAX_LATE_SECONDS = 2.0  # a viewer that is later than that goes on from where it is, instead of catching up
 
 
 class Replay:
@@ -33,6 +33,7 @@ class Replay:
         self._bus, self._delivery, self._levels = bus, delivery, levels
         self._ahead: deque[StreamPacket] = deque()
         self._clock = 0.0  # monotonic time of presentation time 0
+        self._epoch = 0  # whose times the clock is set to
         self.is_over = False
 
     def clear(self) -> None:
@@ -42,7 +43,9 @@ class Replay:
 
     def seconds_to_next(self, now: float) -> float | None:
         """Time until the next packet is due, if one was read ahead."""
-        return max(0.0, self._due(self._ahead[0]) - now) if self._ahead else None
+        if not self._ahead:
+            return None
+        return max(0.0, self._due(self._ahead[0]) - now) if self._ahead[0].position.epoch == self._epoch else 0.0
 
     async def load(self, place: Position, is_wanted: Callable[[], bool] = lambda: True) -> None:
         """Send from the last keyframe before `place`, while that is wanted; what leads to `place` is due at once.
@@ -66,16 +69,16 @@ class Replay:
             last = packets[-1] if packets else last
             here = Position(packets[-1].position.epoch, packets[-1].position.version + 1) if packets else None
         if last is not None:
-            self._clock = time.monotonic() - last.info.time_ns / 1e9
+            self._set_clock(last, time.monotonic())
 
     async def step(self, now: float) -> bool:
         """Send what is due, or read ahead; returns whether there is more to do at once."""
         if not self._ahead:
             await self._read_ahead()
             return bool(self._ahead)
-        due = self._due(self._ahead[0])
-        if abs(due - now) > _MAX_GAP_SECONDS:
-            self._clock += now - due
+        due, epoch = self._due(self._ahead[0]), self._ahead[0].position.epoch
+        if epoch != self._epoch or now - due > _MAX_LATE_SECONDS:
+            self._set_clock(self._ahead[0], now)  # times of two epochs cannot be compared
         elif due > now:
             return False
         await self._send(self._ahead.popleft())
@@ -99,6 +102,10 @@ class Replay:
             return
         self._ahead.extend(packets)
         self.is_over = not self._ahead
+
+    def _set_clock(self, packet: StreamPacket, now: float) -> None:
+        self._epoch = packet.position.epoch
+        self._clock = now - packet.info.time_ns / 1e9
 
     def _due(self, packet: StreamPacket) -> float:
         return self._clock + packet.info.time_ns / 1e9

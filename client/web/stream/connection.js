@@ -4,9 +4,10 @@ import { Link } from "./link.js";
 
 /**
  * @typedef {object} Handlers
- * @property {(bytes: Uint8Array) => Promise<{ version: number, ms: number } | null>} packet - null where it was refused
+ * @property {(bytes: Uint8Array) => Promise<{ version: number, ms: number, filmedMs: number } | null>} packet - null where it was refused
  * @property {(version: number | null) => void} hold - show no picture before this version is reached; null: show what there is
  * @property {() => void} status
+ * @property {(moments: { version: number, timeMs: number }[]) => void} [moments] - all that a file holds
  */
 
 export class Connection extends Link {
@@ -59,7 +60,7 @@ export class Connection extends Link {
       else if (!this.frozen && !this.asked) {
         const applied = await this.handlers.packet(item);
         if (socket !== this.socket) continue;
-        if (applied) this.send(this.session.applied(applied.version, applied.ms, performance.now()));
+        if (applied) this.send(this.session.applied(applied.version, applied.ms, performance.now(), applied.filmedMs));
         else this.#refuse();
         this.#stop();
       }

@@ -3,7 +3,7 @@
 export const VERSION = 1; // of the protocol
 const MAX_CHARACTERS = 1 << 20; // of a message; 255 cameras need a third
 
-const place = { epoch: 0, version: 0 }, window = { oldest: place, newest: place };
+const place = { epoch: 0, version: 0 }, window = { oldest: place, newest: place, "newest_time_ns?": 0 };
 const state = { state: "", "detail?": "" }, progress = { "fraction?": 0, "text?": "" };
 const welcome = {
   ...state, "epoch?": 0, "levels?": 0, "fps?": 0, "ack_every?": 0, "source?": "", "window?": window, "server_time_ns?": 0, "progress?": progress, "edges?": ["", 0],

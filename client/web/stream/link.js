@@ -64,7 +64,7 @@ export class Link {
     session.leaves = false;
     const ready = (this.stays ? [] : session.edges).map(async (edge) => {
       if (!(await fetch(edge + "/readyz", { signal: AbortSignal.timeout(2000) })).ok) throw edge;
-      return edge.replace("http", "ws") + new URL(this.home).pathname;
+      return edge.replace("http", "ws") + /\/v1\/.*/.exec(new URL(this.home).pathname)?.[0]; // below the path of a proxy
     });
     const url = await Promise.any(ready).catch(() => this.home);
     if (socket !== this.socket || (url === this.url && socket?.readyState === WebSocket.OPEN)) return;

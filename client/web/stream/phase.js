@@ -17,7 +17,7 @@
  * @property {boolean} hasFrame - whether a frame was decoded; of a stream that starts, on this connection
  * @property {boolean} hasWindow - whether there is anything to show
  * @property {boolean} isOver - whether a recording has reached its end
- * @property {number} lagSeconds - from what is shown to the newest frame
+ * @property {boolean} isBehind - whether what is shown is older than the newest frame, by more than can be on its way
  * @property {boolean} isQuiet - whether frames are overdue
  */
 
@@ -26,7 +26,7 @@ export const LIVE_SECONDS = 2; // the window is told once a second: less cannot 
 const OVER = ["ended", "idle"]; // states of a stream to which no frame is added
 
 /** @type {(facts: Facts) => Phase} */
-export function phaseOf({ link, verdict, stream, source, mode, hasFrame, hasWindow, isOver, lagSeconds, isQuiet }) {
+export function phaseOf({ link, verdict, stream, source, mode, hasFrame, hasWindow, isOver, isBehind, isQuiet }) {
   if (verdict) return verdict;
   if (link === "opening") return "connecting";
   if (link === "broken") return "reconnecting";
@@ -37,5 +37,5 @@ export function phaseOf({ link, verdict, stream, source, mode, hasFrame, hasWind
   if (stream === "starting") return "preview";
   if (isQuiet) return "stalled";
   if (source === "recording") return "replay";
-  return mode === "live" && lagSeconds <= LIVE_SECONDS ? "live" : "behind";
+  return mode === "live" && !isBehind ? "live" : "behind";
 }

@@ -52,6 +52,7 @@ export class Recording {
     session.status.window = { oldest, newest };
     session.settle();
     this.#moveTo(0);
+    this.handlers.moments?.(this.moments);
     this.handlers.status();
   }
 
@@ -110,6 +111,7 @@ export class Recording {
     if (this.shown < 0) this.#moveTo(this.at); // time begins now, where a seek may have led while the keyframe came
     this.shown = index;
     this.session.status.position = { epoch: 1, version };
+    this.session.status.filmedMs = this.moments[index].timeMs;
     this.handlers.status();
   }
 

@@ -3,7 +3,7 @@
  */
 
 import { heard, nameOf, VERSION } from "./heard.js";
-import { phaseOf } from "./phase.js";
+import { LIVE_SECONDS, phaseOf } from "./phase.js";
 
 export const PROTOCOL = "streamlod.v1";
 const CLIENT = "streamlod-web/1.0";
@@ -21,7 +21,9 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  * @property {Phase} phase
  * @property {import("./phase.js").Source} source
  * @property {boolean} loops - a recording that the server begins again at its end
- * @property {number | null} lagSeconds - from the newest frame applied to the newest there is; null where that cannot be told
+ * @property {number | null} lagSeconds - between the capture times of the newest frame applied and of the newest there is; null where that cannot be told
+ * @property {number | null} filmedMs - capture time of the newest frame applied
+ * @property {number | null} newestMs - capture time of the newest frame there is
  * @property {number | null} clockMs - what to add to this side's Unix time to have the server's
  * @property {string} detail - the other side's words, may be empty
  * @property {string} trouble - what a degraded stream suffers from, else empty
@@ -45,7 +47,7 @@ export class Session {
   constructor(now) {
     /** @type {Status} */
     this.status = {
-      phase: "connecting", source: "cameras", loops: false, lagSeconds: null, clockMs: null, detail: "", trouble: "", fraction: null,
+      phase: "connecting", source: "cameras", loops: false, lagSeconds: null, filmedMs: null, newestMs: null, clockMs: null, detail: "", trouble: "", fraction: null,
       window: null, position: null, mode: "live", levels: null,
       sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0,
     };
@@ -114,7 +116,8 @@ export class Session {
         this.leaves = !this.edges.length && message.source === "cameras"; // an edge has not all of the past
         this.edges = message.edges ?? [];
         this.ackEvery = message.ack_every ?? 8;
-        Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, window: message.window, source: message.source ?? "cameras", loops: message.loop === true });
+        Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, source: message.source ?? "cameras", loops: message.loop === true });
+        this.#window(message.window);
         if (message.server_time_ns) status.clockMs = message.server_time_ns / 1e6 - (unixMs - (now - this.saidHello) / 2);
         status.fraction = message.progress?.fraction ?? null;
         this.#streamState(message.state, message.detail || message.progress?.text);
@@ -148,11 +151,17 @@ export class Session {
         this.leaves = true;
         break;
       case "window":
-        status.window = { oldest: message.oldest, newest: message.newest };
+        this.#window(message);
         break;
     }
     this.settle();
     return null;
+  }
+
+  /** @param {{ oldest: Position, newest: Position, newest_time_ns?: number } | null} told */
+  #window(told) {
+    this.status.window = told && { oldest: told.oldest, newest: told.newest };
+    this.status.newestMs = told?.newest_time_ns == null ? null : told.newest_time_ns / 1e6;
   }
 
   /** @type {(state: string, detail: string) => void} */
@@ -165,12 +174,18 @@ export class Session {
   /** The phase that follows from what is known. */
   settle() {
     const { status } = this, { position, window } = status;
-    const known = position && window && position.epoch === window.newest.epoch;
-    status.lagSeconds = known && status.fps ? Math.max(0, window.newest.version - position.version) / status.fps : null;
+    const { filmedMs, newestMs } = status;
+    const inEpoch = position && window && position.epoch === window.newest.epoch;
+    const versions = inEpoch ? Math.max(0, window.newest.version - position.version) : 0;
+    const comparable = inEpoch || status.source === "cameras"; // others begin their times again in each epoch
+    const isTimed = position && comparable && filmedMs !== null && newestMs !== null;
+    status.lagSeconds = inEpoch && versions === 0 ? 0 : isTimed ? Math.max(0, newestMs - filmedMs) / 1000 : null;
     const isOld = position && window && position.epoch < window.newest.epoch;
+    // The newest version may be on its way; an older server tells no times, so that only versions can be counted.
+    const isBehind = isOld || (versions > 1 && (status.lagSeconds ?? versions / (status.fps || 30)) > LIVE_SECONDS);
     status.phase = phaseOf({
       link: this.link, verdict: this.verdict, stream: this.streamState, source: status.source, mode: status.mode,
-      hasFrame: position !== null && (this.isFresh || this.streamState !== "starting"), hasWindow: window !== null, isOver: this.isOver, lagSeconds: isOld ? Infinity : (status.lagSeconds ?? 0), isQuiet: this.isQuiet,
+      hasFrame: position !== null && (this.isFresh || this.streamState !== "starting"), hasWindow: window !== null, isOver: this.isOver, isBehind: Boolean(isBehind), isQuiet: this.isQuiet,
     });
   }
 
@@ -185,11 +200,15 @@ export class Session {
     this.isQuiet = false;
   }
 
-  /** The state is at `version` now. @type {(version: number, decodeMs: number, now: number) => object[]} */
-  applied(version, decodeMs, now) {
-    const position = (this.status.position = { epoch: this.epoch, version });
-    const { window } = this.status; // told once a second, not while paused; what was shown can be sought
-    if (window && window.newest.epoch === this.epoch && window.newest.version < version) this.status.window = { ...window, newest: position };
+  /** The state is at `version` now, filmed at `filmedMs`. @type {(version: number, decodeMs: number, now: number, filmedMs?: number | null) => object[]} */
+  applied(version, decodeMs, now, filmedMs = null) {
+    const { status } = this, position = (status.position = { epoch: this.epoch, version });
+    status.filmedMs = filmedMs;
+    const { window } = status; // told once a second, not while paused; what was shown can be sought
+    if (window && (window.newest.epoch < this.epoch || (window.newest.epoch === this.epoch && window.newest.version <= version))) {
+      status.window = { ...window, newest: position };
+      status.newestMs = filmedMs ?? status.newestMs;
+    }
     this.refused = 0;
     this.isFresh = true;
     this.settle();

@@ -14,17 +14,17 @@ function need(condition, text) {
 /**
  * @param {import("../view/viewer.js").Viewer} viewer
  * @param {import("./timeline.js").Timeline} timeline
- * @param {import("./status.js").Latency} latency
+ * @param {import("./status.js").Delay} delay
  * @param {() => void} destroy
  */
-export function createHandle(viewer, timeline, latency, destroy) {
+export function createHandle(viewer, timeline, delay, destroy) {
   const handle = {
     /** What is going on now. */
     get state() {
       const { status, picture } = viewer;
       return {
         phase: status?.phase ?? "connecting", source: status?.source ?? null, mode: status?.mode ?? "live",
-        behindSeconds: status?.lagSeconds ?? null, latencyMs: latency.ms, fraction: status?.fraction ?? null, position: status?.position ?? null,
+        behindSeconds: status?.lagSeconds ?? null, latencyMs: delay.seconds === null ? null : Math.round(1000 * delay.seconds), fraction: status?.fraction ?? null, position: status?.position ?? null,
         window: status?.window ?? null, version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.fps, camera: toText(viewer.pose),
         viewers: viewer.watchers,
       };

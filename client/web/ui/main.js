@@ -6,16 +6,21 @@ import { createHandle, listenToParent } from "./handle.js";
 import { attachMenu, button, element, menuItem, toast } from "./page.js";
 import { Quality, QUALITIES } from "../view/quality.js";
 import { NO_WEBGL, words } from "./states.js";
-import { describe, hideWhenIdle, Latency, show } from "./status.js";
-import { chooseStream, countWatchers, liveAddress, showStreams } from "./streams.js";
+import { Delay, describe, hideWhenIdle, show } from "./status.js";
+import { chooseStream, countWatchers, liveAddress, serverPath, showStreams } from "./streams.js";
+import { Flight } from "./fly.js";
 import { attachPhone } from "./phone.js";
 import { Rig, showSource } from "./rig.js";
 import { attachSharing, copyMoment, savePicture } from "./sharing.js";
 import { fillStatistics, Rates } from "./statistics.js";
+import { followPast } from "./past.js";
 import { Timeline } from "./timeline.js";
 import { Viewer } from "../view/viewer.js";
 
+const MOVING = ["live", "behind", "replay"]; // phases in which the picture may move by itself
 const OF_SLIDERS = new Set(["arrowleft", "arrowright", "arrowup", "arrowdown", "home", "end", "pageup", "pagedown"]);
+const MAX_BLUR_PX = 18; // where nothing was seen
+const OPENING_AFTER_MS = 600; // after the first picture
 const BACK_AT = 0.4; // how far outside of what the rig has seen a way back is offered
 const options = new URLSearchParams(location.search);
 const recording = options.get("src");
@@ -49,10 +54,11 @@ function cannotDraw() {
 /** @param {Viewer} viewer */
 async function start(viewer) {
   const timeline = new Timeline((messages) => viewer.tell({ type: "send", messages }), options.get("marks"));
-  const latency = new Latency();
+  const delay = new Delay();
   const controls = new Controls(viewer);
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
+  const flight = new Flight(viewer, timeline);
   const isShared = viewer.thin || (!recording && options.get("together") === "1"); // a played file is seen where the server plays it
   const token = recording ? null : options.get("token"); // files of other servers must not get it
   let retryAt = 0, shown = -1, place = "";
@@ -61,14 +67,14 @@ async function start(viewer) {
     controls.destroy();
     viewer.destroy();
   };
-  const handle = createHandle(viewer, timeline, latency, destroy);
+  const handle = createHandle(viewer, timeline, delay, destroy);
   Object.defineProperty(window, "streamlod", { value: handle });
   listenToParent(handle);
 
   const refresh = () => {
     const { status } = viewer;
     if (!status) return;
-    latency.show(status.phase);
+    delay.show(status);
     show(words(status, viewer.picture !== null, retryAt - performance.now()));
     timeline.update(status);
   };
@@ -93,10 +99,12 @@ async function start(viewer) {
     if (detail.position && viewer.status) viewer.status.position = detail.position;
     element("stage").toggleAttribute("data-shown", true);
     rates.frame(detail, viewer.status?.bytes ?? 0);
-    latency.add(detail, viewer.status);
+    if (detail.position && detail.timeMs !== undefined) timeline.filmed(detail.position, detail.timeMs);
+    delay.picture(detail.timeMs ?? (detail.position && timeline.filmedAt(detail.position)));
     if (detail.version !== shown) refresh(); // the same frame from elsewhere changes nothing around it
     shown = detail.version;
   });
+  viewer.addEventListener("moments", (event) => timeline.holds(/** @type {CustomEvent} */ (event).detail.moments));
   viewer.addEventListener("drawn", (event) => {
     const { ms, all } = /** @type {CustomEvent} */ (event).detail;
     quality.frame(ms, all);
@@ -104,8 +112,8 @@ async function start(viewer) {
   const heartbeat = setInterval(() => {
     quality.tick();
     if (viewer.status?.phase === "reconnecting") refresh();
-    latency.show(viewer.status?.phase);
-    if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, latency.ms);
+    delay.show(viewer.status);
+    if (!element("stats").hidden) fillStatistics(element("stats"), viewer, rates, delay.seconds);
     canvas.ariaDescription = describe(viewer, element("t-time").textContent ?? "");
   }, 500);
   let lastOutside = -1;
@@ -113,7 +121,7 @@ async function start(viewer) {
     const far = viewer.presenting ? 0 : viewer.outside;
     if (far === lastOutside) return;
     lastOutside = far;
-    canvas.style.filter = far > 0 ? `opacity(${(1 - 0.85 * far).toFixed(3)})` : "";
+    canvas.style.filter = far > 0 ? `blur(${(MAX_BLUR_PX * far).toFixed(1)}px)` : ""; // what nobody filmed, in the scene's own colours
     button("b-back").hidden = far < BACK_AT;
   });
   button("b-back").onclick = () => goHome();
@@ -142,11 +150,12 @@ async function start(viewer) {
     const panel = element("stats");
     panel.hidden = !panel.hidden;
     button("b-stats").setAttribute("aria-pressed", String(!panel.hidden));
-    if (!panel.hidden) fillStatistics(panel, viewer, rates, latency.ms);
+    if (!panel.hidden) fillStatistics(panel, viewer, rates, delay.seconds);
   };
   const help = () => /** @type {HTMLDialogElement} */ (element("help")).showModal();
 
   button("b-home").onclick = goHome;
+  button("b-fly").onclick = () => flight.toggle();
   button("b-shot").onclick = () => savePicture(viewer);
   button("b-full").onclick = fullScreen;
   for (const kind of /** @type {("vr" | "ar")[]} */ (["vr", "ar"])) {
@@ -192,8 +201,8 @@ async function start(viewer) {
 
   /** @type {Record<string, () => unknown>} */
   const keys = {
-    " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.seek(timeline.oldest),
-    end: () => timeline.live(), m: () => timeline.mark(timeline.version), r: goHome, f: fullScreen, v: () => putOn("vr"), p: () => savePicture(viewer), l: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
+    " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.begin(), j: () => timeline.skip(-10), k: () => timeline.toggle(), l: () => timeline.skip(10),
+    end: () => timeline.live(), m: () => timeline.position && timeline.marks.toggle(timeline.position), r: goHome, f: fullScreen, t: () => flight.toggle(), v: () => putOn("vr"), p: () => savePicture(viewer), y: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
@@ -207,6 +216,10 @@ async function start(viewer) {
     } else if (/^[1-9]$/.test(key)) goTo(Number(key) - 1);
   });
 
+  controls.mayDrift = () => quality.step === 0 && !flight.stop && MOVING.includes(viewer.status?.phase ?? "");
+  if (!viewer.thin && !options.has("camera") && options.get("sway") !== "0" && (!viewer.software || options.get("sway") === "1")) {
+    viewer.addEventListener("picture", () => setTimeout(() => quality.step === 0 && flight.open(), OPENING_AFTER_MS), { once: true });
+  }
   attachPhone(viewer);
   const wake = hideWhenIdle(() => viewer.picture !== null && viewer.status?.mode !== "paused" && !document.querySelector(".sheet, .menu:not([hidden])"));
   viewer.addEventListener("picture", wake, { once: true });
@@ -219,7 +232,7 @@ async function start(viewer) {
   if (viewer.software) viewer.addEventListener("picture", slow, { once: true });
 
   const wishes = quality.wishes();
-  /** @param {() => string | null} address */
+  /** @param {(epoch?: number) => string | null} address */
   const offer = (address) => {
     const source = { viewer, address, token };
     attachSharing(source, timeline);
@@ -232,10 +245,14 @@ async function start(viewer) {
     return;
   }
   const stream = await chooseStream(options);
-  place = `/v1/streams/${encodeURIComponent(stream)}`;
-  offer(() => viewer.status?.window ? `${place}/${viewer.status.source === "recording" ? "recording" : "bitstream"}` : null);
+  place = serverPath(`v1/streams/${encodeURIComponent(stream)}`);
+  offer((epoch) => {
+    if (!viewer.status?.window) return null;
+    return viewer.status.source === "recording" ? `${place}/recording` : `${place}/bitstream${epoch === undefined ? "" : `?epoch=${epoch}`}`;
+  });
+  followPast(place, token, viewer, timeline);
   countWatchers(options, stream, viewer);
-  viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : new URL(`${place}/recording`, location.href).href, token, wishes });
+  viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : `${place}/recording`, token, wishes });
 }
 
 const viewer = await createViewer();

@@ -4,7 +4,7 @@ import { Viewer } from "../view/viewer.js";
 import { element } from "./page.js";
 import { clock } from "./states.js";
 
-/** @typedef {{ viewer: Viewer, address: () => string | null, token: string | null }} Source - address: of a file with all that can be sought */
+/** @typedef {{ viewer: Viewer, address: (epoch?: number) => string | null, token: string | null }} Source - address: of a file with all of an epoch, by default the newest one, that can be sought */
 
 const LINGER_MS = 4000; // after the pointer has left; it may come back
 const THUMB_PX = 16; // of the slider
@@ -13,6 +13,7 @@ class Moments {
   /** @param {Source} source @param {string} file @param {HTMLCanvasElement} canvas - in the page */
   constructor({ viewer, token }, file, canvas) {
     this.viewer = viewer;
+    this.file = file;
     this.drawer = new Viewer(canvas);
     this.wanted = 0;
     this.drawer.addEventListener("scene", () => this.seek(this.wanted)); // what is said before the file is there is lost
@@ -40,20 +41,20 @@ export function attachPeek(source, timeline) {
   let leaving = 0;
   /** @param {PointerEvent} event */
   const move = ({ pointerType, offsetX }) => {
-    const { window: range, oldest, status } = timeline, file = source.address();
-    if (pointerType !== "mouse" || !range || !file) return;
-    clearTimeout(leaving);
     const share = Math.min(Math.max((offsetX - THUMB_PX / 2) / (scrub.clientWidth - THUMB_PX), 0), 1);
-    const version = Math.round(oldest + share * (range.newest.version - oldest));
-    element("t-peek-time").textContent = clock(version - oldest, status?.fps ?? null);
+    const { strip } = timeline, position = strip.positionAt(share * strip.seconds), file = position && source.address(position.epoch);
+    if (pointerType !== "mouse" || !file) return;
+    clearTimeout(leaving);
+    element("t-peek-time").textContent = clock(share * strip.seconds);
     place.style.setProperty("--at", String(share));
     place.hidden = false;
-    if (!moments) {
+    if (moments?.file !== file) {
+      moments?.close();
       const canvas = document.createElement("canvas");
       place.prepend(canvas);
       moments = new Moments(source, file, canvas);
     }
-    moments.seek(version);
+    moments.seek(position.version);
   };
   scrub.addEventListener("pointermove", move);
   scrub.addEventListener("pointerleave", () => {

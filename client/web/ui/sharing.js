@@ -63,10 +63,10 @@ export function attachSharing(source, timeline) {
   const { viewer, token } = source, opener = button("b-share"), menu = element("share-menu");
   /** The frames between the mark and the one that is shown. */
   const saveClip = async () => {
-    const [first, last] = [timeline.newestMark ?? 0, timeline.version].sort((a, b) => a - b);
+    const [first, last] = [timeline.marks.newest?.version ?? 0, timeline.version].sort((a, b) => a - b);
     toast("Fetching the clip");
     const { cut } = await import("../stream/file.js");
-    await cut(new URL(source.address() ?? "", location.href).href, token, first, last).then((blob) => download(blob, `clip-${first}-${last}.slod`), (error) => toast(error.message));
+    await cut(new URL(source.address(timeline.position?.epoch) ?? "", location.href).href, token, first, last).then((blob) => download(blob, `clip-${first}-${last}.slod`), (error) => toast(error.message));
   };
   /** @param {string} label @param {string} note @param {() => unknown} act */
   const item = (label, note, act) => menuItem(label, note, null, () => {
@@ -74,14 +74,14 @@ export function attachSharing(source, timeline) {
     act();
   });
   attachMenu(opener, menu, () => {
-    const address = source.address(), isEmbedded = document.body.classList.contains("embed"), { newestMark, version } = timeline;
+    const address = source.address(timeline.position?.epoch), isEmbedded = document.body.classList.contains("embed"), { version, position } = timeline, newestMark = timeline.marks.newest?.version;
     menu.replaceChildren(
       ...("share" in navigator ? [item("Share…", "", () => navigator.share({ title: document.title, url: linkTo(viewer, true).href }).catch(() => {}))] : []),
-      item("Copy link to this moment", "L", () => copyMoment(viewer)),
+      item("Copy link to this moment", "Y", () => copyMoment(viewer)),
       item("Copy link to this view", "", () => copy(linkTo(viewer, false).href, "Link to this view copied")),
       ...(isEmbedded ? [] : [item("Copy embed code", "", () => copy(embedCode(viewer), "Code for other pages copied"))]),
       item("Save picture", "P", () => savePicture(viewer)),
-      item("Mark this moment", "M", () => timeline.mark(version)),
+      item("Mark this moment", "M", () => position && timeline.marks.toggle(position)),
       ...(address ? [
         ...(newestMark === undefined || newestMark === version ? [] : [item("Clip since the mark", ".slod", saveClip)]),
         ...(token ? [] : [item("Download recording", ".slod", () => Object.assign(document.createElement("a"), { href: address, download: "" }).click())]),

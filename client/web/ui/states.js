@@ -16,8 +16,13 @@ const full = (chip, tone, title, text, more = {}) => ({ chip, tone, card: { titl
 /** How far back, for people. @type {(seconds: number | null) => string} */
 function behind(seconds) {
   if (seconds === null) return "Behind live";
-  if (seconds < 10) return `${seconds.toFixed(1)} s behind live`;
-  return `${seconds < 60 ? `${Math.round(seconds)} s` : clock(seconds, 1).slice(0, -2)} behind live`;
+  return `${duration(seconds)} behind live`;
+}
+
+/** As exact as it is of use: 3.2 s, 48 s, 7:29. @type {(seconds: number) => string} */
+export function duration(seconds) {
+  if (seconds < 9.95) return `${seconds.toFixed(1)} s`;
+  return seconds < 59.5 ? `${Math.round(seconds)} s` : clock(seconds).slice(0, -2);
 }
 
 /**
@@ -79,9 +84,8 @@ export function words(status, picture, waitMs) {
 export const NO_WEBGL = full("Cannot draw", "bad", "This browser cannot show the scene",
   "WebGL2 is missing or switched off. Turn on hardware acceleration, or use a current browser.");
 
-/** Position in time, for people: m:ss.t, or the frame number where the rate is unknown. @type {(versions: number, fps: number | null) => string} */
-export function clock(versions, fps) {
-  if (!fps) return String(Math.round(versions));
-  const tenths = Math.floor((10 * Math.abs(versions)) / fps + 1e-6), minutes = Math.floor(tenths / 600);
+/** A time, for people: m:ss.t. @type {(seconds: number) => string} */
+export function clock(seconds) {
+  const tenths = Math.floor(10 * Math.abs(seconds) + 1e-6), minutes = Math.floor(tenths / 600);
   return `${minutes}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`;
 }

@@ -27,8 +27,8 @@ export class Rates {
   }
 }
 
-/** @param {HTMLElement} list @param {import("../view/viewer.js").Viewer} viewer @param {Rates} rates @param {number | null} latencyMs - from camera to screen */
-export function fillStatistics(list, viewer, rates, latencyMs) {
+/** @param {HTMLElement} list @param {import("../view/viewer.js").Viewer} viewer @param {Rates} rates @param {number | null} delaySeconds - from camera to screen */
+export function fillStatistics(list, viewer, rates, delaySeconds) {
   const { picture, status, canvas } = viewer;
   const { fps, kilobits } = rates.now();
   /** @type {(value: number | undefined, unit: string, digits?: number) => string} */
@@ -39,7 +39,7 @@ export function fillStatistics(list, viewer, rates, latencyMs) {
     Stream: number(fps, "fps"),
     Data: number(kilobits / 1000, "Mbit/s", 2),
     Frame: version === undefined ? "–" : String(version),
-    ...(live ? { "Behind live": number(status?.lagSeconds ?? undefined, "s"), "Camera to screen": number(latencyMs ?? undefined, "ms", 0) } : {}),
+    ...(live ? { "Behind live": number(status?.lagSeconds ?? undefined, "s"), "Camera to screen": number(delaySeconds ?? undefined, "s") } : {}),
     Splats: picture ? picture.splats.toLocaleString("en") : "–",
     Anchors: picture?.anchors?.toLocaleString("en") ?? "–",
     Levels: status?.levels ? `${status.sentLevels ?? status.levels} of ${status.levels}` : String(viewer.scene?.levels ?? "–"),

@@ -2,9 +2,9 @@
 
 import { distanceTo } from "../view/camera.js";
 import { button, element } from "./page.js";
+import { duration } from "./states.js";
 
 const IDLE_MS = 4000;
-const MAX_LATENCY_MS = 600_000; // more is no delay but a clock that is wrong
 
 /** @param {import("./states.js").Words} said */
 export function show(said) {
@@ -27,32 +27,34 @@ export function show(said) {
   button("card-button").textContent = label ?? "";
 }
 
-/** From the moment at which a frame was filmed to that at which it is drawn, for live cameras. */
-export class Latency {
+const DELAYED = ["live", "stalled"]; // phases in which a delay is told
+
+/** The time since the picture on the screen was filmed, for live cameras; it grows while nothing new comes. */
+export class Delay {
   constructor() {
-    /** @type {number | null} */
-    this.ms = null;
-    this.version = -1;
+    /** @type {number | null} of the picture that is shown, in the cameras' Unix time */
+    this.filmedMs = null;
+    /** @type {import("../stream/session.js").Status | null} */
+    this.status = null;
   }
 
-  /** A frame is about to be drawn. @param {import("../view/messages.js").PictureMessage} picture @param {import("../stream/session.js").Status | null} status */
-  add({ version, timeMs }, status) {
-    const isLive = status?.source === "cameras" && status.phase === "live" && status.clockMs !== null && timeMs !== undefined;
-    if (!isLive) this.ms = null;
-    if (!isLive || version === this.version) return;
-    this.version = version;
-    const { clockMs } = /** @type {{ clockMs: number }} */ (status);
-    requestAnimationFrame(() => {
-      const ms = Date.now() + clockMs - /** @type {number} */ (timeMs);
-      if (ms < 0 || ms > MAX_LATENCY_MS) this.ms = null;
-      else this.ms = this.ms === null ? ms : this.ms + (ms - this.ms) * 0.2;
-    });
+  /** Now, s; null where it cannot be told. */
+  get seconds() {
+    const { filmedMs, status } = this;
+    if (filmedMs === null || !status || status.clockMs === null || status.source !== "cameras" || !DELAYED.includes(status.phase)) return null;
+    return Math.max(0, Date.now() + status.clockMs - filmedMs) / 1000;
   }
 
-  /** In the chip, while it is live. @param {string | undefined} phase */
-  show(phase) {
-    if (phase !== "live") this.ms = null;
-    element("status-latency").textContent = this.ms === null ? "" : `${Math.round(this.ms)} ms`;
+  /** A picture is shown. @param {number | null} filmedMs */
+  picture(filmedMs) {
+    this.filmedMs = filmedMs;
+  }
+
+  /** In the chip. @param {import("../stream/session.js").Status | null} status */
+  show(status) {
+    this.status = status;
+    const { seconds } = this;
+    element("status-latency").textContent = seconds === null ? "" : duration(seconds);
   }
 }
 

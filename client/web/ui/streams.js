@@ -4,11 +4,14 @@ import { button, element } from "./page.js";
 
 /** @typedef {{ id: string, name: string, state: string, viewers: number, camera_pictures?: string[] }} Stream */
 
+/** An address of the server that the page is from, which may stand under a path of a proxy. @param {string} path - without a slash at its begin */
+export const serverPath = (path) => new URL(path, new URL(".", location.href)).href;
+
 /** @param {URLSearchParams} options @returns {Promise<Stream[]>} empty where the server does not say */
 async function fetchStreams(options) {
   const token = options.get("token");
   try {
-    const answer = await fetch("/v1/streams", { headers: token ? { Authorization: `Bearer ${token}` } : {} });
+    const answer = await fetch(serverPath("v1/streams"), { headers: token ? { Authorization: `Bearer ${token}` } : {} });
     return answer.ok ? (await answer.json()).items : [];
   } catch {
     return [];
@@ -43,7 +46,7 @@ export async function countWatchers(options, stream, viewer) {
 
 /** @type {(stream: string) => string} */
 export function liveAddress(stream) {
-  return new URL(`/v1/streams/${encodeURIComponent(stream)}/live`, location.href).href.replace("http", "ws");
+  return serverPath(`v1/streams/${encodeURIComponent(stream)}/live`).replace("http", "ws");
 }
 
 /** The list, in a dialog. @param {URLSearchParams} options */

@@ -1,21 +1,32 @@
-/** The bar at the bottom: the retained window, pause, scrub, step, loop, speed and the way back to the live edge. */
+/** The bar at the bottom: what is retained, pause, scrub, step, loop, speed and the way back to the live edge. */
 
 import { button, element, setIcon } from "./page.js";
 import { clock } from "./states.js";
+import { Marks } from "./marks.js";
+import { Bar, Times } from "./times.js";
 
 /** @typedef {import("../stream/session.js").Status} Status */
 /** @typedef {import("../stream/session.js").Position} Position */
+/** @typedef {import("./times.js").Span} Span */
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4];
 const SCRUB_MS = 90; // between two seeks while dragging
+const ARROW_SECONDS = 5, PAGE_SECONDS = 30; // by keys on the bar
+const BEFORE_BEGIN_SECONDS = -1e9;
+
+/** @type {Record<string, number>} */
+const BAR_KEYS = { ArrowLeft: -ARROW_SECONDS, ArrowDown: -ARROW_SECONDS, ArrowRight: ARROW_SECONDS, ArrowUp: ARROW_SECONDS,
+  PageDown: -PAGE_SECONDS, PageUp: PAGE_SECONDS, Home: BEFORE_BEGIN_SECONDS, End: Infinity };
 
 export class Timeline {
   /** @param {(messages: object[]) => void} send @param {string | null} marks - frame numbers, from the address */
   constructor(send, marks) {
     this.send = send;
-    /** @type {Map<number, HTMLElement>} moments to come back to */
-    this.marks = new Map();
     this.recording = false; // a file: has speed, has no newest frame that moves
+    this.times = new Times();
+    /** @type {Span[]} as the server told last, in order */
+    this.spans = [];
+    this.strip = new Bar([], this.times, null);
     this.bar = element("timeline");
     this.scrub = /** @type {HTMLInputElement} */ (element("t-scrub"));
     /** @type {Status | null} */
@@ -33,40 +44,17 @@ export class Timeline {
     this.scrub.oninput = () => this.#drag();
     this.scrub.onchange = () => {
       this.dragging = false;
-      this.seek(Number(this.scrub.value));
+      this.seekTo(this.strip.positionAt(Number(this.scrub.value)));
     };
-    for (const mark of marks?.split(",") ?? []) this.mark(Number(mark));
-  }
-
-  /** Mark a moment on the bar, or take its mark away. @param {number} version */
-  mark(version) {
-    const old = this.marks.get(version);
-    old?.remove();
-    if (this.marks.delete(version)) return;
-    const mark = Object.assign(document.createElement("button"), { onclick: () => this.seek(version) });
-    element("t-marks").append(mark);
-    this.marks.set(version, mark);
-    this.#placeMarks();
-  }
-
-  /** The version that was marked last. */
-  get newestMark() {
-    return [...this.marks.keys()].pop();
-  }
-
-  #placeMarks() {
-    const { window, oldest } = this;
-    for (const [version, mark] of this.marks) {
-      mark.hidden = !window || !(version >= oldest && version <= window.newest.version);
-      mark.title = `Mark at ${clock(version - oldest, this.status?.fps ?? null)}`;
-      mark.style.setProperty("--at", String(this.#share(version)));
-    }
-  }
-
-  /** Where a version lies on the bar, 0 to 1. @param {number} version */
-  #share(version) {
-    const { oldest } = this, newest = Math.max(this.window?.newest.version ?? 0, this.version);
-    return newest > oldest ? (version - oldest) / (newest - oldest) : 1;
+    this.scrub.onkeydown = (event) => {
+      const by = BAR_KEYS[event.key];
+      if (by === undefined) return;
+      event.preventDefault();
+      if (by === Infinity && !this.recording) this.live();
+      else this.skip(by);
+    };
+    this.marks = new Marks(this);
+    for (const mark of marks?.split(",") ?? []) if (/^\d+$/.test(mark)) this.marks.toggle({ epoch: null, version: Number(mark) });
   }
 
   /** From now on a file is played. @param {boolean} loop */
@@ -78,12 +66,75 @@ export class Timeline {
     button("t-loop").setAttribute("aria-pressed", String(loop));
   }
 
+  /** A file was read: all that it holds. @param {{ version: number, timeMs: number }[]} moments */
+  holds(moments) {
+    for (const { version, timeMs } of moments) this.times.note({ epoch: 1, version }, timeMs);
+    this.#layOut();
+  }
+
+  /** A picture was shown. @param {Position} position @param {number} ms - when it was filmed */
+  filmed(position, ms) {
+    this.times.note(position, ms);
+  }
+
+  /** When a position was filmed, ms. @param {Position} position */
+  filmedAt(position) {
+    return this.times.at(position, this.status?.fps ?? null);
+  }
+
+  /** The server told what it retains. @param {import("./past.js").Group[]} groups */
+  retained(groups) {
+    /** @type {Map<number, Span>} */
+    const spans = new Map();
+    for (const { epoch, first, last, begun_ns: begun, first_time_ns: from, last_time_ns: to } of groups) {
+      const span = spans.get(epoch) ?? { epoch, first, last };
+      spans.set(epoch, { epoch, first: Math.min(span.first, first), last: Math.max(span.last, last) });
+      const begin = from ?? (this.status?.source === "cameras" ? begun : null);
+      if (begin != null) this.times.note({ epoch, version: first }, begin / 1e6);
+      if (to != null) this.times.note({ epoch, version: last }, to / 1e6);
+    }
+    this.spans = [...spans.values()].sort((a, b) => a.epoch - b.epoch);
+    if (this.status) this.update(this.status);
+  }
+
+  /** The bar of what can be sought now. */
+  #layOut() {
+    const { window: range, status } = this;
+    if (!range) return;
+    const { oldest, newest } = range, { epoch } = newest;
+    const before = this.spans.filter((span) => span.epoch >= oldest.epoch && span.epoch < epoch);
+    const inNewest = oldest.epoch === epoch ? oldest.version : Math.min(this.spans.find((span) => span.epoch === epoch)?.first ?? 0, newest.version);
+    const cut = before.map((span) => (span.epoch === oldest.epoch ? { ...span, first: Math.min(Math.max(span.first, oldest.version), span.last) } : span));
+    this.strip = new Bar([...cut, { epoch, first: inNewest, last: Math.max(newest.version, this.#shown(epoch)) }], this.times, status?.fps ?? null);
+    this.#drawGaps();
+  }
+
+  /** @param {number} epoch */
+  #shown(epoch) {
+    const { position } = this.status ?? {};
+    return position?.epoch === epoch ? position.version : 0;
+  }
+
+  #drawGaps() {
+    const { parts, seconds } = this.strip, share = (/** @type {number} */ at) => `${((100 * at) / (seconds || 1)).toFixed(2)}%`;
+    const stripes = parts.slice(1).map((part, i) => {
+      const end = parts[i].begin + parts[i].seconds;
+      return `transparent ${share(end)}, var(--stage) ${share(end)} ${share(part.begin)}, transparent ${share(part.begin)}`;
+    });
+    this.scrub.style.setProperty("--gaps", stripes.length ? `linear-gradient(to right, ${stripes.join(", ")})` : "none");
+  }
+
   get window() {
     return this.status?.window ?? null;
   }
 
+  /** What is shown, or the newest. @returns {Position | null} */
+  get position() {
+    return this.status?.position ?? this.window?.newest ?? null;
+  }
+
   get version() {
-    return this.status?.position?.version ?? this.window?.newest.version ?? 0;
+    return this.position?.version ?? 0;
   }
 
   get paused() {
@@ -95,7 +146,7 @@ export class Timeline {
     return this.paused || this.status?.phase === "ended" || this.status?.phase === "deleted";
   }
 
-  /** @param {number} version */
+  /** A version of the newest epoch, inside of what can be sought. @param {number} version */
   at(version) {
     const window = this.window;
     if (!window) return null;
@@ -109,10 +160,23 @@ export class Timeline {
     return !window ? 0 : window.oldest.epoch === window.newest.epoch ? window.oldest.version : 0;
   }
 
-  /** Show `version`; playing goes on from there, unless paused. @param {number} version */
+  /** Show a version of the newest epoch. @param {number} version */
   seek(version) {
-    const to = this.at(version);
+    this.seekTo(this.at(version));
+  }
+
+  /** Show a position; playing goes on from there, unless paused. @param {Position | null} to */
+  seekTo(to) {
     if (to) this.send([{ type: "seek", to, stop: this.paused }]);
+  }
+
+  /** Go back or on in time. @param {number} seconds */
+  skip(seconds) {
+    const { position, strip } = this;
+    if (!position) return;
+    const place = strip.placeOf(position) + seconds;
+    if (place >= strip.seconds && !this.recording) return this.live();
+    this.seekTo(strip.positionAt(Math.max(place, 0)));
   }
 
   /** Stand still at a moment; `epoch` null: of the newest one. @param {number} version @param {number | null} epoch */
@@ -125,11 +189,16 @@ export class Timeline {
     this.send([{ type: "seek", to: "live" }]);
   }
 
+  /** The begin of what is retained. */
+  begin() {
+    this.seekTo(this.strip.positionAt(0) ?? this.at(0));
+  }
+
   toggle() {
     if (this.paused) this.send([{ type: "play" }]);
     else if (this.status?.phase !== "ended") this.pause();
     else if (this.recording) this.send([{ type: "play" }]);
-    else this.seek(this.oldest);
+    else this.begin();
   }
 
   pause() {
@@ -138,7 +207,9 @@ export class Timeline {
 
   /** @param {number} by - frames */
   step(by) {
-    this.showMoment(this.version + by, null);
+    const { position, window } = this;
+    if (position && window && position.epoch < window.newest.epoch) this.showMoment(Math.max(0, position.version + by), position.epoch);
+    else this.showMoment(this.version + by, null);
   }
 
   /** @param {boolean} on */
@@ -146,7 +217,7 @@ export class Timeline {
     this.loop = on;
     button("t-loop").setAttribute("aria-pressed", String(on));
     if (this.recording) this.send([{ type: "loop", value: on }]);
-    else if (on && this.status?.mode === "live") this.seek(this.oldest);
+    else if (on && this.status?.mode === "live") this.begin();
   }
 
   /** @param {number} speed */
@@ -158,11 +229,12 @@ export class Timeline {
 
   #drag() {
     this.dragging = true;
-    this.#show(Number(this.scrub.value));
+    const place = Number(this.scrub.value);
+    this.#show(place);
     const now = performance.now();
     if (now - this.lastSeek < SCRUB_MS) return;
     this.lastSeek = now;
-    this.seek(Number(this.scrub.value));
+    this.seekTo(this.strip.positionAt(place));
   }
 
   /** @param {Status} status */
@@ -171,28 +243,29 @@ export class Timeline {
     this.status = status;
     this.bar.hidden = !status.window;
     if (!status.window) return;
+    if (status.newestMs !== null) this.times.note(status.window.newest, status.newestMs);
+    if (status.position && status.filmedMs !== null) this.times.note(status.position, status.filmedMs);
+    this.#layOut();
     const atEdge = status.mode === "live" && !this.recording;
-    if (this.loop && !this.recording && before?.mode === "replay" && atEdge) this.seek(this.oldest);
+    if (this.loop && !this.recording && before?.mode === "replay" && atEdge) this.begin();
     setIcon("t-play", this.stands ? "play" : "pause");
     button("t-play").setAttribute("aria-label", this.stands ? "Play" : "Pause");
     button("t-play").title = this.stands ? "Play (Space)" : "Pause (Space)";
     element("t-live-text").textContent = status.source === "cameras" ? "LIVE" : "NEWEST";
-    if (!this.dragging) this.#show(atEdge ? Math.max(this.version, status.window.newest.version) : this.version);
+    const { position, strip } = this;
+    if (!this.dragging) this.#show(atEdge || !position ? strip.seconds : strip.placeOf(position));
   }
 
-  /** @param {number} version */
-  #show(version) {
-    const window = this.window;
-    if (!window) return;
-    const { oldest } = this, newest = Math.max(window.newest.version, this.version);
-    Object.assign(this.scrub, { min: String(oldest), max: String(newest) });
-    if (!this.dragging) this.scrub.value = String(version);
-    this.scrub.style.setProperty("--done", `${(100 * this.#share(version)).toFixed(2)}%`);
-    this.#placeMarks();
-    const fps = this.status?.fps ?? null, behind = newest - version;
-    const live = this.status?.mode === "live" && !this.dragging;
-    const text = this.recording ? `${clock(version - oldest, fps)} / ${clock(newest - oldest, fps)}` : live || behind <= 0 ? clock(version - oldest, fps) : `−${clock(behind, fps)}`;
+  /** @param {number} place - on the bar, seconds from its left */
+  #show(place) {
+    const { strip, status } = this, length = strip.seconds;
+    Object.assign(this.scrub, { min: "0", max: String(length) });
+    if (!this.dragging) this.scrub.value = String(place);
+    this.scrub.style.setProperty("--done", `${(length > 0 ? (100 * place) / length : 100).toFixed(2)}%`);
+    this.marks.place();
+    const behind = length - place, live = status?.mode === "live" && !this.dragging;
+    const text = this.recording ? `${clock(place)} / ${clock(length)}` : live || behind <= 0 ? clock(place) : `−${clock(behind)}`;
     element("t-time").textContent = text;
-    this.scrub.setAttribute("aria-valuetext", this.recording || live ? text : `${clock(behind, fps)} behind live, frame ${version}`);
+    this.scrub.setAttribute("aria-valuetext", this.recording || live ? text : `${clock(behind)} behind live, frame ${strip.positionAt(place)?.version ?? 0}`);
   }
 }

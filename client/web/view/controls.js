@@ -1,10 +1,13 @@
 /** Hands on the camera: mouse, trackpad, touch, keyboard and gamepad turned into poses. */
 
 import { add, fly, focusOn, look, orbit, pan, unit, zoom } from "./camera.js";
+import { spread } from "./limits.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 
-const TURN = 3.2; // radians for a drag across the picture's height
+const MAX_TURN = 3.2, MIN_TURN = 0.8; // radians for a drag across the picture's height
+const INSIDE = 0.15; // as far outside of what the rig has seen a drag may end
+const NEAREST = 0.08; // of the distance at home: closer one would be inside of things
 const WHEEL = 0.0012, DOUBLE_TAP_MS = 320, TAP_PX = 8;
 const WALK = 0.6; // of the distance to the target, a second
 const GLIDE = 6; // per second, how fast inertia fades
@@ -30,6 +33,9 @@ export class Controls {
     this.idleSince = 0;
     this.tap = { time: 0, x: 0, y: 0 };
     this.travel = 0;
+    /** @type {import("./camera.js").Pose | null} the last one that the rig has seen well */
+    this.inside = null;
+    this.mayDrift = () => true; // whether the picture may move by itself
     this.still = matchMedia("(prefers-reduced-motion: reduce)");
     // In a frame of another page the wheel scrolls that page until somebody clicks the picture.
     this.engaged = window.parent === window;
@@ -62,6 +68,18 @@ export class Controls {
     document.body.classList.toggle("engaged", on);
   }
 
+  /** Radians for a drag across the picture's height: across the rig, and a little more. */
+  get #turn() {
+    const { space } = this.viewer;
+    return space ? Math.min(Math.max(2.6 * spread(space), MIN_TURN), MAX_TURN) : MAX_TURN;
+  }
+
+  /** Closer or farther, as far as things allow. @param {number} factor */
+  #zoom(factor) {
+    const { pose, home } = this.viewer, nearest = Math.min(NEAREST * (home?.distance ?? 0), pose.distance);
+    return zoom(pose, Math.max(factor, nearest / pose.distance));
+  }
+
   get #height() {
     return this.viewer.canvas.clientHeight || 1;
   }
@@ -84,20 +102,20 @@ export class Controls {
     const now = { x: event.clientX, y: event.clientY };
     const h = this.#height, dx = (now.x - before.x) / h, dy = (now.y - before.y) / h;
     this.travel += Math.hypot(now.x - before.x, now.y - before.y);
-    const { viewer } = this;
+    const { viewer } = this, turn = this.#turn;
     if (this.pointers.size >= 2) {
       const others = [...this.pointers].filter(([id]) => id !== event.pointerId).map(([, point]) => point);
       const was = Math.hypot(before.x - others[0].x, before.y - others[0].y);
       const is = Math.hypot(now.x - others[0].x, now.y - others[0].y);
-      viewer.steer(pan(zoom(viewer.pose, was / Math.max(is, 1)), -dx / 2, -dy / 2));
+      viewer.steer(pan(this.#zoom(was / Math.max(is, 1)), -dx / 2, -dy / 2));
     } else if (this.panning) {
       viewer.steer(pan(viewer.pose, -dx, -dy));
     } else {
-      viewer.steer(orbit(viewer.pose, viewer.up, -dx * TURN, dy * TURN));
+      viewer.steer(orbit(viewer.pose, viewer.up, -dx * turn, dy * turn));
       const seconds = Math.max(event.timeStamp - this.last, 4) / 1000;
       const mix = Math.min(1, seconds * 20);
-      this.spin.yaw += ((-dx * TURN) / seconds - this.spin.yaw) * mix;
-      this.spin.pitch += ((dy * TURN) / seconds - this.spin.pitch) * mix;
+      this.spin.yaw += ((-dx * turn) / seconds - this.spin.yaw) * mix;
+      this.spin.pitch += ((dy * turn) / seconds - this.spin.pitch) * mix;
     }
     this.last = event.timeStamp;
     this.pointers.set(event.pointerId, now);
@@ -107,6 +125,10 @@ export class Controls {
   #up(event) {
     if (!this.pointers.delete(event.pointerId)) return;
     this.viewer.touched = this.pointers.size > 0;
+    if (!this.pointers.size && this.inside && this.viewer.outside > INSIDE) {
+      this.viewer.moveTo(this.inside); // as if held by a rubber band
+      this.last = 0; // without inertia
+    }
     if (this.panning || this.pointers.size || event.timeStamp - this.last > 60) this.spin = { yaw: 0, pitch: 0 };
     if (event.pointerType !== "touch" || event.type !== "pointerup" || this.travel > TAP_PX) return;
     const again = event.timeStamp - this.tap.time < DOUBLE_TAP_MS;
@@ -121,7 +143,7 @@ export class Controls {
     const { viewer } = this, h = this.#height;
     const unitOf = event.deltaMode === 1 ? 16 : event.deltaMode === 2 ? h : 1;
     if (event.shiftKey) viewer.steer(pan(viewer.pose, (event.deltaX * unitOf) / h, (event.deltaY * unitOf) / h));
-    else viewer.steer(zoom(viewer.pose, Math.exp(Math.min(Math.max(event.deltaY * unitOf * (event.ctrlKey ? 8 : 1), -400), 400) * WHEEL)));
+    else viewer.steer(this.#zoom(Math.exp(Math.min(Math.max(event.deltaY * unitOf * (event.ctrlKey ? 8 : 1), -400), 400) * WHEEL)));
   }
 
   /** Turn to the surface under a point of the page and orbit around it. @param {number} clientX @param {number} clientY */
@@ -153,7 +175,7 @@ export class Controls {
     if (!known) return;
     this.keys.add(known && (event.key === "+" || event.key === "=") ? "Plus" : event.key === "-" ? "Minus" : event.code);
     if (event.key === "+" || event.key === "=" || event.key === "-") {
-      this.viewer.steer(zoom(this.viewer.pose, event.key === "-" ? 1.12 : 1 / 1.12));
+      this.viewer.steer(this.#zoom(event.key === "-" ? 1.12 : 1 / 1.12));
       this.keys.clear();
     }
     event.preventDefault();
@@ -162,7 +184,7 @@ export class Controls {
   /** A slow swing around the target while nobody touches anything. @param {number} now @param {number} seconds */
   #sway(now, seconds) {
     const { viewer } = this, isIdle = document.body.classList.contains("idle");
-    if (!isIdle || this.still.matches || viewer.presenting || viewer.glide || document.body.classList.contains("still")) this.idleSince = 0;
+    if (!isIdle || !this.mayDrift() || this.still.matches || viewer.presenting || viewer.glide || document.body.classList.contains("still")) this.idleSince = 0;
     else this.idleSince ||= now;
     const idle = this.idleSince ? (now - this.idleSince) / 1000 - SWAY_AFTER_S : 0;
     if (idle <= 0) return;
@@ -173,6 +195,7 @@ export class Controls {
   /** @param {number} now */
   #frame(now) {
     const { viewer } = this;
+    if (viewer.outside <= INSIDE && !viewer.glide) this.inside = viewer.pose;
     const seconds = Math.min((now - (this.before ?? now)) / 1000, 0.1);
     this.before = now;
     /** @type {Vec3} */

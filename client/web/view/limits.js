@@ -1,6 +1,6 @@
 /** The space that the rig has seen, which viewers stay in. */
 
-import { add, dot, fromCamera, unit } from "./camera.js";
+import { add, between, dot, fromCamera, unit } from "./camera.js";
 
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 /** @typedef {import("./camera.js").Pose} Pose */
@@ -19,6 +19,18 @@ const FREE_COSINE = Math.cos(0.7), GONE_COSINE = Math.cos(1.5); // between the v
 export function seenSpace(cameras, middle) {
   const away = cameras.map((camera) => add(fromCamera(camera, 1).position, middle, -1));
   return { middle, radius: Math.max(1e-6, ...away.map((v) => Math.hypot(...v))), directions: away.map(unit) };
+}
+
+/** The widest angle between the middle of the cameras' directions and one of them, radians. @type {(space: SeenSpace) => number} */
+export function spread({ directions }) {
+  const middle = unit(directions.reduce((sum, direction) => add(sum, direction), /** @type {Vec3} */ ([0, 0, 0])));
+  return Math.max(0, ...directions.map((direction) => Math.acos(Math.min(1, Math.max(-1, dot(direction, middle))))));
+}
+
+/** A movement from a to b, which takes ever more force outside of what was seen. @type {(space: SeenSpace, a: Pose, b: Pose) => Pose} */
+export function braked(space, a, b) {
+  const before = outside(space, a.position), after = outside(space, b.position);
+  return after <= before || after <= 0 ? b : between(a, b, (1 - after) ** 2);
 }
 
 /** @type {(x: number) => number} */

@@ -27,6 +27,7 @@
  *   | ({ type: "scene" } & SceneFacts)
  *   | { type: "status", status: Status, refusals: number, now: number }
  *   | { type: "refused", code: string, detail: string }
+ *   | { type: "moments", moments: { version: number, timeMs: number }[] }
  *   | { type: "picked", id: number, point: Vec3 | null }
  *   | { type: "inspected", id: number, state: Inspection | null }} FromWorker
  */

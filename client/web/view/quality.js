@@ -15,11 +15,11 @@ const COOL_DOWN = 40; // heartbeats before a step that proved too slow is tried 
 
 /** What auto gives up while things move, little by little: shares of the screen's resolution and of the splats (renderer.js). */
 const STEPS = [
-  { resolution: 1, share: 1 }, { resolution: 0.75, share: 1 }, { resolution: 0.6, share: 0.5 }, { resolution: 0.5, share: 0.3 },
-  { resolution: 0.4, share: 0.15 }, { resolution: 0.35, share: 0.08 }, { resolution: 0.35, share: 0.05 },
+  { resolution: 1, share: 1 }, { resolution: 0.75, share: 1 }, { resolution: 0.6, share: 0.7 }, { resolution: 0.5, share: 0.5 },
+  { resolution: 0.4, share: 0.4 }, { resolution: 0.35, share: 0.3 },
 ];
 /** @type {Record<Name, typeof STEPS>} */
-const CHOICES = { auto: STEPS, high: STEPS.slice(0, 1), low: STEPS.slice(1, 2) };
+const CHOICES = { auto: STEPS, high: STEPS.slice(0, 1), low: STEPS.slice(1) };
 
 export class Quality {
   /** @param {import("./viewer.js").Viewer} viewer @param {string | null} wanted */
@@ -63,10 +63,10 @@ export class Quality {
    * @param {boolean} all - everything was drawn, as at rest: where that is slow, the next movement begins coarser
    */
   frame(ms, all = false) {
-    if (all && this.name === "auto" && this.step === 0 && ms > 2 * MAX_FRAME_MS) this.#go(Math.round(1 + Math.log2(ms / MAX_FRAME_MS)));
+    if (all && this.name !== "high" && this.step === 0 && ms > 2 * MAX_FRAME_MS) this.#go(Math.round(1 + Math.log2(ms / MAX_FRAME_MS)));
     else if (all && this.step > 0) return;
     else if (this.settling > 0) this.settling--;
-    else if (this.name === "auto" && ms > MAX_FRAME_MS) {
+    else if (this.name !== "high" && ms > MAX_FRAME_MS) {
       this.slow++;
       if (this.slow >= PATIENCE) this.#go(this.step + (ms > 3 * MAX_FRAME_MS ? 2 : 1));
     } else this.slow = 0;
@@ -76,7 +76,7 @@ export class Quality {
   tick() {
     this.resting = Math.max(0, this.resting - 1);
     const fps = this.viewer.pace();
-    if (fps === null || this.name !== "auto" || this.settling > 0) return;
+    if (fps === null || this.name === "high" || this.settling > 0) return;
     this.fast = fps > FAST_FPS ? this.fast + 1 : 0;
     if (fps < SLOW_FPS && this.slow === 0) this.#go(this.step + 1);
     else if (this.fast >= COURAGE && !this.resting) this.#go(this.step - 1);
@@ -84,7 +84,7 @@ export class Quality {
 
   /** @param {number} step */
   #go(step) {
-    const next = Math.min(Math.max(step, 0), STEPS.length - 1);
+    const next = Math.min(Math.max(step, 0), CHOICES[this.name].length - 1);
     if (next > this.step) this.resting = COOL_DOWN;
     this.slow = this.fast = 0;
     if (next === this.step) return;

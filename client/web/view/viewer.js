@@ -4,7 +4,7 @@
  */
 
 import { between, dot, fromCamera, homeCamera, rigUp, row, target } from "./camera.js";
-import { held, outside, seenSpace } from "./limits.js";
+import { braked, held, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
 
 /** @typedef {import("./camera.js").Pose} Pose */
@@ -12,7 +12,8 @@ import { Renderer } from "./renderer.js";
 /** @typedef {import("./messages.js").FromWorker} FromWorker */
 
 const GLIDE_MS = 450;
-const REST_MS = 400, HELD_MS = 1000; // a picture that has not changed for so long is drawn in full; while a finger or button is down
+const REST_MS = 400, HELD_MS = 1000; // a view that has not changed for so long is drawn in full; while a finger or button is down
+const MAX_PATIENCE_MS = 1500; // where pictures take long
 const VSYNC_MS = 25, ASLEEP_MS = 3000; // between two frames: more means that drawing was waited for; that nobody looked
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -73,6 +74,7 @@ export class Viewer extends EventTarget {
     this.running = true;
     this.presenting = false; // a headset draws, the page does not
     this.lastDraw = 0;
+    this.movedAt = 0; // when the view changed last
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => this.#restore());
     this.resizer = new ResizeObserver(() => this.resize());
@@ -186,7 +188,7 @@ export class Viewer extends EventTarget {
   /** The pose was changed by hand. @param {Pose} pose */
   steer(pose) {
     this.posed = true;
-    this.drift(pose);
+    this.drift(this.space ? braked(this.space, this.pose, pose) : pose);
   }
 
   /** The pose changes by itself. @param {Pose} pose */
@@ -203,6 +205,7 @@ export class Viewer extends EventTarget {
 
   viewChanged() {
     this.dirty = true;
+    this.movedAt = performance.now();
     this.lookFrom(this.pose);
   }
 
@@ -246,9 +249,9 @@ export class Viewer extends EventTarget {
     }
     this.dispatchEvent(new CustomEvent("frame", { detail: { now } }));
     this.#clock(now);
-    // Where pictures take long, nothing may be late because all detail is drawn between two of them.
-    const patience = Math.max(this.touched ? HELD_MS : REST_MS, 2 * this.frameMs);
-    const rested = !this.dirty && now - this.lastDraw > patience, isCut = this.resolution < 1 || this.share < 1;
+    // A view that rests gets everything, also of a new frame, however long that takes.
+    const patience = Math.max(this.touched ? HELD_MS : REST_MS, Math.min(2 * this.frameMs, MAX_PATIENCE_MS));
+    const rested = now - this.movedAt > patience, isCut = this.resolution < 1 || this.share < 1;
     if (!this.dirty && (!rested || this.resting || !isCut)) return;
     if (rested !== this.resting) {
       this.resting = rested;

@@ -38,7 +38,7 @@ let shownAt = null;
 /** @type {(message: FromWorker, transfer?: Transferable[]) => void} */
 const tell = (message, transfer = []) => self.postMessage(message, { transfer });
 
-/** Decode one packet; null where it is refused. @type {(bytes: Uint8Array) => Promise<{ version: number, ms: number } | null>} */
+/** Decode one packet; null where it is refused. @type {(bytes: Uint8Array) => Promise<{ version: number, ms: number, filmedMs: number } | null>} */
 async function decode(bytes) {
   engine ??= new Engine(await kernel);
   const start = performance.now();
@@ -55,7 +55,7 @@ async function decode(bytes) {
   if (version === held) held = null;
   if (source) source.session.status.fps ??= engine.scene?.header.fps ?? null; // the welcome of a stream that starts does not know
   schedule();
-  return { version, ms: decodeMs };
+  return { version, ms: decodeMs, filmedMs: timeMs };
 }
 
 /** Make a picture soon: after the messages that wait, so that the newest view wins. */
@@ -119,7 +119,10 @@ function hold(version) {
   else holdTimer = self.setTimeout(() => hold(null), MAX_HOLD_MS);
 }
 
-const handlers = { packet: decode, hold, status };
+/** @param {{ version: number, timeMs: number }[]} list */
+const moments = (list) => tell({ type: "moments", moments: list });
+
+const handlers = { packet: decode, hold, status, moments };
 
 /** Watch a file; what plays it is loaded now. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
 async function playFile(url, token, loop) {

@@ -8,13 +8,15 @@ import { crc32 } from "../../../client/web/decode/checksum.js";
 import { FOOTER, moments, plan, readFooter, readIndex, walkRecords } from "../../../client/web/decode/container.js";
 import { inflateColumns } from "../../../client/web/decode/deflate.js";
 import { Reader } from "../../../client/web/decode/packet.js";
-import { held, outside, seenSpace } from "../../../client/web/view/limits.js";
+import { braked, held, outside, seenSpace, spread } from "../../../client/web/view/limits.js";
 import { Quality } from "../../../client/web/view/quality.js";
 import { heard } from "../../../client/web/stream/heard.js";
-import { LIVE_SECONDS, phaseOf } from "../../../client/web/stream/phase.js";
+import { phaseOf } from "../../../client/web/stream/phase.js";
 import { Session } from "../../../client/web/stream/session.js";
 import { DepthSort, fillQuads } from "../../../client/web/view/sort.js";
-import { clock, words } from "../../../client/web/ui/states.js";
+import { clock, duration, words } from "../../../client/web/ui/states.js";
+import { turnAt, turns } from "../../../client/web/view/flight.js";
+import { Bar, Times } from "../../../client/web/ui/times.js";
 import { bin, FREQUENCY, SCALE } from "../../../client/web/decode/tables.js";
 
 const near = (a, b, tolerance = 1e-9) => a.forEach((x, i) => assert.ok(Math.abs(x - b[i]) <= tolerance, `${a} is not ${b}`));
@@ -251,13 +253,58 @@ test("session: what was shown can be sought, before the window is told again", (
   assert.equal(session.status.window.newest.version, 39);
 });
 
+test("how far behind follows from when frames were filmed, not from how many they are", () => {
+  const session = new Session(0), ns = (/** @type {number} */ seconds) => seconds * 1e9;
+  session.opened(0);
+  const range = (/** @type {number} */ newest, /** @type {number} */ seconds) => ({ oldest: { epoch: 1, version: 0 }, newest: { epoch: 1, version: newest }, newest_time_ns: ns(seconds) });
+  session.control(welcome({ window: range(9, 72), fps: 30 })); // one frame in eight seconds is trained
+  session.applied(9, 1, 0, 72_000);
+  assert.equal(session.status.lagSeconds, 0);
+  session.control(event("window", range(10, 80)));
+  assert.equal(session.status.lagSeconds, 8);
+  assert.equal(session.status.phase, "live", "the newest one is on its way");
+  session.control(event("window", range(11, 88)));
+  assert.equal(session.status.phase, "behind");
+  assert.equal(session.status.lagSeconds, 16);
+  session.applied(12, 1, 0, 96_000);
+  assert.equal(session.status.newestMs, 96_000);
+  assert.equal(session.status.phase, "live");
+  session.control(welcome({ epoch: 2, source: "data", window: { oldest: { epoch: 1, version: 0 }, newest: { epoch: 2, version: 3 }, newest_time_ns: ns(1) } }));
+  assert.equal(session.status.lagSeconds, null, "pictures taken earlier begin their times again in each epoch");
+  assert.equal(session.status.phase, "behind");
+});
+
+test("the bar is as long as was filmed, with gaps between the epochs", () => {
+  const times = new Times();
+  assert.equal(Math.round(times.at({ epoch: 1, version: 60 }, 30)), 2000, "nothing is known but the pace");
+  for (const [version, seconds] of [[0, 100], [10, 180], [20, 190]]) times.note({ epoch: 1, version }, 1000 * seconds);
+  times.note({ epoch: 3, version: 0 }, 5_000_000);
+  times.note({ epoch: 3, version: 10 }, 5_010_000);
+  assert.equal(times.at({ epoch: 1, version: 5 }, 30), 140_000);
+  assert.equal(times.at({ epoch: 1, version: 22 }, 30), 199_000, "on at the mean pace");
+  const bar = new Bar([{ epoch: 1, first: 0, last: 20 }, { epoch: 3, first: 0, last: 10 }], times, 30), gap = 0.015 * 100;
+  assert.equal(bar.seconds, 90 + gap + 10);
+  assert.equal(bar.placeOf({ epoch: 1, version: 10 }), 80);
+  assert.equal(bar.placeOf({ epoch: 3, version: 5 }), 90 + gap + 5);
+  assert.deepEqual(bar.positionAt(80), { epoch: 1, version: 10 });
+  assert.deepEqual(bar.positionAt(79.9), { epoch: 1, version: 9 });
+  assert.deepEqual(bar.positionAt(90 + gap + 5), { epoch: 3, version: 5 });
+  assert.deepEqual(bar.positionAt(1e9), { epoch: 3, version: 10 });
+  assert.deepEqual(bar.positionAt(-1), { epoch: 1, version: 0 });
+  assert.deepEqual([bar.positionAt(90 + 0.4 * gap), bar.positionAt(90 + 0.6 * gap)], [{ epoch: 1, version: 20 }, { epoch: 3, version: 0 }]);
+  assert.equal(new Bar([], times, 30).positionAt(3), null);
+  for (let version = 0; version < 10_000; version++) times.note({ epoch: 4, version }, 33 * version);
+  assert.ok((times.known.get(4)?.length ?? 0) <= 4096);
+  assert.equal(times.at({ epoch: 4, version: 5001 }, 30), 33 * 5001);
+});
+
 test("phase: each follows from its facts, and nothing contradicts it", () => {
   const all = (function* () {
     for (const link of ["opening", "open", "broken"]) for (const verdict of [null, "deleted", "denied"])
     for (const stream of ["", "idle", "starting", "live", "degraded", "ended", "failed"]) for (const source of ["cameras", "data", "recording"])
     for (const mode of ["live", "replay", "paused"]) for (const hasFrame of [false, true]) for (const hasWindow of [false, true])
-    for (const isOver of [false, true]) for (const lagSeconds of [0, LIVE_SECONDS + 0.1, Infinity]) for (const isQuiet of [false, true]) {
-      yield { link, verdict, stream, source, mode, hasFrame, hasWindow, isOver, lagSeconds, isQuiet };
+    for (const isOver of [false, true]) for (const isBehind of [false, true]) for (const isQuiet of [false, true]) {
+      yield { link, verdict, stream, source, mode, hasFrame, hasWindow, isOver, isBehind, isQuiet };
     }
   })();
   const seen = new Set();
@@ -266,9 +313,9 @@ test("phase: each follows from its facts, and nothing contradicts it", () => {
     seen.add(phase);
     /** @type {Record<string, boolean>} what must hold where a phase is told */
     const needs = {
-      live: facts.link === "open" && facts.mode === "live" && facts.hasFrame && !facts.isQuiet && facts.lagSeconds <= LIVE_SECONDS
+      live: facts.link === "open" && facts.mode === "live" && facts.hasFrame && !facts.isQuiet && !facts.isBehind
         && facts.source !== "recording" && !["idle", "ended", "failed", "starting"].includes(facts.stream),
-      behind: facts.hasFrame && facts.source !== "recording" && (facts.mode === "replay" || facts.lagSeconds > LIVE_SECONDS),
+      behind: facts.hasFrame && facts.source !== "recording" && (facts.mode === "replay" || facts.isBehind),
       replay: facts.hasFrame && facts.source === "recording" && facts.mode !== "paused",
       paused: facts.hasFrame && facts.mode === "paused",
       preview: facts.hasFrame && facts.stream === "starting",
@@ -433,8 +480,9 @@ test("every phase has words, and none stands in the way of a picture without nee
   assert.equal(words({ ...status, phase: "ended", window }, false, 0).card.title, "Loading", "an end is told after the last picture");
   assert.equal(words({ ...status, phase: "live", trouble: "camera cam01 is lost" }, true, 0).chip, "Live, but camera cam01 is lost");
   assert.ok(words({ ...status, phase: "live", trouble: "x".repeat(500) }, true, 0).chip.length < 80);
-  assert.equal(clock(3695, 30), "2:03.1");
-  assert.equal(clock(12, null), "12");
+  assert.equal(words({ ...status, phase: "behind", lagSeconds: 449.4 }, true, 0).chip, "7:29 behind live");
+  assert.equal(clock(123.16), "2:03.1");
+  assert.deepEqual([3.21, 9.97, 48.2, 449.4].map(duration), ["3.2 s", "10 s", "48 s", "7:29"]);
 });
 
 test("outside of what the rig has seen: free in front, gone behind and far away, held before one is lost", () => {
@@ -472,12 +520,12 @@ test("auto gives up resolution, then splats, at once where frames are late, and 
   assert.equal(viewer.resolution, 0.75, "the first frames after a step were begun before it");
   quality.frame(500);
   quality.frame(500);
-  assert.deepEqual([viewer.resolution, viewer.share], [0.5, 0.3], "far too slow: two steps at once");
+  assert.deepEqual([viewer.resolution, viewer.share], [0.5, 0.5], "far too slow: two steps at once");
   quality.frame(20);
   quality.frame(20);
   viewer.fps = 12;
   quality.tick();
-  assert.equal(viewer.share, 0.15);
+  assert.equal(viewer.share, 0.4);
   quality.frame(20);
   quality.frame(20);
   viewer.fps = 60;
@@ -487,7 +535,7 @@ test("auto gives up resolution, then splats, at once where frames are late, and 
   }
   assert.deepEqual([viewer.resolution, viewer.share], [1, 1]);
   quality.frame(800, true);
-  assert.deepEqual([viewer.resolution, viewer.share], [0.35, 0.08], "a slow picture at rest tells what the next movement can afford");
+  assert.deepEqual([viewer.resolution, viewer.share], [0.35, 0.3], "a slow picture at rest tells what the next movement can afford");
   assert.deepEqual(viewer.told, []);
 });
 
@@ -496,10 +544,32 @@ test("low asks for one level less, high for all", () => {
   quality.limit(3);
   assert.deepEqual([quality.wishes(), viewer.resolution], [{ levels: 2 }, 0.75]);
   viewer.fps = 1;
+  quality.tick();
+  assert.deepEqual([viewer.resolution, viewer.share], [0.6, 0.7], "low is auto with a lower ceiling");
   quality.choose("high");
   for (let i = 0; i < 10; i++) {
     quality.tick();
     quality.frame(900);
   }
   assert.deepEqual([quality.wishes(), viewer.resolution, viewer.share], [{ levels: null }, 1, 1]);
+});
+
+test("a flight goes to one end of the rig, to the other, and back", () => {
+  const eye = (/** @type {number} */ angle) => {
+    const forward = [-Math.sin(angle), 0, Math.cos(angle)], right = [Math.cos(angle), 0, Math.sin(angle)];
+    const at = [3 * Math.sin(angle), 0, -3 * Math.cos(angle)], rows = [right, [0, 1, 0], forward];
+    const m = rows.flatMap((r) => [...r, -(r[0] * at[0] + r[1] * at[1] + r[2] * at[2])]);
+    return { name: `at ${angle}`, width: 320, height: 180, intrinsics: [200, 0, 160, 0, 200, 90, 0, 0, 1], worldToCamera: [...m, 0, 0, 0, 1] };
+  };
+  const cameras = [-0.4, 0, 0.7].map(eye), up = camera.rigUp(cameras), pose = camera.fromCamera(cameras[1], 3);
+  const space = seenSpace(cameras, camera.target(pose)), [left, right] = turns(space, pose, up);
+  assert.ok(Math.abs(spread(space) - 0.6) < 0.07, String(spread(space)));
+  assert.deepEqual([Math.min(-left, right), Math.max(-left, right)].map((x) => x.toFixed(2)), ["0.36", "0.63"]);
+  for (const turn of [left, right]) assert.equal(outside(space, camera.orbit(pose, up, turn, 0).position), 0, "never outside of the rig");
+  assert.ok([0, 0.5, 1].every((t) => Math.abs(turnAt(t, [left, right])) < 1e-9));
+  const way = Array.from({ length: 101 }, (_, i) => turnAt(i / 100, [left, right]));
+  assert.ok(Math.abs(Math.max(...way) - right) < 0.01 && Math.abs(Math.min(...way) - left) < 0.01);
+  let far = pose;
+  for (let i = 0; i < 200; i++) far = braked(space, far, camera.orbit(far, up, 0.05, 0));
+  assert.ok(outside(space, far.position) < 0.95, "it takes ever more force to leave the rig");
 });

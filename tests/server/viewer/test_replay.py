@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -85,8 +87,9 @@ def test_what_leaves_the_window_on_the_way_ends_it_where_it_still_decodes(small:
     replay, _, screen = replaying(ForgetfulBus(small, forget_after=2))
     asyncio.run(replay.load(Position(1, 45)))
     assert screen.frames == [binary_frame(data) for data in small.packets[:32]]
-    asyncio.run(replay.step(0.0))
-    asyncio.run(replay.step(0.0))
+    asyncio.run(replay.step(time.monotonic()))
+    assert not asyncio.run(replay.step(time.monotonic())), "what comes after a gap waits as long as the gap was"
+    asyncio.run(replay.step(time.monotonic() + 60))
     assert screen.frames[32:] == [binary_frame(small.packets[50])]
 
 
@@ -121,3 +124,35 @@ def test_new_packets_are_taken_while_viewers_keep_the_shared_threads_busy(small:
     newest = asyncio.run(run())
     assert newest is not None
     assert newest.position == Position(1, 0)
+
+
+def test_frames_that_were_filmed_far_apart_are_replayed_far_apart(small: Clip) -> None:
+    """A stream that trains one frame in eight seconds: the pace is that of filming, whatever the gap."""
+    bus, gap_ns = Bus(10**7), 8 * 10**9
+    for number, data in enumerate(small.packets[:4]):
+        packet = stream_packet(number, 1, data)
+        bus.publish(replace(packet, info=replace(packet.info, time_ns=number * gap_ns)))
+    replay, _, screen = replaying(bus)
+    before = time.monotonic()
+    asyncio.run(replay.load(Position(1, 0)))
+    after = time.monotonic()
+    asyncio.run(replay.step(after))
+    wait = replay.seconds_to_next(after)
+    assert wait is not None
+    assert 8.0 - (after - before) <= wait <= 8.0
+    assert not asyncio.run(replay.step(after + wait - 0.1))
+    assert asyncio.run(replay.step(after + wait + 0.001))
+    assert len(screen.frames) == 2
+
+
+def test_a_new_epoch_follows_at_once_whatever_its_times_say(small: Clip) -> None:
+    bus = Bus(10**7)
+    bus.publish(stream_packet(0, 1, small.packets[0]))
+    later = stream_packet(1, 2, small.packets[0])
+    bus.publish(replace(later, info=replace(later.info, time_ns=3600 * 10**9)))
+    replay, _, screen = replaying(bus)
+    asyncio.run(replay.load(Position(1, 0)))
+    asyncio.run(replay.step(time.monotonic()))
+    assert replay.seconds_to_next(time.monotonic()) == 0.0
+    assert asyncio.run(replay.step(time.monotonic()))
+    assert len(screen.frames) == 2
