@@ -29,10 +29,11 @@ WEB = Path(__file__).parents[3] / "client" / "web"
 
 @dataclass
 class Clip:
-    """States of one stream and their packets; packets between any two states are made on demand."""
+    """States of one stream, filmed `frame_ns` apart, and their packets, which are made on demand between any two."""
 
     states: list[Scene]
     profile: int = 1
+    frame_ns: int = 33_333_333
     _made: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
     def key(self) -> bytes:
@@ -43,18 +44,18 @@ class Clip:
         """From one state to a later one."""
         if (before, after) not in self._made:
             change = difference(self.states[before], self.states[after])
-            time_ns = after * 33_333_333
+            time_ns = after * self.frame_ns
             packet = encode_residual(self.states[before], change, time_ns=time_ns, profile=self.profile)
             self._made[before, after] = packet
         return self._made[before, after]
 
 
-def make_clip(scene: Scene, frames: int, profile: int = 1) -> Clip:
+def make_clip(scene: Scene, frames: int, profile: int = 1, frame_ns: int = 33_333_333) -> Clip:
     """A clip that begins with `scene`."""
     states = [scene]
     for _ in range(frames - 1):
         states.append(moved(states[-1]))
-    return Clip(states, profile)
+    return Clip(states, profile, frame_ns)
 
 
 @dataclass
@@ -80,6 +81,13 @@ class Behaviour:
     wishes: list[dict[str, Any]] = field(default_factory=list)  # heard, not obeyed
 
 
+def newest_of(clip: Clip, behaviour: Behaviour, started: float) -> int:
+    """The newest version of a stream that began at monotonic time `started`."""
+    last = len(clip.states) - 1
+    limit = last if behaviour.newest is None else min(last, behaviour.newest)
+    return min(limit, int((time.monotonic() - started) * behaviour.fps) + 1)
+
+
 class Viewer:
     """One connection."""
 
@@ -91,9 +99,7 @@ class Viewer:
     @property
     def edge(self) -> int:
         """The newest version there is."""
-        last = len(self.clip.states) - 1
-        limit = last if self.behaviour.newest is None else min(last, self.behaviour.newest)
-        return min(limit, int((time.monotonic() - self.started) * self.behaviour.fps) + 1)
+        return newest_of(self.clip, self.behaviour, self.started)
 
     def position(self, version: int) -> dict[str, int]:
         """As the protocol writes it."""
@@ -101,7 +107,9 @@ class Viewer:
 
     def window(self) -> dict[str, Any]:
         """What can be sought."""
-        return {"oldest": self.position(0), "newest": self.position(self.edge)}
+        edge = self.edge
+        filmed = {"newest_time_ns": edge * self.clip.frame_ns}
+        return {"oldest": self.position(0), "newest": self.position(edge), **filmed}
 
     async def event(self, name: str, **fields: Any) -> None:
         """Send an event."""
@@ -210,6 +218,12 @@ def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None, page
             for s in (() if behaviour.close or behaviour.leave else behaviour.streams)
         ]  # fmt: skip
         return {"items": items, "next_cursor": None}
+
+    @app.get("/v1/streams/{stream}/manifest")
+    def manifest(stream: str) -> dict[str, Any]:
+        edge = newest_of(clip, behaviour, started)
+        group = {"epoch": 1, "first": 0, "last": edge, "first_time_ns": 0, "last_time_ns": edge * clip.frame_ns}
+        return {"stream": stream, "gops": [group]}
 
     @app.get("/v1/streams/{stream}/cameras/{camera}.jpg")
     def camera_picture(stream: str, camera: str) -> Response:

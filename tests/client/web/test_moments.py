@@ -70,8 +70,8 @@ def test_the_pointer_shows_the_moment_and_marks_lead_back(page: Any, url: str) -
     page.locator("#t-peek canvas").wait_for(state="detached", **WAIT)  # and frees what it took
 
     marks = page.locator("#t-marks button")
-    assert marks.count() == 3
-    assert [mark.is_visible() for mark in marks.all()] == [True, False, False]
+    assert marks.count() == 2
+    assert [mark.is_visible() for mark in marks.all()] == [True, False]
     page.keyboard.press("m")
     page.locator("#t-marks button[title='Mark at 0:00.6']").wait_for(**WAIT)
     page.locator("#t-marks button[title='Mark at 0:00.1']").click()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,33 @@ def test_latency_from_camera_to_screen(page: Any) -> None:
         page.goto(f"{url}/?quality=high")
         said = "/^[0-9.]+ s$/.test(document.getElementById('status-latency').textContent)"
         shows(page, f"350 <= s.latencyMs && s.latencyMs < 5000 && {said}")
+
+
+def test_the_delay_of_a_slowly_trained_stream_is_true_and_counts_up(page: Any) -> None:
+    """One frame in two seconds is trained, three seconds after it was filmed: the page's times are those of filming."""
+    slow = make_clip(make_scene(300), 400, frame_ns=2_000_000_000)
+    with serving(create_app(slow, Behaviour(fps=0.5, lead_ns=5_000_000_000))) as url:
+        page.goto(f"{url}/?quality=high&sway=0")
+        shows(page, "s.phase === 'live' && s.latencyMs !== null && s.version >= 2")
+        seen = page.evaluate(
+            """async () => {
+              const seen = [], { streamlod } = window, begin = performance.now();
+              while (performance.now() - begin < 5000) {
+                const { version, latencyMs, behindSeconds, phase } = streamlod.state;
+                seen.push([version, latencyMs, behindSeconds, phase, performance.now()]);
+                await new Promise((resolve) => setTimeout(resolve, 100));
+              }
+              return seen;
+            }"""
+        )
+    for (version, delay, _, _, at), (later_version, later_delay, _, _, later) in itertools.pairwise(seen):
+        if version == later_version:
+            assert abs((later_delay - delay) - (later - at)) < 50, "it counts up until the next picture"
+    assert {phase for *_, phase, _ in seen} <= {"live", "stalled"}
+    assert len({version for version, *_ in seen}) >= 2
+    assert min(delay for _, delay, *_ in seen) >= 2500
+    assert max(behind for _, _, behind, *_ in seen) <= 2.0
+    assert page.locator("#t-time").inner_text().startswith("0:")
 
 
 def test_no_word_of_the_end_before_the_picture(page: Any, clip: Clip) -> None:
