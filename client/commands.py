@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.evaluation.file_scores import DecodedScore, evaluate_file
+from streamlod.client.evaluation.measure.places import places_table
 from streamlod.client.evaluation.report.plots import frames_plot
 from streamlod.client.inspection import describe_file
 from streamlod.client.recording import decode_frames, decode_version, versions
@@ -86,7 +87,10 @@ def evaluate(
     layout: str | None = None,
     downscale: float | None = None,
 ) -> str:
-    """Measure a file against held-out cameras; the report goes to `report` as JSON, beside it a plot over frames."""
+    """Measure a file against held-out cameras, and at those that trained.
+
+    The report goes to `report` as JSON, beside it a plot over frames.
+    """
     if not test:
         raise InputError("--test", "name at least one held-out camera, for example --test cam00")
     with tqdm(unit="frame", desc="evaluate", delay=0.5) as bar:
@@ -99,7 +103,7 @@ def evaluate(
     if report is not None:
         _write_text(report, json.dumps(figures, indent=1))
         _write_text(report.with_suffix(".svg"), frames_plot(scene.stem, figures["per_frame"]))
-    return _summary(figures["mean"], figures["frames"])
+    return f"{_summary(figures['mean'], figures['frames'])}\n{places_table(figures['places'])}".rstrip()
 
 
 def export(

@@ -22,15 +22,16 @@ from streamlod.client.evaluation.measure.moving import (
     moving_figures,
     moving_score,
 )
+from streamlod.client.evaluation.measure.places import mean_places, places
 from streamlod.client.evaluation.measure.scores import PictureScore, draw, load_perception, mean_score, score
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
 from streamlod.client.recording import RecordedFrame, decode_frames
-from streamlod.core.arrays import UInt8
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.errors import InputError
-from streamlod.core.scene.anchors import SceneHeader
-from streamlod.core.synthetic import read_spec
+from streamlod.core.frames import FrameSet
+from streamlod.core.scene.anchors import Scene, SceneHeader
+from streamlod.core.synthetic import SyntheticSpec, read_spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,7 @@ class DecodedScore:
         picture: quality and rendering time, means over the held-out cameras.
         key_bytes, predicted_bytes: of the frame's packets.
         moving: quality on moving pixels, None where nothing is known to move.
+        places: quality at the cameras that trained and, in the first frame, beside them; as `places` has it.
     """
 
     frame: int
@@ -49,6 +51,7 @@ class DecodedScore:
     key_bytes: int
     predicted_bytes: int
     moving: MovingScore | None
+    places: dict[str, Any]
 
 
 def evaluate_file(
@@ -76,15 +79,18 @@ def evaluate_file(
     movers: MovingPixels | None = None
     spec = read_spec(data) if data.is_dir() else None
     with closing(_pairs(scene, data, test, layout, downscale)) as pairs:
-        for decoded, index, dataset, truth in pairs:
+        for decoded, frame, dataset in pairs:
+            cameras, index = dataset.cameras[: len(test)], frame.index
+            truth = frame.images[: len(test)]
             if not scores:
-                draw(decoded.scene, dataset.cameras[0])  # so that compiling is not timed
-            picture, drawn = score(decoded.scene, dataset.cameras, truth, perception)
-            movers = movers or MovingPixels(dataset.cameras, spec)
+                draw(decoded.scene, cameras[0])  # so that compiling is not timed
+            picture, drawn = score(decoded.scene, cameras, truth, perception)
+            movers = movers or MovingPixels(cameras, spec)
             moving = moving_score(drawn, truth, movers.masks(index, truth), perception.alex)
-            scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes, moving))
+            stood = _at_cameras(decoded.scene, frame, dataset, None if scores else spec)
+            scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes, moving, stood))
             if images is not None:
-                for camera, *pair in zip(dataset.cameras, truth, drawn, strict=True):
+                for camera, *pair in zip(cameras, truth, drawn, strict=True):
                     write_png(result_folder(images) / f"{camera.name}_{index:05d}.png", side_by_side(*pair))
             tell(scores[-1])
     if not scores:
@@ -92,38 +98,45 @@ def evaluate_file(
     return _report(scores, _training_figures(scene), scene.stat().st_size, test)
 
 
+def _at_cameras(scene: Scene, frame: FrameSet, dataset: Dataset, spec: SyntheticSpec | None) -> dict[str, Any]:
+    """Quality at the cameras that trained, of those that `dataset` has and that are there in this frame."""
+    trained = {camera.name for camera in scene.header.cameras}
+    rows = {c.name: row for row, c in enumerate(dataset.cameras) if c.name in trained and frame.present[row]}
+    chosen = list(rows.values())
+    cameras = [dataset.cameras[row] for row in chosen]
+    return places(lambda camera: draw(scene, camera), cameras, frame.images[chosen], spec, frame.index)
+
+
 def _pairs(
     scene: Path, data: Path, test: tuple[str, ...], layout: str | None, downscale: float | None
-) -> Generator[tuple[RecordedFrame, int, Dataset, UInt8], None, None]:
-    """Decoded frames with the pictures [C,H,W,3] of the same time."""
+) -> Generator[tuple[RecordedFrame, FrameSet, Dataset], None, None]:
+    """Decoded frames with the pictures of the same time: of the held-out cameras, then of those that trained."""
     decoded = decode_frames(scene)
     current = next(decoded, None)
     if current is None:
         raise InputError(scene, "holds no packet")
-    if downscale is None:
-        dataset = _matching_dataset(current.scene.header, data, test, layout)
-    else:
-        dataset = open_dataset(data, layout=layout, downscale=downscale, cameras=test)
+    dataset = _dataset(current.scene.header, data, test, layout, downscale)
     half_frame = 0.5e9 / dataset.fps
     for frame in dataset.frames():
         while current is not None and current.time_ns < frame.time_ns - half_frame:
             current = next(decoded, None)
         if current is None:
             return
-        if current.time_ns <= frame.time_ns + half_frame and frame.present.all():
-            yield current, frame.index, dataset, frame.images
+        if current.time_ns <= frame.time_ns + half_frame and frame.present[: len(test)].all():
+            yield current, frame, dataset
 
 
-def _matching_dataset(header: SceneHeader, data: Path, test: tuple[str, ...], layout: str | None) -> Dataset:
-    """The held-out cameras at the scale at which the scene was trained."""
-    full = open_dataset(data, layout=layout, cameras=test)
+def _dataset(
+    header: SceneHeader, data: Path, test: tuple[str, ...], layout: str | None, downscale: float | None
+) -> Dataset:
+    """The held-out cameras and those of `header` that `data` has; without `downscale`, in the size of the training."""
+    full = open_dataset(data, layout=layout, downscale=downscale or 1.0)
+    trained = (camera.name for camera in header.cameras if camera.name in full.names)
+    names = tuple(dict.fromkeys((*test, *trained)))
+    full = full.select(names)
     widths = {camera.width for camera in header.cameras}
-    if len(widths) != 1:
-        return full
-    scale = full.cameras[0].width / widths.pop()
-    return (
-        full if abs(scale - 1) < 1e-3 or scale < 1 else open_dataset(data, layout=layout, downscale=scale, cameras=test)
-    )
+    scale = full.cameras[0].width / widths.pop() if downscale is None and len(widths) == 1 else 1.0
+    return full if scale < 1 + 1e-3 else open_dataset(data, layout=layout, downscale=scale).select(names)
 
 
 def _training_figures(scene: Path) -> dict[str, Any]:
@@ -168,6 +181,7 @@ def _report(
             **moving_figures(mean_moving([score.moving for score in scores])),
             "largest_predicted_kilobytes": max(predicted) / 1000 if predicted else None,
         },
+        "places": mean_places([score.places for score in scores]),
         "frames": len(scores),
         "cameras": list(test),
         "file_bytes": size_bytes,

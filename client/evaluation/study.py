@@ -29,7 +29,7 @@ from streamlod.core.files import write_text
 from streamlod.core.synthetic import SyntheticSpec, read_spec
 
 _log = logging.getLogger(__name__)
-SCHEMA = 3
+SCHEMA = 4
 _FACTS = ("data", "machine", "protocol")  # under which runs may stand in one report
 
 

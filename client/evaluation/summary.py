@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from streamlod.client.evaluation.measure.moving import MOVING_METRICS, mean_moving, moving_figures
+from streamlod.client.evaluation.measure.places import PLACES, mean_figure
 from streamlod.client.evaluation.measure.scores import METRICS
 from streamlod.client.evaluation.measure.sizes import stream_bytes
 from streamlod.client.evaluation.systems import SystemRun, TrainedScore
@@ -17,6 +18,7 @@ from streamlod.client.evaluation.systems import SystemRun, TrainedScore
 # median, so that another process of the machine spoils a few frames and not the figure.
 FIGURES = (
     *(metric.field for metric in (*METRICS, *MOVING_METRICS)),
+    *PLACES,
     "keyframe_bytes",
     "predicted_bytes_mean",
     "predicted_bytes_max",
@@ -53,6 +55,8 @@ def run_figures(run: SystemRun) -> dict[str, Any]:
         "seed": run.seed,
         **{metric.field: mean(getattr(picture, metric.field) for picture in pictures) for metric in METRICS},
         **moving_figures(mean_moving([frame.moving for frame in run.frames])),
+        **{name: mean_figure(run.places, *place) for name, place in PLACES.items()},
+        "places": run.places,
         "keyframe_bytes": keyframe,
         "keyframe_level_bytes": _level_means(first),
         "predicted_bytes_mean": predicted,

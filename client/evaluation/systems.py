@@ -6,12 +6,14 @@ import logging
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from streamlod.client.evaluation.measure.footage import Footage
 from streamlod.client.evaluation.measure.memory import forget_peak, peak_bytes
 from streamlod.client.evaluation.measure.moving import MovingPixels, MovingScore, moving_score
+from streamlod.client.evaluation.measure.places import places
 from streamlod.client.evaluation.measure.scores import Perception, PictureScore, draw, score
 from streamlod.client.evaluation.measure.sizes import (
     PacketSize,
@@ -21,6 +23,7 @@ from streamlod.client.evaluation.measure.sizes import (
 )
 from streamlod.client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
 from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
 from streamlod.core.errors import ModelError
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
@@ -82,6 +85,7 @@ class SystemRun:
         truth, drawn: [H,W,3] the first held-out camera's last picture and its rendering.
         peak_bytes: largest memory of the process while training and measuring.
         anchors: alive after the last frame.
+        places: quality of the first frame at the cameras that trained, and beside them.
     """
 
     seed: int
@@ -92,6 +96,7 @@ class SystemRun:
     drawn: UInt8
     peak_bytes: int
     anchors: int
+    places: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,14 +172,16 @@ def run_system(
     movers = MovingPixels(footage.testing.cameras, spec)
     scores: list[TrainedScore] = []
     peak, scene, truth = 0, None, None
-    for trained, before, testing, first_peak, seconds in _trained_frames(config, footage, first_frames, frozen):
+    stood: dict[str, Any] = {}
+    run = _trained_frames(config, footage, first_frames, frozen)
+    for trained, before, training, testing, first_peak, seconds in run:
         peak, scene = max(peak, first_peak), trained.scene
         if not testing.present.all():
             _log.warning("frame %d is not measured: a held-out camera delivered nothing", testing.index)
             continue
         cameras, truth, index = footage.testing.cameras, testing.images, testing.index
         if not scores:
-            draw(scene, cameras[0], by_distance=by_distance)  # compiling is not timed
+            stood = _at_cameras(scene, footage, training, spec, by_distance=by_distance)  # compiling is not timed
         networks = perception if index in perceived else None
         picture, drawn = score(scene, cameras, truth, networks, by_distance=by_distance)
         moving = moving_score(drawn, truth, movers.masks(index, truth), networks.alex if networks else None)
@@ -196,14 +203,27 @@ def run_system(
     )
     peak = max(peak, peak_bytes())
     return SystemRun(
-        config.seed, footage.training.fps, tuple(scores), caps, truth[0], drawn[0], peak, scene.anchor_count
+        config.seed, footage.training.fps, tuple(scores), caps, truth[0], drawn[0], peak, scene.anchor_count, stood
     )
+
+
+def _at_cameras(
+    scene: Scene, footage: Footage, training: FrameSet, spec: SyntheticSpec | None, *, by_distance: bool
+) -> dict[str, Any]:
+    present = np.flatnonzero(training.present).tolist()
+    cameras = [footage.training.cameras[row] for row in present]
+
+    def drawn(camera: Camera) -> UInt8:
+        return draw(scene, camera, by_distance=by_distance)
+
+    return places(drawn, cameras, training.images[present], spec, training.index)
 
 
 def _trained_frames(
     config: TrainConfig, footage: Footage, first_frames: FirstFrames, frozen: bool
-) -> Iterator[tuple[TrainedFrame, Scene | None, FrameSet, int, float]]:
-    """(frame, state before, held-out pictures, peak memory of the first frame, processor seconds) of every frame."""
+) -> Iterator[tuple[TrainedFrame, Scene | None, FrameSet, FrameSet, int, float]]:
+    """Every frame: itself, the state before, pictures of the training, held-out ones, peak memory of the first frame,
+    processor seconds."""
     trainer = _trainer(footage, config, first_frames.device)
     peak = 0
     for training, testing in footage.pairs():
@@ -216,16 +236,16 @@ def _trained_frames(
                 # from itself, which makes its pictures the reference; what that trained is dropped.
                 trainer.predict(training)
                 trainer.resume(first.scene, keep_references=True)
-            yield first, None, testing, peak, seconds
+            yield first, None, training, testing, peak, seconds
         elif frozen:
             before = trainer.scene
             after = replace(before, version=training.index)
             trainer.resume(after)
-            yield TrainedFrame(after, difference(before, after), _NO_TRAINING), before, testing, peak, 0.0
+            yield TrainedFrame(after, difference(before, after), _NO_TRAINING), before, training, testing, peak, 0.0
         else:
             before, begin = trainer.scene, time.process_time()
             trained = trainer.predict(training)
-            yield trained, before, testing, peak, time.process_time() - begin
+            yield trained, before, training, testing, peak, time.process_time() - begin
 
 
 def _rows(scene: Scene) -> int:

@@ -12,6 +12,7 @@ from streamlod.core.synthetic.render import (
     moving_surface,
     render_frame,
     render_image,
+    render_view,
     surface_motion,
 )
 from streamlod.core.synthetic.spec import SyntheticSpec, cameras
@@ -26,6 +27,7 @@ __all__ = [
     "read_spec",
     "render_frame",
     "render_image",
+    "render_view",
     "surface_motion",
     "write_clip",
 ]

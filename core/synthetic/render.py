@@ -130,6 +130,18 @@ def render_image(spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
     return develop(colour.reshape(spec.height, spec.width, 3), spec, index, camera_index)
 
 
+def render_view(spec: SyntheticSpec, index: int, camera: Camera) -> UInt8:
+    """[H,W,3] uint8 what `camera`, of the rig or not, would film at frame `index` at the exposure of the first camera.
+
+    Raises:
+        ValueError: `index` lies outside the clip.
+    """
+    _check(spec, index)
+    scene, pixels = scene_at(spec, index), np.arange(camera.width * camera.height)
+    colour = _in_batches(pixels, lambda some: _colour(spec.place, scene, camera, some))
+    return develop(colour.reshape(camera.height, camera.width, 3), spec, index, 0)
+
+
 def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
     """What the camera makes of linear light [H,W,3]: exposure, film curve, gamma 2, noise, 8 bits."""
     exposed = radiance * (spec.place.brightness * exposures(spec)[camera_index])

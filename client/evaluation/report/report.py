@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from streamlod.client.evaluation.measure.moving import MOVING_METRICS
+from streamlod.client.evaluation.measure.places import PLACE_HEADINGS, PLACES
 from streamlod.client.evaluation.measure.scores import METRICS
 from streamlod.client.evaluation.measure.sizes import KEYFRAME_INTERVAL
 from streamlod.client.evaluation.report.quoted import (
@@ -22,6 +23,7 @@ from streamlod.client.evaluation.report.tables import number, spread_number, tab
 from streamlod.client.evaluation.report.verdicts import verdict_table
 
 _QUALITY = ("system", *(metric.heading for metric in (*METRICS, *MOVING_METRICS)))
+_PLACES = ("system", *PLACE_HEADINGS)
 _COST = (
     "system",
     "key KB",
@@ -75,6 +77,7 @@ def _split(split: dict[str, Any]) -> list[str]:
         f"Trained on {', '.join(split['train'])}; held out {', '.join(split['test'])}; {split['points']} first points.",
         "",
         table(_QUALITY, [_quality(row) for row in rows]),
+        table(_PLACES, [_places(row) for row in rows]),
         table(_COST, [_cost(row) for row in rows]),
     ]
     if any(row["summary"]["motion_recall"] for row in rows):
@@ -99,6 +102,11 @@ def _quality(row: dict[str, Any]) -> list[str]:
         row["name"],
         *(spread_number(figures[metric.field], metric.digits) for metric in (*METRICS, *MOVING_METRICS)),
     ]
+
+
+def _places(row: dict[str, Any]) -> list[str]:
+    """Where viewers stand, first frame."""
+    return [row["name"], *(spread_number(row["summary"].get(name)) for name in PLACES)]
 
 
 def _cost(row: dict[str, Any]) -> list[str]:

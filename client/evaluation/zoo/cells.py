@@ -13,7 +13,7 @@ from typing import Any
 from streamlod.core.errors import InputError
 
 _log = logging.getLogger(__name__)
-SCHEMA = 3
+SCHEMA = 4
 _PACKAGES = ("core", "codec", "client/evaluation")  # whose source affects a cell's figures
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from streamlod.client.evaluation.measure.footage import Footage
 from streamlod.client.evaluation.measure.moving import MovingPixels, MovingScore, moving_figures, moving_score
+from streamlod.client.evaluation.measure.places import places
 from streamlod.client.evaluation.measure.scores import Perception
 from streamlod.client.evaluation.plain import PlainGaussians, plain_views
 from streamlod.client.evaluation.systems import FirstFrames, perceived_frames, run_system
@@ -54,6 +55,7 @@ class Contest:
             "cpu_seconds": run.frames[0].cpu_seconds,
             "frames": frames,
             "levels": [cap.picture.psnr for cap in run.caps],
+            "places": run.places,
         }
         return Measured(figures, run.truth, run.drawn)
 
@@ -63,6 +65,7 @@ class Contest:
         movers = MovingPixels(cameras, self.spec)
         perceived = perceived_frames(self.footage.frames)
         model: PlainGaussians | None = None
+        stood: dict[str, Any] = {}
         frames: list[dict[str, Any]] = []
         for (training, testing), seconds in zip(self.footage.pairs(), cpu_seconds, strict=False):
             views = plain_views(training, self.footage.training.cameras)
@@ -75,6 +78,11 @@ class Contest:
             else:
                 model.follow(views, seconds)
             spent = time.process_time() - begin
+            if not frames:
+                present = views.usable
+                stood = places(
+                    model.picture, [views.cameras[row] for row in present], training.images[present], self.spec
+                )
             drawn, truth = [model.picture(camera) for camera in cameras], testing.images
             distance = self.perception.alex if testing.index in perceived else None
             quality = [(psnr(*pair), ssim(*pair)) for pair in zip(drawn, truth, strict=True)]
@@ -90,6 +98,7 @@ class Contest:
             "cpu_seconds": frames[0]["cpu_seconds"],
             "frames": frames,
             "levels": [],
+            "places": stood,
         }
         return Measured(figures, truth[0], drawn[0])
 

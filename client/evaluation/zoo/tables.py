@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from streamlod.client.evaluation.measure.places import PLACE_HEADINGS, PLACES, mean_figure
 from streamlod.client.evaluation.report.tables import number, table
 from streamlod.client.evaluation.zoo.cells import CellKey, Cells
 from streamlod.client.evaluation.zoo.scenes import SCENES
@@ -45,6 +46,10 @@ class SceneRow:
         """Mean over the seeds of a figure of the first frame."""
         return _mean(cell["frames"][0].get(figure) for cell in self.cells.get(system, []))
 
+    def place(self, system: str, place: str, figure: str) -> float | None:
+        """Mean over the seeds of a figure where viewers stand, as `mean_figure` has it."""
+        return _mean(mean_figure(cell["places"], place, figure) for cell in self.cells.get(system, []))
+
     def later(self, system: str, figure: str) -> float | None:
         """Mean over the seeds of a figure of the last frame, None where there is one frame only."""
         return _mean(cell["frames"][-1].get(figure) for cell in self.cells.get(system, []) if len(cell["frames"]) > 1)
@@ -80,6 +85,7 @@ def _section(lines: Sequence[SceneRow]) -> list[str]:
         if inside:
             rows = [_row(line) for line in inside] + [_mean_row(f"mean of the {half} half", inside)]
             parts += [f"### {half.capitalize()} half", "", table(_HEAD, rows)]
+    parts += ["### Where viewers stand, first frame", "", table(*_places(lines))]
     moving = [line for line in lines if line.later("ours", "psnr") is not None]
     if moving:
         parts += ["### First and last frame", "", table(*_moving(moving))]
@@ -110,6 +116,17 @@ def _figures(lines: Sequence[SceneRow]) -> list[str]:
     return texts + [
         number(_mean(line.first(system, "cpu_seconds") for line in lines), 1) for system in ("ours", "plain", "paper")
     ]
+
+
+def _places(lines: Sequence[SceneRow]) -> tuple[list[str], list[list[str]]]:
+    """At the cameras that trained, and beside them where that is known."""
+    systems = ("ours", "plain")
+    head = ["scene", "views", *(f"{system} {heading}" for heading in PLACE_HEADINGS for system in systems)]
+    rows = []
+    for line in lines:
+        texts = [number(line.place(system, *place)) for place in PLACES.values() for system in systems]
+        rows.append([line.scene, str(line.views), *texts])
+    return head, rows
 
 
 def _moving(lines: Sequence[SceneRow]) -> tuple[list[str], list[list[str]]]:

@@ -57,6 +57,9 @@ def test_a_run_measures_every_frame_and_level(footage: Footage, first_frames: Fi
     assert [cap.levels for cap in run.caps] == list(range(1, len(run.frames[0].size.level_bytes) + 1))
     assert run.truth.shape == run.drawn.shape == (SPEC.height, SPEC.width, 3)
     figures = run_figures(run)
+    assert set(figures["places"]["at"]) == {camera.name for camera in footage.training.cameras}
+    assert 10 < figures["at_psnr"] <= figures["at_psnr_fitted"]
+    assert figures["beside_0.1_psnr"] > 10
     assert figures["lpips_alex"] is None
     assert figures["predicted_bytes_max"] >= figures["predicted_bytes_mean"]
     assert figures["predicted_bytes_mean"] < figures["stream_bytes"] < figures["keyframe_bytes"]

@@ -46,6 +46,7 @@ def test_a_row_is_measured_with_equal_time(out: Path) -> None:
         assert 8 < mine["psnr"] < 50
         assert mine["moving_psnr"] is not None
         assert theirs["moving_psnr"] is not None
+    assert all(len(cell["figures"]["places"]["at"]) == 3 for cell in (ours, plain))
     assert ours["figures"]["levels"][-1] == pytest.approx(ours["figures"]["frames"][-1]["psnr"], abs=0.01)
     assert ours["figures"]["frames"][0]["bytes"] > 0
 
@@ -110,7 +111,11 @@ def key(system: str, scene: str = "bright", seed: int = 0) -> CellKey:
 
 
 def cell(psnr: float, cpu: float = 10.0) -> dict[str, Any]:
-    return {"frames": [{"psnr": psnr, "ssim": 0.9, "lpips": None, "cpu_seconds": cpu}], "levels": [psnr - 2, psnr]}
+    return {
+        "frames": [{"psnr": psnr, "ssim": 0.9, "lpips": None, "cpu_seconds": cpu}],
+        "levels": [psnr - 2, psnr],
+        "places": {"at": {}, "beside": {}},
+    }
 
 
 def test_a_line_that_was_cut_off_is_measured_again(tmp_path: Path) -> None:

@@ -1,0 +1,125 @@
+"""Quality where viewers stand: at the cameras that trained, a little beside each, and between neighbours.
+
+A held-out camera says how well a scene is shown from elsewhere. It does not say whether a viewer who stands where a
+camera stood sees what that camera filmed, nor what a step to the side costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from streamlod.client.evaluation.measure.scores import Perception, PictureScore, mean_score, score_picture
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.synthetic import SyntheticSpec, render_view
+
+BESIDE = (0.05, 0.1, 0.5)  # shares of the way from a camera to its nearest neighbour; the last lies between the two
+PLACES = {  # figures of a run by name: place and figure
+    "at_psnr": ("at", "psnr"),
+    "at_psnr_fitted": ("at", "psnr_fitted"),
+    **{f"beside_{share:g}_psnr": (f"{share:g}", "psnr") for share in BESIDE},
+}
+PLACE_HEADINGS = ("at cameras dB", "exposure fitted", *(f"{share:.0%} aside dB" for share in BESIDE))
+_FIGURES = ("psnr", "ssim", "psnr_fitted")
+_NO_NETWORKS = Perception()
+
+
+def places(
+    draw: Callable[[Camera], UInt8],
+    cameras: Sequence[Camera],
+    filmed: UInt8,
+    spec: SyntheticSpec | None = None,
+    index: int = 0,
+) -> dict[str, Any]:
+    """PSNR, SSIM, and PSNR at the best exposure, by place.
+
+    Args:
+        draw: [H,W,3] what a viewer sees who stands at a camera.
+        cameras: C that trained; filmed: [C,H,W,3] their pictures.
+        spec: of a synthetic clip, of which it is known what is seen beside the cameras; None for a recording.
+        index: frame of the clip.
+
+    Returns:
+        ``at``: the figures of each camera by name; ``beside``: their means over the cameras by share of the way to the
+        nearest other camera, as text; empty where nothing is known there.
+    """
+    at = [score_picture(draw(camera), picture, _NO_NETWORKS) for camera, picture in zip(cameras, filmed, strict=True)]
+    beside: dict[str, Any] = {}
+    if spec is not None and len(cameras) > 1:
+        for share in BESIDE:
+            views = views_beside(cameras, share)
+            scores = [score_picture(draw(view), render_view(spec, index, view), _NO_NETWORKS) for view in views]
+            beside[f"{share:g}"] = _figures(mean_score(scores))
+    return {
+        "at": {camera.name: _figures(score) for camera, score in zip(cameras, at, strict=True)},
+        "beside": beside,
+    }
+
+
+def mean_figure(found: dict[str, Any], place: str, figure: str) -> float | None:
+    """Mean of a `figure` at all cameras (`place` ``at``), or at a share of the way; None where it was not measured."""
+    if place == "at":
+        values = [score[figure] for score in found["at"].values()]
+        return float(np.mean(values)) if values else None
+    scores: dict[str, float] = found["beside"].get(place, {})
+    return scores.get(figure)
+
+
+def mean_places(found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What `places` found of some frames as one: at each camera the mean of its frames, beside them of the first."""
+    at = {name: [frame["at"][name] for frame in found if name in frame["at"]] for name in _names(found)}
+    return {
+        "at": {
+            name: {figure: float(np.mean([score[figure] for score in scores])) for figure in _FIGURES}
+            for name, scores in at.items()
+        },
+        "beside": found[0]["beside"] if found else {},
+    }
+
+
+def places_table(found: dict[str, Any]) -> str:
+    """One line a place: PSNR as shown, at the best exposure, SSIM."""
+    rows = [(f"at {name}", score) for name, score in found["at"].items()]
+    rows += [(f"{float(share):.0%} of the way to the next camera", score) for share, score in found["beside"].items()]
+    return "\n".join(
+        f"  {place:40s}{score['psnr']:.2f} dB, exposure fitted {score['psnr_fitted']:.2f} dB, SSIM {score['ssim']:.4f}"
+        for place, score in rows
+    )
+
+
+def views_beside(cameras: Sequence[Camera], share: float) -> list[Camera]:
+    """A view from each camera `share` of the way to its nearest neighbour; each pair's middle only once."""
+    views, pairs = list[Camera](), set[frozenset[int]]()
+    for number, camera in enumerate(cameras):
+        distances = [float(np.linalg.norm(camera.centre - other.centre)) for other in cameras]
+        distances[number] = np.inf
+        nearest = int(np.argmin(distances))
+        pair = frozenset((number, nearest))
+        if share != 0.5 or pair not in pairs:
+            views.append(between(camera, cameras[nearest], share))
+        pairs.add(pair)
+    return views
+
+
+def between(camera: Camera, other: Camera, share: float) -> Camera:
+    """A view on the straight way from `camera` to `other`, turned as far, in pictures of the size of `camera`'s."""
+    rotations = np.stack([each.world_to_camera[:3, :3] for each in (camera, other)])
+    turned = Slerp([0.0, 1.0], Rotation.from_matrix(rotations))([share]).as_matrix()[0]
+    pose = np.eye(4)
+    pose[:3, :3] = turned
+    pose[:3, 3] = -turned @ ((1 - share) * camera.centre + share * other.centre)
+    return replace(camera, name=f"{camera.name} {share:g} {other.name}", world_to_camera=pose)
+
+
+def _names(found: Sequence[dict[str, Any]]) -> list[str]:
+    """Cameras in any of the frames, in the order in which they appear."""
+    return list(dict.fromkeys(name for frame in found for name in frame["at"]))
+
+
+def _figures(score: PictureScore) -> dict[str, float]:
+    return {name: getattr(score, name) for name in _FIGURES}

@@ -1,0 +1,78 @@
+"""Where viewers stand: which views are looked from, and what is measured there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from streamlod.client.evaluation.measure.places import (
+    BESIDE,
+    between,
+    mean_figure,
+    mean_places,
+    places,
+    places_table,
+    views_beside,
+)
+from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
+from streamlod.core.synthetic import SyntheticSpec, cameras, render_image, render_view
+
+SPEC = SyntheticSpec(cameras=4, frames=2, width=64, height=36, noise=0.0)
+
+
+def test_a_view_at_either_end_is_the_camera_itself() -> None:
+    first, second = cameras(SPEC)[1:3]
+    for share, camera in ((0.0, first), (1.0, second)):
+        np.testing.assert_allclose(between(first, second, share).world_to_camera, camera.world_to_camera, atol=1e-9)
+    middle = between(first, second, 0.5)
+    np.testing.assert_allclose(middle.centre, (first.centre + second.centre) / 2)
+
+
+def test_views_lie_towards_the_nearest_camera_and_a_middle_comes_once() -> None:
+    rig = cameras(SPEC)  # cam00 in the middle of an arc of three
+    near = views_beside(rig, 0.1)
+    assert len(near) == 4
+    for camera, view in zip(rig, near, strict=True):
+        closest = min(float(np.linalg.norm(camera.centre - other.centre)) for other in rig if other is not camera)
+        assert np.linalg.norm(view.centre - camera.centre) == pytest.approx(0.1 * closest)
+    middles = [tuple(view.centre.round(6)) for view in views_beside(rig, 0.5)]
+    assert len(middles) == len(set(middles)) < 4
+
+
+def test_a_view_of_the_rig_is_rendered_as_the_camera_films_it() -> None:
+    np.testing.assert_array_equal(render_view(SPEC, 1, cameras(SPEC)[2]), render_image(SPEC, 1, 2))
+
+
+def test_what_is_true_is_told_apart_from_what_is_too_bright() -> None:
+    rig = cameras(SPEC)
+    filmed = np.stack([render_image(SPEC, 0, number) for number in range(4)])
+
+    def brighter(camera: Camera) -> UInt8:
+        return np.asarray(render_view(SPEC, 0, camera) * 0.8, np.uint8)
+
+    found = places(brighter, rig, filmed, SPEC)
+    assert list(found["at"]) == [camera.name for camera in rig]
+    assert list(found["beside"]) == [f"{share:g}" for share in BESIDE]
+    for score in (*found["at"].values(), *found["beside"].values()):
+        assert score["psnr"] < 30
+        assert score["psnr_fitted"] > 45
+    assert places(brighter, rig, filmed)["beside"] == {}
+    assert mean_figure(found, "at", "psnr") == pytest.approx(np.mean([s["psnr"] for s in found["at"].values()]))
+    assert mean_figure(found, "0.3", "psnr") is None
+    assert "at cam01" in places_table(found)
+    assert "10% of the way" in places_table(found)
+
+
+def test_frames_are_averaged_at_each_camera_that_has_them() -> None:
+    def score(psnr: float) -> dict[str, float]:
+        return {"psnr": psnr, "ssim": 0.5, "psnr_fitted": psnr}
+
+    frames = [
+        {"at": {"a": score(20.0)}, "beside": {"0.1": score(9.0)}},
+        {"at": {"a": score(30.0), "b": score(7.0)}, "beside": {}},
+    ]
+    mean = mean_places(frames)
+    assert (mean["at"]["a"]["psnr"], mean["at"]["b"]["psnr"]) == (25.0, 7.0)
+    assert mean["beside"]["0.1"]["psnr"] == 9.0
+    assert mean_places([]) == {"at": {}, "beside": {}}
