@@ -1,0 +1,1 @@
+"""Kernels of the rasteriser in Warp."""
