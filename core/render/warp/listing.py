@@ -1,7 +1,7 @@
 """Gaussians listed by view, tile and depth, in memory of a fixed size.
 
 Nothing here waits for the device or takes memory while listing, so that all of it can be recorded as a graph. What has
-no room is left out, and `Listing.overflow` tells afterwards.
+no room is left out, and `TileLists.overflow` tells afterwards.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from streamlod.core.camera import Camera
 from streamlod.core.render.tiles import tile_grid
 from streamlod.core.render.warp.kernels.clear import clear_list
 from streamlod.core.render.warp.kernels.project import find_ranges, project
-from streamlod.core.render.warp.kernels.rules import CAMERA_NUMBERS, Cloud, Grid, Layer
+from streamlod.core.render.warp.kernels.rules import CAMERA_NUMBERS, Cloud, Layer, TileGrid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Listing:
+class TileLists:
     """Projected Gaussians of some views and their lists.
 
     Attributes:
@@ -48,12 +48,12 @@ class Listing:
 def grid_of(width: int, height: int) -> Any:
     """The tiles of pictures of that size, for kernels."""
     rows, columns = tile_grid(width, height)
-    grid = Grid()
+    grid = TileGrid()
     grid.width, grid.height, grid.tiles_x, grid.tiles = width, height, columns, rows * columns
     return grid
 
 
-def listing(views: int, gaussians: int, pairs: int, grid: Any, device: str) -> Listing:
+def listing(views: int, gaussians: int, pairs: int, grid: Any, device: str) -> TileLists:
     """Room for the Gaussians of `views` pictures and for their `pairs` of Gaussian and tile."""
     layer = Layer()
     layer.place = wp.zeros((views, gaussians), dtype=wp.vec4, device=device)
@@ -64,11 +64,11 @@ def listing(views: int, gaussians: int, pairs: int, grid: Any, device: str) -> L
     layer.ids = wp.zeros(2 * pairs, dtype=int, device=device)
     keys = wp.zeros(2 * pairs, dtype=wp.uint64, device=device)
     wanted, most = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
-    return Listing(layer, keys, wanted, most, pairs)
+    return TileLists(layer, keys, wanted, most, pairs)
 
 
 def list_gaussians(
-    room: Listing, count: Any, cloud: Any, chosen: Any, cameras: Any, grid: Any, dirty: Any, device: str
+    room: TileLists, count: Any, cloud: Any, chosen: Any, cameras: Any, grid: Any, dirty: Any, device: str
 ) -> None:
     """Project and list the first `count` [1] Gaussians of `cloud` for the cameras `chosen` [V]; see `project`."""
     layer, (views, gaussians) = room.layer, room.layer.place.shape

@@ -11,7 +11,7 @@ from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 from streamlod.core.render.warp.kernels.blend import blend
 from streamlod.core.render.warp.kernels.blend_adjoint import differentiate_blend
 from streamlod.core.render.warp.kernels.project_adjoint import differentiate_projection
-from streamlod.core.render.warp.listing import Listing
+from streamlod.core.render.warp.listing import TileLists
 
 _PIXELS = TILE_WIDTH * TILE_HEIGHT
 
@@ -34,7 +34,7 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pictures:
+class DrawnViews:
     """Of V views: image [V,H,W] vec3, light [V,H,W], the loss's gradient by_image [V,H,W] vec3, sums [V,G,9]."""
 
     image: Any
@@ -43,10 +43,10 @@ class Pictures:
     sums: Any
 
 
-def pictures(views: int, gaussians: int, grid: Any, device: str) -> Pictures:
+def pictures(views: int, gaussians: int, grid: Any, device: str) -> DrawnViews:
     """Room for pictures, and for the gradients of so many Gaussians."""
     shape = (views, grid.height, grid.width)
-    return Pictures(
+    return DrawnViews(
         wp.zeros(shape, dtype=wp.vec3, device=device),
         wp.zeros(shape, dtype=float, device=device),
         wp.zeros(shape, dtype=wp.vec3, device=device),
@@ -54,7 +54,7 @@ def pictures(views: int, gaussians: int, grid: Any, device: str) -> Pictures:
     )
 
 
-def draw(moving: Listing, still: Listing, sight: Sight, out: Pictures, device: str) -> None:
+def draw(moving: TileLists, still: TileLists, sight: Sight, out: DrawnViews, device: str) -> None:
     """Blend both layers into `out.image` and `out.light`."""
     given = [moving.layer, still.layer, sight.chosen, sight.cameras, sight.grid, sight.dirty, sight.base]
     blocks = (sight.chosen.shape[0] * sight.grid.tiles, _PIXELS)
@@ -62,7 +62,7 @@ def draw(moving: Listing, still: Listing, sight: Sight, out: Pictures, device: s
 
 
 def differentiate(
-    moving: Listing, still: Listing, sight: Sight, out: Pictures, count: Any, cloud: Any, by: Any, device: str
+    moving: TileLists, still: TileLists, sight: Sight, out: DrawnViews, count: Any, cloud: Any, by: Any, device: str
 ) -> None:
     """From `out.by_image` to the gradients `by` of the moving Gaussians, which `cloud` holds."""
     out.sums.zero_()

@@ -16,8 +16,8 @@ from streamlod.core.render.warp.kernels.rules import (
     TILE_X,
     TILE_Y,
     TRANSMITTANCE_MIN,
-    Grid,
     Layer,
+    TileGrid,
 )
 
 
@@ -39,7 +39,7 @@ def sigma_of(place: wp.vec4, conic: wp.vec4, x: float, y: float) -> float:
 
 
 @wp.func
-def pixel_of(tile: int, lane: int, grid: Grid) -> wp.vec2i:
+def pixel_of(tile: int, lane: int, grid: TileGrid) -> wp.vec2i:
     """Column and row of the pixel that a lane of a tile draws; may lie outside of the picture."""
     return wp.vec2i((tile % grid.tiles_x) * TILE_X + lane % TILE_X, (tile // grid.tiles_x) * TILE_Y + lane // TILE_X)
 
@@ -50,7 +50,7 @@ def blend(
     still: Layer,
     chosen: wp.array[int],
     cameras: wp.array2d[float],
-    grid: Grid,
+    grid: TileGrid,
     dirty: wp.array2d[int],
     base: wp.array3d[wp.vec3],
     image: wp.array3d[wp.vec3],

@@ -11,7 +11,7 @@ import warp as wp
 
 from streamlod.core.render.warp.kernels.blend import depth_at, pixel_of, sigma_of
 from streamlod.core.render.warp.kernels.lanes import any_lane, is_first_lane, lanes_sum
-from streamlod.core.render.warp.kernels.rules import ALPHA_MAX, TRANSMITTANCE_MIN, Grid, Layer
+from streamlod.core.render.warp.kernels.rules import ALPHA_MAX, TRANSMITTANCE_MIN, Layer, TileGrid
 
 
 @wp.kernel(enable_backward=False, grid_stride=False)
@@ -19,7 +19,7 @@ def differentiate_blend(
     moving: Layer,
     still: Layer,
     chosen: wp.array[int],
-    grid: Grid,
+    grid: TileGrid,
     image: wp.array3d[wp.vec3],
     by_image: wp.array3d[wp.vec3],
     sums: wp.array3d[float],

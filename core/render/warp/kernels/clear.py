@@ -9,7 +9,7 @@ from streamlod.core.render.warp.kernels.rules import NO_KEY, Layer
 
 @wp.kernel(enable_backward=False, grid_stride=False)
 def clear_list(keys: wp.array[wp.uint64], layer: Layer, wanted: wp.array[int], most: wp.array[int], pairs: int) -> None:
-    """Grid: the larger of `pairs`, the capacity, and the number of ranges.
+    """TileGrid: the larger of `pairs`, the capacity, and the number of ranges.
 
     Args:
         wanted: in and out, [1] back to zero. most: in and out, [1] the largest that `wanted` ever was.

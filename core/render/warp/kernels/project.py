@@ -34,8 +34,8 @@ from streamlod.core.render.warp.kernels.rules import (
     TILE_X,
     TILE_Y,
     Cloud,
-    Grid,
     Layer,
+    TileGrid,
 )
 
 
@@ -55,7 +55,7 @@ class Ellipse:
 
 @wp.func
 def ellipse_of(
-    mean: wp.vec3, quaternion: wp.vec4, scale: wp.vec3, cameras: wp.array2d[float], c: int, grid: Grid
+    mean: wp.vec3, quaternion: wp.vec4, scale: wp.vec3, cameras: wp.array2d[float], c: int, grid: TileGrid
 ) -> Ellipse:
     """Every test is written such that a Gaussian with a NaN is not drawn."""
     e = Ellipse()
@@ -122,7 +122,7 @@ def tiles_of_row(place: wp.vec4, conic: wp.vec4, skew: float, determinant: float
 
 
 @wp.func
-def box_of(e: Ellipse, cut: float, grid: Grid) -> wp.vec4i:
+def box_of(e: Ellipse, cut: float, grid: TileGrid) -> wp.vec4i:
     """Tiles left, top, right, bottom of the box of the ellipse where sigma is `cut`; ends exclusive, empty for none."""
     wide = float(grid.width)
     high = float(grid.height)
@@ -149,7 +149,7 @@ def project(
     cloud: Cloud,
     chosen: wp.array[int],
     cameras: wp.array2d[float],
-    grid: Grid,
+    grid: TileGrid,
     layer: Layer,
     keys: wp.array[wp.uint64],
     wanted: wp.array[int],
@@ -211,7 +211,7 @@ def project(
 
 @wp.kernel(enable_backward=False, grid_stride=False)
 def find_ranges(keys: wp.array[wp.uint64], layer: Layer) -> None:
-    """Where each tile's list begins and ends. Grid: the capacity of pairs. Tiles without any are left as they are."""
+    """Where each tile's list begins and ends. Grid: the capacity of pairs. Tiles without any stay as they are."""
     p = wp.tid()
     key = keys[p]
     none = wp.uint64(0xFFFFFFFFFFFFFFFF)

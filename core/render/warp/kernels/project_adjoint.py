@@ -15,7 +15,7 @@ from streamlod.core.render.warp.kernels.geometry import (
     rotation,
     row_to_picture,
 )
-from streamlod.core.render.warp.kernels.rules import FOCAL_X, FOCAL_Y, GAIN, Cloud, Grid, Layer
+from streamlod.core.render.warp.kernels.rules import FOCAL_X, FOCAL_Y, GAIN, Cloud, Layer, TileGrid
 
 
 @wp.struct
@@ -70,7 +70,7 @@ def slopes_of(
     scale: wp.vec3,
     cameras: wp.array2d[float],
     c: int,
-    grid: Grid,
+    grid: TileGrid,
     screen: wp.vec2,
     g: wp.vec3,
 ) -> Slopes:
@@ -118,7 +118,7 @@ def differentiate_projection(
     cloud: Cloud,
     chosen: wp.array[int],
     cameras: wp.array2d[float],
-    grid: Grid,
+    grid: TileGrid,
     layer: Layer,
     sums: wp.array3d[float],
     by: Cloud,

@@ -33,7 +33,7 @@ SUMS = wp.constant(rules.SUMS)  # a Gaussian: dL/dcolour 3, then moments of dL/d
 
 
 @wp.struct
-class Grid:
+class TileGrid:
     """The pixels and tiles of every picture."""
 
     width: int

@@ -11,14 +11,14 @@ import warp as wp
 from streamlod.core.arrays import Float32
 from streamlod.core.camera import Camera
 from streamlod.core.render.warp.listing import (
-    Listing,
+    TileLists,
     camera_rows,
     cloud_room,
     grid_of,
     list_gaussians,
     listing,
 )
-from streamlod.core.render.warp.pictures import Pictures, Sight, differentiate, draw, pictures
+from streamlod.core.render.warp.pictures import DrawnViews, Sight, differentiate, draw, pictures
 from streamlod.core.scene.gaussians import GaussianCloud
 from tests.core.render.scenes import NAMES
 
@@ -44,9 +44,9 @@ class Drawing:
     """Moving Gaussians before still ones in all cameras; `draw` and `differentiate` it."""
 
     sight: Sight
-    moving: Listing
-    still: Listing
-    out: Pictures
+    moving: TileLists
+    still: TileLists
+    out: DrawnViews
     count: Any
     cloud: Any
     by: Any
