@@ -325,16 +325,6 @@ class PredictConfig:
         " never end, and attract anchors in every frame",
         reading(100.0, "no limit is given but that of memory"),
     )
-    harmful_frames: int = setting(
-        3,
-        "frames in a row in which the pictures would be better without an anchor, after which it is removed; 0: never",
-        reading(0, "not mentioned: anchors go when they are transparent"),
-    )
-    harmful_pixels: float = setting(
-        2.0,
-        "pixels that an anchor must go in a frame to be removed as harmful",
-        reading(2.0, "without effect, as none is"),
-    )
     rewritten_share: float = setting(
         0.3,
         "largest share of the anchors that go `rewritten_pixels`, of which all numbers are sent anew in a frame: those"

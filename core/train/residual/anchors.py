@@ -22,7 +22,6 @@ from streamlod.core.train.optimise.rate import residual_bits
 from streamlod.core.train.residual.added_anchors import MAX_STEPS, AddedAnchors
 from streamlod.core.train.residual.apply import ByResiduals, UnitChange
 from streamlod.core.train.residual.groups import Groups, neighbourhoods
-from streamlod.core.train.residual.harmful import Judgement
 from streamlod.core.train.residual.rewriting import values_of
 from streamlod.core.train.residual.state import State
 from streamlod.core.train.residual.update import IntegerUpdate
@@ -140,11 +139,11 @@ class TrainedAnchors:
         rows = self._kept.rows
         return np.arange(len(self)) if rows is None else rows.cpu().numpy()
 
-    def update(self, shown: Bool, judgement: Judgement, steps: int, loss: float) -> IntegerUpdate:
+    def update(self, shown: Bool, steps: int, loss: float) -> IntegerUpdate:
         """All that is sent, as integers.
 
         Args:
-            shown: for each row of `field`; the others are removed, or not added. judgement: of the n.
+            shown: for each row of `field`; the others are removed, or not added.
             steps, loss: of the training.
         """
         latent, position = map(_finite_integers, (self.optimiser.parameters["latent"], self.moves))
@@ -161,7 +160,7 @@ class TrainedAnchors:
             latent[old], position[old] = 0, self._steps_gone(field, first)
             wanted[old] = np.concatenate([latent[old], position[old]], axis=1)  # heirs have all of it in their numbers
         removed = np.ones(len(self), np.bool_)
-        removed[self.kept] = ~shown[: len(self.kept)] | judgement.gone[self.kept]
+        removed[self.kept] = ~shown[: len(self.kept)]
         return IntegerUpdate(
             latent,
             position,
@@ -172,7 +171,6 @@ class TrainedAnchors:
             self.optimiser.broken,
             wanted=wanted,
             heirs=heirs,
-            harmful=judgement.frames,
         )
 
     def wanted(self) -> Float32:

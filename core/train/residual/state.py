@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Float32, Int64
+from streamlod.core.arrays import Float32
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import anchor_positions, dequantise
 from streamlod.core.scene.residual import Residual
@@ -29,8 +29,6 @@ class State:
         references: [C,H,W,3] pictures that new ones are compared with: what was filmed when a change was last
             accepted, or what the state shows where training of that goes on; NaN for cameras not seen yet; None after
             a resume.
-        harmful: [N] int64 on the CPU, frames in a row in which the pictures would have been better without the anchor;
-            None for zeros.
         filmed: [C,H,W,3] what was filmed when a change was last accepted, also where training goes on; None: the same
             as `references`.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
@@ -50,7 +48,6 @@ class State:
     start: Tensor | None = None
     motion: Tensor | None = None
     filmed: Tensor | None = None
-    harmful: Tensor | None = None
 
     @property
     def alive(self) -> Tensor:
@@ -105,7 +102,6 @@ class State:
             change=changes,
             start=starts_at,
             motion=motion,
-            harmful=_spread(update.harmful, rows, len(field)),
         )
 
     def _with_added_rows(
@@ -137,7 +133,6 @@ class State:
         changes, starts_at = torch.zeros(2, len(self.field), start.shape[1], device=device)
         changes[rows], starts_at[rows] = torch.from_numpy(update.sent).to(device), torch.from_numpy(start).to(device)
         mean = None if self.motion is None else self.motion[known] * is_known
-        harmful = _spread(update.harmful, rows, len(self.field))
         motion = mean_motion(mean, (field.position - self.field.position[known]) * is_known)
         return replace(
             self,
@@ -148,15 +143,7 @@ class State:
             change=changes[known] * is_known,
             start=starts_at[known] * is_known,
             motion=motion,
-            harmful=None if harmful is None else harmful[known.cpu()] * is_known[:, 0].cpu(),
         )
-
-
-def _spread(harmful: Int64 | None, rows: Tensor, anchors: int) -> Tensor | None:
-    """[N] `harmful` at `rows`, zeros elsewhere."""
-    if harmful is None:
-        return None
-    return torch.zeros(anchors, dtype=torch.int64).index_copy_(0, rows.cpu(), torch.from_numpy(harmful))
 
 
 def fresh_state(

@@ -32,7 +32,6 @@ from streamlod.core.train.optimise.optimisers import Adam, Optimiser
 from streamlod.core.train.optimise.schedule import ViewOrder
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.anchors import TrainedAnchors
-from streamlod.core.train.residual.harmful import Judgement, error_without, judged, nothing_judged
 from streamlod.core.train.residual.rewriting import pull_of, rewritten_anchors
 from streamlod.core.train.residual.search import better_starts
 from streamlod.core.train.residual.state import State
@@ -91,9 +90,6 @@ class ResidualTrainer:
         self._drawn: dict[int, Tensor] = {}
         self._weights: dict[int, Tensor] = {}
         self._statistics = GrowthStatistics(len(rows), field.slots, device)
-        self._most_gone = 0  # anchors that may be removed as harmful
-        none = torch.zeros(len(field), dtype=torch.int64)
-        self._harmful = (none if state.harmful is None else state.harmful)[rows.cpu()].numpy()
 
     def run(
         self,
@@ -143,9 +139,7 @@ class ResidualTrainer:
         self._anchors.settle()
         loss = float(torch.stack(losses[-len(views) :]).mean())
         complete = epochs.done >= total and len(self._caches) == len(self._useful)
-        # what training had no time for is not judged
-        judgement = self._judged(config, views) if complete else nothing_judged(len(self._anchors))
-        update = self._anchors.update(self._visible(), judgement, len(losses), loss)
+        update = self._anchors.update(self._visible(), len(losses), loss)
         return replace(update, complete=complete)
 
     def _prepare(self, pace: FrameProgress, backend: Backend) -> list[int]:
@@ -244,7 +238,6 @@ class ResidualTrainer:
 
         added, numbers = len(new["level"]), tuple(self._drawn)
         # where the cameras do not agree on what is lacking, they do not on what is wrong either
-        self._most_gone = added
         far = self._gone_far(trained, config.rewritten_pixels)
         most = min(allowance.whole - added, int(config.rewritten_share * int(far.sum())))
         most = min(most, _REWRITTEN_A_NEW_ONE * added) if allowance.new >= _LEAST_ALLOWANCE else most
@@ -259,24 +252,6 @@ class ResidualTrainer:
         before, cameras = self._anchors.base.position, [self._views.cameras[number] for number in self._views.usable]
         gone: Tensor = (now.position - before).norm(dim=1) * pixels_a_unit(before, tuple(cameras))
         return gone >= least
-
-    def _judged(self, config: PredictConfig, views: list[int]) -> Judgement:
-        """Which anchors the pictures would be better without."""
-        with torch.no_grad():
-            changed, field = self._anchors.by_residuals(), self._anchors.field()
-        far = self._gone_far(changed, config.harmful_pixels).cpu().numpy()
-        if not (config.harmful_frames and far.any()):
-            return nothing_judged(len(far))
-
-        def splats_of(number: int) -> Splats:
-            return self._filmed(field, number)
-
-        kept, change = self._anchors.kept, np.zeros(len(far), np.float32)
-        found = error_without(splats_of, self._draw, self._views.targets, views, len(field), seed=len(field))
-        change[kept] = found[: len(kept)].cpu().numpy()
-        place = changed.position.cpu().numpy()
-        frames, cell = config.harmful_frames, field.octree.motion_cell
-        return judged(change, self._harmful, far, place, cell, frames, self._most_gone)
 
     @torch.no_grad()
     def _visible(self) -> Bool:

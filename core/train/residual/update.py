@@ -28,7 +28,6 @@ class IntegerUpdate:
         wanted: [n,27] float32 latents and positions before rounding, or None for zeros.
         heirs: [m] for each anchor of `added`, in their order, the number of the trained anchor whose place it takes
             (it is among `removed`, and its `position` says how far it has gone), -1 for none; None for none at all.
-        harmful: [n] frames in a row in which the pictures would have been better without the anchor, or None for zeros.
     """
 
     latent: Int32
@@ -41,7 +40,6 @@ class IntegerUpdate:
     complete: bool = True
     wanted: Float32 | None = None
     heirs: Int64 | None = None
-    harmful: Int64 | None = None
 
     @property
     def new(self) -> int:

@@ -11,7 +11,6 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.optimise.optimisers import Adam
 from streamlod.core.train.residual.anchors import TrainedAnchors
-from streamlod.core.train.residual.harmful import nothing_judged
 from streamlod.core.train.residual.state import State, fresh_state
 from tests.core.train.fields import random_field
 
@@ -31,7 +30,7 @@ def anchors(state: State) -> TrainedAnchors:
 
 def sent(anchors: TrainedAnchors) -> tuple[int, int]:
     """The first latent and the first position that go to the decoder."""
-    update = anchors.update(np.ones(len(anchors.field()), np.bool_), nothing_judged(len(anchors)), 1, 0.0)
+    update = anchors.update(np.ones(len(anchors.field()), np.bool_), 1, 0.0)
     return int(update.latent[0, 0]), int(update.position[0, 0])
 
 

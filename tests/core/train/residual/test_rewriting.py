@@ -30,7 +30,6 @@ CONFIG = PredictConfig(
     least_gain=0.0,
     rate_weight=0.0005,
     growth_at=0.2,
-    harmful_frames=0,
     rewritten_pixels=0.0,
 )
 CAMERAS = tuple(
@@ -92,7 +91,6 @@ def test_an_heir_keeps_what_was_known_of_the_one_before() -> None:
     _, update, state, _ = trained(0.2)
     rows = torch.arange(len(state.field))
     assert update.heirs is not None
-    update = replace(update, harmful=np.where(update.removed, 3, 0))
     residual = residual_of(SCENE, rows.numpy(), update, 1)
     start = 0.5 * update.sent
     after = state.after(residual, apply(SCENE, residual), Partition(None, rows.numpy() >= 0), rows, update, start)
@@ -100,10 +98,8 @@ def test_an_heir_keeps_what_was_known_of_the_one_before() -> None:
     new = np.concatenate([np.arange(starts[i] + size, starts[i + 1]) for i, size in enumerate(sizes)])
     assert after.change is not None
     assert after.start is not None
-    assert after.harmful is not None
     np.testing.assert_array_equal(after.change.numpy()[new], update.sent[update.heirs])
     np.testing.assert_array_equal(after.start.numpy()[new], start[update.heirs])
-    assert (after.harmful.numpy()[new] == 3).all()
     assert np.abs(update.position[update.removed]).max() >= 1  # they have gone somewhere
 
 
