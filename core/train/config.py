@@ -325,17 +325,6 @@ class PredictConfig:
         " never end, and attract anchors in every frame",
         reading(100.0, "no limit is given but that of memory"),
     )
-    rewritten_share: float = setting(
-        0.3,
-        "largest share of the anchors that go `rewritten_pixels`, of which all numbers are sent anew in a frame: those"
-        " whose numbers pull hardest, as far as that is worth their bits; 0 to 1",
-        reading(0.0, "not mentioned: sizes stay as the first frame has them"),
-    )
-    rewritten_pixels: float = setting(
-        1.0,
-        "pixels that an anchor must go in a frame to have all of its numbers sent anew",
-        reading(1.0, "without effect, as none is"),
-    )
     everything: bool = setting(
         False, "treat all anchors as dynamic, for studies", given(False, "IV-B", "static anchors are frozen")
     )

@@ -25,7 +25,7 @@ from streamlod.core.train.field.exposure import fitted, neutral
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.field.rounding import Precision
-from streamlod.core.train.growth.later import AnchorAllowance, later_growth
+from streamlod.core.train.growth.later import later_growth
 from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
@@ -250,7 +250,7 @@ class Trainer:
                     guess,
                 )
                 generator = torch.Generator().manual_seed(self._config.seed + frames.index)
-                growth = later_growth(self._config.predict), self._allowance(plan, state, len(rows))
+                growth = later_growth(self._config.predict), self._most_new(plan, state)
                 update = trainer.run(config, self._backend, generator, self._pace, *growth)
         with watch.stage("round"):
             if plan is not None:
@@ -319,23 +319,18 @@ class Trainer:
         plan = None if self._rate is None else self._rate.plan()
         return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
 
-    def _allowance(self, plan: RatePlan | None, state: State, trained: int) -> AnchorAllowance:
-        """Anchors of which the next frame may send all numbers, if it trains so many.
+    def _most_new(self, plan: RatePlan | None, state: State) -> int:
+        """Anchors that the next frame may add.
 
         None while a refresh keyframe trains beside the stream, which has no counterpart of them.
         """
         if self._pending.is_beside(state):
-            return AnchorAllowance()
+            return 0
         alive, config = state.scene.anchor_count, self._config
         room = config.model.max_anchors
         limit = min(room, max(round((1 + config.predict.growth_room) * self._first_count), int(_ALWAYS_ROOM * room)))
         new = min(int(config.predict.growth_share * alive), max(limit - alive, 0))
-        whole = new + trained
-        return (
-            AnchorAllowance(new, whole)
-            if plan is None
-            else AnchorAllowance(min(new, plan.most_new), min(whole, plan.most_new))
-        )
+        return new if plan is None else min(new, plan.most_new)
 
     def _partition(
         self, cue: MotionCue, state: State, frames: FrameSet, views: Views, masks: Tensor

@@ -46,28 +46,12 @@ class HalfTrained:
     most: int
 
 
-@dataclass(frozen=True, slots=True)
-class AnchorAllowance:
-    """How many anchors a later frame may send with all their numbers.
-
-    Attributes:
-        new: that are added. whole: in all, with those that take the place of others.
-    """
-
-    new: int = 0
-    whole: int = 0
-
-
 class LaterGrowth(Protocol):
     """Decides where anchors are added while a later frame trains."""
 
     @property
     def uses_gradients(self) -> bool:
         """Whether statistics of gradients are kept for it."""
-
-    @property
-    def anchor_price(self) -> float:
-        """What all numbers of one anchor cost, in units of one picture's sum of absolute errors."""
 
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """The seven arrays of the anchors to add, as training begins with them; of no rows for none."""
@@ -89,14 +73,10 @@ class ByError:
         """As `LaterGrowth.uses_gradients`."""
         return False
 
-    @property
-    def anchor_price(self) -> float:
-        """As `LaterGrowth.anchor_price`."""
-        return self.bit_weight * ANCHOR_BITS
-
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """As `LaterGrowth.new_anchors`."""
-        nodes = error_nodes(seen.living, seen.views, seen.drawn, seen.masks, seen.most, self.anchor_price)
+        price = self.bit_weight * ANCHOR_BITS
+        nodes = error_nodes(seen.living, seen.views, seen.drawn, seen.masks, seen.most, price)
         return values_at(seen.living, nodes, generator)
 
 
@@ -114,11 +94,6 @@ class ByGradient:
     def uses_gradients(self) -> bool:
         """As `LaterGrowth.uses_gradients`."""
         return True
-
-    @property
-    def anchor_price(self) -> float:
-        """As `LaterGrowth.anchor_price`: the rule knows of none."""
-        return 0.0
 
     def new_anchors(self, seen: HalfTrained, generator: torch.Generator) -> dict[str, Tensor]:
         """As `LaterGrowth.new_anchors`."""

@@ -22,31 +22,6 @@ class UnitChange:
     position: Tensor
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ByResiduals:
-    """Of n anchors in training, those that residuals change.
-
-    Attributes:
-        rows: [k] ascending numbers of them, None for all.
-        base: [k] as they were. unit: of them.
-    """
-
-    rows: Tensor | None
-    base: Field
-    unit: UnitChange
-
-    def only(self, rows: Tensor) -> ByResiduals:
-        """Those of `rows` [k], of all n."""
-        unit = replace(self.unit, position=self.unit.position[rows])
-        return ByResiduals(rows, self.base.with_rows(rows), unit)
-
-    def now(self, latent: Tensor, position: Tensor) -> Field:
-        """As they are with residuals; `latent` [n,24] and `position` [n,3] as in `applied`, of all n."""
-        if self.rows is not None:
-            latent, position = latent.index_select(0, self.rows), position.index_select(0, self.rows)
-        return applied(self.base, latent, position, self.unit)
-
-
 def applied(field: Field, latent: Tensor, position: Tensor, unit: UnitChange) -> Field:
     """`field` of n anchors with residuals, rounded as they will be sent; gradients go straight through the rounding.
 

@@ -113,18 +113,12 @@ class State:
         update: IntegerUpdate,
         start: Float32,
     ) -> State:
-        """As `after`, where anchors were added: rows of finer levels move up; new ones count as dynamic.
-
-        What is kept of an anchor goes to the one that took its place.
-        """
+        """As `after`, where anchors were added: rows of finer levels move up; new ones count as dynamic."""
         device = str(self.field.feature.device)
         before, origins = level_starts(self.scene), []
         for number, part in enumerate(residual.levels):
             origins += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
         origin = np.concatenate(origins)
-        if update.heirs is not None:
-            of_rows = rows.cpu().numpy()[np.maximum(update.heirs, 0)]
-            origin[origin < 0] = np.where(update.heirs >= 0, of_rows, -1)
         field = replace(field_of(scene).to(device), by_distance=self.field.by_distance)
         new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
         known = torch.from_numpy(np.maximum(origin, 0)).to(device)

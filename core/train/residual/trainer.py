@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -22,9 +21,8 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.growth.gradient import GrowthStatistics
-from streamlod.core.train.growth.later import AnchorAllowance, HalfTrained, LaterGrowth
+from streamlod.core.train.growth.later import HalfTrained, LaterGrowth
 from streamlod.core.train.motion.partition import Partition
-from streamlod.core.train.motion.steady import pixels_a_unit
 from streamlod.core.train.optimise.convergence import EpochProgress
 from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.optimise.losses import photometric_loss
@@ -32,16 +30,12 @@ from streamlod.core.train.optimise.optimisers import Adam, Optimiser
 from streamlod.core.train.optimise.schedule import ViewOrder
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.anchors import TrainedAnchors
-from streamlod.core.train.residual.rewriting import pull_of, rewritten_anchors
 from streamlod.core.train.residual.search import better_starts
 from streamlod.core.train.residual.state import State
 from streamlod.core.train.residual.tile_cache import TileCache, make_tile_cache
 from streamlod.core.train.residual.update import IntegerUpdate, no_update
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
-_STEPS_TO_PAY = 2.0  # training steps whose gain must pay for the bits of an anchor that is sent anew
-_REWRITTEN_A_NEW_ONE = 3  # anchors that may be sent anew for each one that is added,
-_LEAST_ALLOWANCE = 6  # where at least so many might be added; with fewer the number added says little
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -98,14 +92,13 @@ class ResidualTrainer:
         generator: torch.Generator,
         progress_of: Callable[[int], FrameProgress] = FixedSteps,
         growth: LaterGrowth | None = None,
-        allowance: AnchorAllowance = AnchorAllowance(),  # noqa: B008 (frozen)
+        most_new: int = 0,
     ) -> IntegerUpdate:
         """Train as configured and round.
 
         Args:
             progress_of: makes the pace of a number of steps.
-            growth: says where anchors are added; None for nowhere.
-            allowance: anchors of which all numbers may be sent.
+            growth: says where anchors are added; None for nowhere. most_new: that may be added.
         """
         total = max(config.epochs * len(self._useful), config.minimum_steps)
         pace = progress_of(total)
@@ -115,7 +108,7 @@ class ResidualTrainer:
         if self._guess is not None and pace.progress(0) <= _PREPARATION:
             self._begin(self._guess, views)
         order, epochs = ViewOrder(views, generator), EpochProgress(len(views), config.least_gain)
-        progress, waiting = 0.0, growth if allowance.whole else None
+        progress, waiting = 0.0, growth if most_new else None
 
         def reached(_: int) -> float:
             nonlocal progress
@@ -129,7 +122,7 @@ class ResidualTrainer:
             if progress >= config.average_from:
                 self._anchors.average()
             if waiting is not None and progress >= config.growth_at and len(self._drawn) == len(views):
-                self._send_whole(waiting, config, allowance)
+                self._add(waiting, most_new)
                 waiting = None
             return loss
 
@@ -217,8 +210,8 @@ class ResidualTrainer:
     def _filmed(self, field: Field, number: int) -> Splats:
         return self._exposure.before(field.decode(self._centres[number]), number)
 
-    def _send_whole(self, growth: LaterGrowth, config: PredictConfig, allowance: AnchorAllowance) -> None:
-        """Add anchors where they are lacking, and rewrite some of those whose residuals say too little."""
+    def _add(self, growth: LaterGrowth, most: int) -> None:
+        """Add at most `most` anchors where they are lacking."""
         with torch.no_grad():
             trained = self._anchors.by_residuals()
         seen = HalfTrained(
@@ -229,29 +222,9 @@ class ResidualTrainer:
             views=self._views,
             drawn=self._drawn,
             masks=self._masks,
-            most=allowance.new,
+            most=most,
         )
-        new = growth.new_anchors(seen, torch.Generator().manual_seed(len(self._anchors)))
-
-        def loss_of(number: int, field: Field) -> Tensor:
-            return self._loss(self._draw(number, self._filmed(field, number)), number, config)
-
-        added, numbers = len(new["level"]), tuple(self._drawn)
-        # where the cameras do not agree on what is lacking, they do not on what is wrong either
-        far = self._gone_far(trained, config.rewritten_pixels)
-        most = min(allowance.whole - added, int(config.rewritten_share * int(far.sum())))
-        most = min(most, _REWRITTEN_A_NEW_ONE * added) if allowance.new >= _LEAST_ALLOWANCE else most
-        # the pull is a sum over pictures of a loss that is a mean over a picture's numbers
-        least_pull = growth.anchor_price / _STEPS_TO_PAY * len(numbers) / self._views.targets[0].numel()
-        rewritten = rewritten_anchors(far, most, least_pull, partial(pull_of, trained, loss_of, numbers))
-        self._anchors.send_whole(new, rewritten)
-
-    @torch.no_grad()
-    def _gone_far(self, now: Field, least: float) -> Tensor:
-        """[n] bool: anchors that have gone at least `least` pixels, of the size that the nearest camera has there."""
-        before, cameras = self._anchors.base.position, [self._views.cameras[number] for number in self._views.usable]
-        gone: Tensor = (now.position - before).norm(dim=1) * pixels_a_unit(before, tuple(cameras))
-        return gone >= least
+        self._anchors.add(growth.new_anchors(seen, torch.Generator().manual_seed(len(self._anchors))))
 
     @torch.no_grad()
     def _visible(self) -> Bool:

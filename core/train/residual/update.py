@@ -26,8 +26,6 @@ class IntegerUpdate:
         steps, loss, repaired: figures of the training.
         complete: whether training ran to its end and every change is sent.
         wanted: [n,27] float32 latents and positions before rounding, or None for zeros.
-        heirs: [m] for each anchor of `added`, in their order, the number of the trained anchor whose place it takes
-            (it is among `removed`, and its `position` says how far it has gone), -1 for none; None for none at all.
     """
 
     latent: Int32
@@ -39,11 +37,10 @@ class IntegerUpdate:
     repaired: int = 0
     complete: bool = True
     wanted: Float32 | None = None
-    heirs: Int64 | None = None
 
     @property
     def new(self) -> int:
-        """Anchors that are added, or take the place of others."""
+        """Anchors that are added."""
         return 0 if self.added is None else sum(len(level) for level in self.added)
 
     @property
@@ -87,11 +84,10 @@ def strongest_changes(update: IntegerUpdate, most: int, first: Bool) -> IntegerU
         return update
     kept = np.zeros(len(energy), np.bool_)
     kept[np.lexsort((-energy, ~first | (energy == 0)))[:most]] = True
-    known = kept | update.removed  # of a removed anchor only its heir wants to know how far it has gone
     return replace(
         update,
         latent=np.where(kept[:, None], update.latent, 0).astype(np.int32),
-        position=np.where(known[:, None], update.position, 0).astype(np.int32),
+        position=np.where(kept[:, None], update.position, 0).astype(np.int32),
         complete=False,
     )
 

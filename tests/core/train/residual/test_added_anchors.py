@@ -21,7 +21,7 @@ from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.field.rounding import round_through
 from streamlod.core.train.growth.gradient import NewAnchors
-from streamlod.core.train.growth.later import AnchorAllowance, later_growth
+from streamlod.core.train.growth.later import later_growth
 from streamlod.core.train.growth.new_anchors import first_values
 from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.optimisers import Adam, RowOptimiser
@@ -128,9 +128,7 @@ def trained(scene: Scene, targets: Tensor, most_new: int) -> tuple[ResidualTrain
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, some, views, neutral(4), masks, [0, 1, 2, 3])
     growth = later_growth(CONFIG) if most_new else None
-    update = trainer.run(
-        CONFIG, "cpu", torch.Generator().manual_seed(0), growth=growth, allowance=AnchorAllowance(most_new, most_new)
-    )
+    update = trainer.run(CONFIG, "cpu", torch.Generator().manual_seed(0), growth=growth, most_new=most_new)
     return trainer, update, state
 
 
@@ -172,7 +170,7 @@ def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
         "cpu",
         torch.Generator().manual_seed(0),
         growth=later_growth(CONFIG),
-        allowance=AnchorAllowance(40, 40),
+        most_new=40,
     )
     assert update.new == 0
 
@@ -219,9 +217,7 @@ def test_none_is_added_while_a_keyframe_trains_beside_the_stream(scene: Scene, t
 
 
 def configuration(share: float, room: int) -> TrainConfig:
-    return TrainConfig(
-        ModelConfig(max_anchors=room, exposure=False), predict=replace(CONFIG, growth_share=share, rewritten_share=0.0)
-    )
+    return TrainConfig(ModelConfig(max_anchors=room, exposure=False), predict=replace(CONFIG, growth_share=share))
 
 
 def pictures(index: int, targets: Tensor) -> FrameSet:

@@ -59,7 +59,7 @@ def test_steps_before_anchors_joined_do_not_count(state: State, anchors: Trained
     put(anchors, 100.0, 100.0)
     anchors.average()
     new = {name: getattr(state.field, name)[1:3] for name in NUMBERS}
-    anchors.send_whole(new, torch.tensor([4]))
+    anchors.add(new)
     put(anchors, 5.0, 9.0)
     anchors.average()
     anchors.settle()

@@ -23,7 +23,7 @@ from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.exposure import neutral
-from streamlod.core.train.growth.later import AnchorAllowance, ByError
+from streamlod.core.train.growth.later import ByError
 from streamlod.core.train.keyframe.trainer import Views
 from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.schedule import ViewOrder
@@ -86,7 +86,7 @@ def test_a_step_asks_the_device_for_nothing(monkeypatch: pytest.MonkeyPatch, vie
     assert trainer._anchors.optimiser.parameters["latent"] is before
     trainer._step(0, config, 0.9, ByError(0.0))
     with NoNumbers(), NoMemory(), pytest.raises((AssertionError, RuntimeError, NotImplementedError)):
-        trainer._send_whole(ByError(0.0), config, AnchorAllowance(5, 5))  # growth does ask, once a frame
+        trainer._add(ByError(0.0), 5)  # growth does ask, once a frame
 
 
 def prepared(view_dependent: bool) -> ResidualTrainer:
