@@ -64,13 +64,8 @@ class KeyframeConfig:
 
     steps: int = setting(
         1000,
-        "most steps of the run; `least_gain` makes it shorter",
+        "steps of the run",
         reading(1500, "500 epochs (section V-A) of three views (docs/method.md, reading 10)"),
-    )
-    least_gain: float = setting(
-        0.0,
-        "fall of the loss over a fortieth of the run, below which the run moves on faster; 0: it never does",
-        given(0.0, "V-A", "the number of epochs is fixed"),
     )
     half_size_until: float = setting(
         0.2,

@@ -38,7 +38,6 @@ from streamlod.core.train.pictures.uploading import Uploader
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from streamlod.core.train.refresh.config import refresh_config
-from streamlod.core.train.refresh.pending import PendingRefresh
 from streamlod.core.train.residual.references import as_filmed, renewed_references
 from streamlod.core.train.residual.search import guessed_positions
 from streamlod.core.train.residual.state import State, fresh_state
@@ -94,7 +93,6 @@ class Trainer:
         self._label = label_motion or target_kbps is not None
         self._uploader = Uploader(self._device)
         self._state: State | None = None
-        self._pending = PendingRefresh(config, self._backend, self._budget, clock)
 
     @property
     def scene(self) -> Scene:
@@ -140,39 +138,21 @@ class Trainer:
         )
         return TrainedFrame(scene, None, report)
 
-    def request_refresh(self) -> None:
-        """Ask for a refresh keyframe; under a frame budget, it is trained in the time that the next frames leave."""
-        self._pending.is_due = True
-
-    @property
-    def refresh_is_ready(self) -> bool:
-        """Whether a refresh keyframe was asked for and `refresh` would not exceed a frame budget."""
-        return self._state is not None and self._pending.is_ready(self._state)
-
     def refresh(self, frames: FrameSet, on_progress: ProgressCallback | None = None) -> TrainedFrame:
         """A keyframe of the latest state, trained on as configured against `frames`, which that state shows.
 
-        Under a frame budget its training is what `predict` had time for since `request_refresh`. The state is sent
-        untrained where that was none, where nothing has changed since the keyframe before, and where no anchor is
-        alive.
+        The state is sent as it is under a frame budget, which has no time for a run; where nothing has changed since
+        the keyframe before; and where no anchor is alive.
 
         Raises:
             ModelError: there is no state, or no camera is present.
         """
-        state, watch, background = self._require(), Stopwatch(self._clock), self._pending.take()
-        if not self._pending.needs_training(state) or (self._budget is not None and background is None):
+        state, watch = self._require(), Stopwatch(self._clock)
+        untrained = self._config.keyframe.refresh_steps == 0 or state.scene.anchor_count == 0 or state.is_untouched
+        if untrained or self._budget is not None:
             scene = as_keyframe(state.scene, state.scene.version)
             self.resume(scene, keep_references=True)
             return TrainedFrame(scene, None, FrameReport({}, 0, scene.anchor_count, scene.anchor_count, 0.0))
-        if background is not None:
-            with watch.stage("refresh"):
-                field, precision = background.result(state.alive)
-                scene = self._scene_of(field, state.scene.version, precision)
-                self._exposure = background.exposure
-                self._state = replace(self._fresh(scene, state.references), filmed=state.filmed)
-            count = scene.anchor_count
-            report = FrameReport(watch.seconds, background.taken, count, count, 0.0, spans=tuple(watch.spans))
-            return TrainedFrame(scene, None, report)
         views = self._views(frames)
         with watch.stage("refresh"):
             field = state.field.with_rows(torch.nonzero(state.alive)[:, 0])
@@ -199,7 +179,6 @@ class Trainer:
         Args:
             keep_references: the scene shows what this trainer's state showed.
         """
-        self._pending.take()
         self._first_count = self._first_count or scene.anchor_count
         if keep_references and self._state is not None:
             before = self._state
@@ -274,9 +253,6 @@ class Trainer:
             # trained on for the first time: its static error is nothing that moves
             after = as_filmed(after, views, unknown) if unknown else after
             self._state = replace(after, shown=shown)
-        if self._pending.is_due:
-            with watch.stage("refresh"):
-                self._pending.train(state, self._state, views, self._exposure)
         self._learn_costs(watch.seconds)
         moving = len(rows) if partition.dynamic is None else int(partition.dynamic.sum())
         report = FrameReport(
@@ -320,12 +296,7 @@ class Trainer:
         return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
 
     def _most_new(self, plan: RatePlan | None, state: State) -> int:
-        """Anchors that the next frame may add.
-
-        None while a refresh keyframe trains beside the stream, which has no counterpart of them.
-        """
-        if self._pending.is_beside(state):
-            return 0
+        """Anchors that the next frame may add."""
         alive, config = state.scene.anchor_count, self._config
         room = config.model.max_anchors
         limit = min(room, max(round((1 + config.predict.growth_room) * self._first_count), int(_ALWAYS_ROOM * room)))
@@ -380,7 +351,6 @@ class Trainer:
     def _adopt(self, scene: Scene, views: Views) -> None:
         references = torch.full_like(views.targets, torch.nan)
         references[views.usable] = views.targets[views.usable]
-        self._pending.take()
         self._state = self._fresh(scene, references)
 
     def _fresh(self, scene: Scene, references: Tensor | None = None, shown: Tensor | None = None) -> State:

@@ -322,8 +322,6 @@ class _Training:
         assert trained.residual is not None
         scene, refresh, spans = trained.scene, None, _spans(trained)
         if self._refresh.due(before, scene) is not None:
-            self._trainer.request_refresh()
-        if self._trainer.refresh_is_ready:
             _LOG.info("version %d: a refresh keyframe", scene.version)
             keyframe = self._trainer.refresh(frame, self._report_refresh)
             refresh, spans = keyframe.scene, (*spans, *_spans(keyframe))

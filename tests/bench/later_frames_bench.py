@@ -48,9 +48,7 @@ class Keyframes:
 
     def follow(self, trainer: Trainer, before: Scene, frame: FrameSet) -> None:
         """After `frame`, which led on from the state `before`."""
-        if self._refresh.due(before, trainer.scene) is not None:
-            trainer.request_refresh()
-        if not trainer.refresh_is_ready:
+        if self._refresh.due(before, trainer.scene) is None:
             return
         begin = time.process_time()
         renewed = trainer.refresh(frame).scene

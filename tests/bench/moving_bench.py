@@ -174,7 +174,6 @@ def follow(
             seen, _, visibly = shown_motion(clip.spec, scene, frame.index, clip.cameras)
             course.anchors[frame.index] = int(((seen >= 0.3) & (visibly >= 0.5 * seen)).sum())
         if frame.index and causes.get("renew") and frame.index % causes["renew"] == 0:
-            trainer.request_refresh()
             trainer.refresh(frame)
         if frame.index and causes.get("anew") and frame.index % causes["anew"] == 0:
             points = first_points(frame, clip.cameras, depth_bounds=clip.bounds)

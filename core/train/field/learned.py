@@ -73,14 +73,6 @@ class LearnedField:
         """Count the present values into the mean."""
         self._mean.count(self._optimiser.parameters)
 
-    def follow(self, changes: dict[str, Tensor]) -> None:
-        """Add `changes` to the anchors' ``feature``, ``offset`` and ``position``, and to what was averaged of them."""
-        with torch.no_grad():
-            for values in (self._optimiser.parameters, self._mean.values):
-                for name in changes.keys() & values.keys():
-                    values[name].add_(changes[name])
-        self._grid = replace(self._grid, position=self._grid.position + changes["position"])
-
     def keep(self, kept: Tensor, added: dict[str, Tensor] | None = None, extra: Tensor | None = None) -> None:
         """Go on with the anchors `kept`, `extra` [N] levels added to them, and those of `added`.
 

@@ -23,7 +23,6 @@ from streamlod.core.train.growth.rules import growth_rule
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
-from streamlod.core.train.optimise.convergence import PlateauProgress, RunProgress
 from streamlod.core.train.optimise.optimisers import optimiser
 from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from streamlod.core.train.pictures.views import Views
@@ -41,8 +40,6 @@ class KeyframeTrainer:
         config: the whole configuration.
         backend: of the rasteriser.
         exposure: of the cameras, to begin with; neutral by default.
-        course: says where the run stands; by default, a run of the configured steps.
-        precision: how the field is rounded as long as no anchor grows or goes; measured by default.
         space: before the cameras, where nothing may stay; None where it is not known.
     """
 
@@ -53,8 +50,6 @@ class KeyframeTrainer:
         config: TrainConfig,
         backend: Backend,
         exposure: Exposure | None = None,
-        course: RunProgress | None = None,
-        precision: Precision | None = None,
         space: NearSpace | None = None,
     ) -> None:
         self._config, self._model = _at_contrast(config.keyframe, views.contrast), config.model
@@ -76,11 +71,9 @@ class KeyframeTrainer:
         self._growth = growth_rule(self._config)
         self._begin_with_anchors(field)
         self._highest = field.octree.levels - 1
-        self._precision, self._space = precision, space
+        self._precision: Precision | None = None
+        self._space = space
         self._steps = 0
-        keyframe = self._config
-        marks = (keyframe.half_size_until, keyframe.growth_until, keyframe.rounding_from)
-        self._run = PlateauProgress(keyframe.steps, keyframe.least_gain, marks) if course is None else course
 
     @property
     def field(self) -> Field:
@@ -102,28 +95,17 @@ class KeyframeTrainer:
 
     @property
     def progress(self) -> float:
-        """How much of the run is done, in [0, 1]; steps count more where the loss hardly falls any more."""
-        return self._run.progress
+        """How much of the run is done, in [0, 1]."""
+        return min(self._steps / max(self._config.steps, 1), 1.0)
 
     @property
     def broken(self) -> int:
         """Gradient entries that were not finite and were taken as zero."""
         return self._learned.broken
 
-    def follow(self, changes: dict[str, Tensor], views: Views) -> None:
-        """Go on with the pictures of another instant, by which the field has changed by `changes`.
-
-        Only while no anchor has grown or gone, and at full size.
-
-        Args:
-            changes: ``feature`` [N,F], ``offset`` [N,K,3] and ``position`` [N,3].
-        """
-        self._learned.follow(changes)
-        self._whole, self._order = views, ViewOrder(views.usable, self._chances)
-
     def step(self) -> Tensor:
         """One view, one update; returns its loss, detached."""
-        config, progress = self._config, self._run.progress
+        config, progress = self._config, self.progress
         field = self._learned.live
         self._highest = unlocked_level(field.octree.levels, config, progress)
         if progress >= config.half_size_until:
@@ -148,14 +130,13 @@ class KeyframeTrainer:
         if cap is None:  # a coarse picture pulls hard wherever detail is missing, which says nothing about growing
             count(self._statistics, raster, splats, rows, field.slots)
         self._steps += 1
-        self._run.advance(number, loss if cap is None else None)
         if progress >= config.average_from:
             self._learned.average()
         if self._steps % config.growth_interval == 0 and config.growth_from < progress < config.growth_until:
             limits = self._highest, self._model.max_anchors
             refine(self._learned, self._statistics, self._growth, *limits, self._generator, self._astray())
             self._begin_with_anchors(self._learned.live)
-        if progress < config.growth_until <= self._run.progress:
+        if progress < config.growth_until <= self.progress:
             self._drop_idle_levels()
         return loss.detach()
 

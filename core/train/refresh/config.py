@@ -28,7 +28,6 @@ def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConf
     keyframe = replace(
         config.keyframe,
         steps=steps,
-        least_gain=0.0,
         half_size_until=0.0,
         progressive_until=0.0,
         growth_interval=max(1, steps // _REFINEMENTS),

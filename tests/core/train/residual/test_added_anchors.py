@@ -206,16 +206,6 @@ def test_later_frames_have_hardly_more_anchors_than_the_first(
     assert counts[-1] > max(counts) - 5  # a few become transparent and go
 
 
-def test_none_is_added_while_a_keyframe_trains_beside_the_stream(scene: Scene, targets: Tensor) -> None:
-    trainer = Trainer(CAMERAS, configuration(0.1, 1000), 30.0, "cpu", frame_budget_ms=60_000)
-    trainer.resume(scene)
-    assert added(trainer.predict(pictures(1, targets)))
-    trainer.request_refresh()
-    turned = targets.roll(3, dims=2)
-    for index in (2, 3):
-        assert not added(trainer.predict(pictures(index, turned.roll(index, dims=1))))
-
-
 def configuration(share: float, room: int) -> TrainConfig:
     return TrainConfig(ModelConfig(max_anchors=room, exposure=False), predict=replace(CONFIG, growth_share=share))
 
