@@ -10,7 +10,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.train import TrainConfig, preset
 from streamlod.core.train.config import LevelSelection
 
-ABLATIONS = ("lod", "partition", "quantisation", "dropout", "heads", "star", "cue")
+ABLATIONS = ("lod", "partition", "quantisation", "dropout", "star", "cue")
 _FINER = 16  # rounding to a 16th of a step changes nothing that a picture shows
 
 
@@ -101,11 +101,8 @@ def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:
             first("no dropout", "first frame without dropout", dropout_base=0.0, dropout_slope=0.0),
             first("dropout of the paper", "first frame with the paper's dropout", **theirs),
         ),
-        "heads": (built("separate heads", "networks of their own for opacity, colour and shape", heads="separate"),),
         "star": (Row("ours star", "partition every 4 frames, posterior 0.9", _star(ours)),),
-        "cue": tuple(
-            later(f"cue {cue}", f"motion cue {cue}", cue=cue) for cue in ("difference", "previous", "canonical")
-        ),
+        "cue": tuple(later(f"cue {cue}", f"motion cue {cue}", cue=cue) for cue in ("difference", "canonical")),
     }
     return _changed(rows[name], ours)
 

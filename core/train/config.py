@@ -11,7 +11,6 @@ from typing import Literal
 from streamlod.core.train.setting import given, octree_gs, reading, setting
 
 LevelSelection = Literal["all", "distance"]
-Heads = Literal["shared", "separate"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +44,6 @@ class ModelConfig:
         "all",
         "draw all levels, or per camera only those that its distance calls for",
         given("distance", "IV-A", "a camera's distance selects the levels that are drawn"),
-    )
-    heads: Heads = setting(
-        "shared",
-        "one network for all of a Gaussian's parameters, or separate ones for opacity, colour and shape",
-        given("shared", "IV-A", "one shared network"),
     )
     exposure: bool = setting(
         True,
@@ -135,10 +129,6 @@ class KeyframeConfig:
         "weight of the loss of such steps: large gradients of coarse pictures slow Adam down for the whole one",
         reading(1.0, "without effect, as no step hides fine levels"),
     )
-    optimiser: str = setting("adam", "a name in `core.train.optimise.optimisers`", octree_gs("adam", "its optimiser"))
-    growth_rule: str = setting(
-        "gradient", "a name in `core.train.growth.rules`", octree_gs("gradient", "its refinement")
-    )
     growth_interval: int = setting(
         50, "steps between two refinements", given(200, "V-A", "gradients are averaged over 200 steps")
     )
@@ -220,7 +210,6 @@ class PredictConfig:
         "width of the neighbourhoods whose anchors also move as one, in motion cells; 0 for none",
         reading(0.0, "not mentioned: every anchor moves by itself"),
     )
-    optimiser: str = setting("adam", "a name in `core.train.optimise.optimisers`", octree_gs("adam", "its optimiser"))
     memory: float = setting(
         0.6,
         "Adam's beta_1; a few dozen steps are too few for a long one",

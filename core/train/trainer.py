@@ -33,7 +33,6 @@ from streamlod.core.train.motion.cues import MotionCue, cue_of
 from streamlod.core.train.motion.partition import Observation, Partition, change_masks
 from streamlod.core.train.motion.steady import moves_steadily
 from streamlod.core.train.optimise.loop import run_steps
-from streamlod.core.train.optimise.optimisers import optimiser
 from streamlod.core.train.pictures.uploading import Uploader
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
@@ -224,7 +223,7 @@ class Trainer:
                     self._exposure,
                     masks,
                     useful,
-                    optimiser(config.optimiser, config.memory),
+                    config.memory,
                     config.group_cells,
                     guess,
                 )

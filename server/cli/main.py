@@ -291,9 +291,7 @@ def study(
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each system.")] = 3,
     ablate: Annotated[
         str,
-        typer.Option(
-            help="Parts to leave out in turn: all, or some of lod,partition,quantisation,dropout,heads,star,cue."
-        ),
+        typer.Option(help="Parts to leave out in turn: all, or some of lod,partition,quantisation,dropout,star,cue."),
     ] = "all",
     downscale: Downscale = DEFAULTS["downscale"],
     test: Test = "",

@@ -43,7 +43,6 @@ PUBLISHED = {
     "no quantisation": _published(_ROWS["5 views, without quantisation"], _FIVE),
     "no partition": _published(_ROWS["5 views, without the partition"], _FIVE),
     "one level": _published(_ROWS["5 views, without levels of detail"], _FIVE),
-    "separate heads": _published(_ROWS["3 views, separate heads"], _THREE),
     "no dropout": _published(_ROWS["3 views, without dropout"], _THREE),
     "ours star": _published(_STARS["StreamLoD-GS star"], _STARS["StreamLoD-GS"]),
     "paper star": _published(_STARS["StreamLoD-GS star"], _STARS["StreamLoD-GS"]),

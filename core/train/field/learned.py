@@ -10,9 +10,8 @@ from torch import Tensor
 from streamlod.core.train.field.decode import Network
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.field.heads import separate_heads
+from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.optimise.mean import MeanOfSteps
-from streamlod.core.train.optimise.optimisers import Optimiser
 
 ROW_PARAMETERS = ("feature", "offset", "scaling")
 _GRID = ("level", "voxel", "extra_level", "position")
@@ -24,21 +23,16 @@ class LearnedField:
 
     Args:
         start: first anchors.
-        separate: keep the output weights zero between the parts of `core.train.field.heads`.
         exposure: gains and offsets that learn along, None for none.
-        optimiser: of all that learns.
     """
 
-    def __init__(self, start: Field, exposure: Exposure | None, optimiser: Optimiser, *, separate: bool) -> None:
+    def __init__(self, start: Field, exposure: Exposure | None) -> None:
         rows = {name: getattr(start, name).clone().requires_grad_() for name in ROW_PARAMETERS}
         network = {name: getattr(start.network, name).clone().requires_grad_() for name in NETWORK_PARAMETERS}
-        if separate:
-            joined = separate_heads(start.slots).to(start.feature.device)
-            network["output_weight"].register_hook(lambda gradient: gradient * joined)
         light = {}
         if exposure is not None:
             light = {"gain": exposure.gain.requires_grad_(), "exposure_offset": exposure.offset.requires_grad_()}
-        self._optimiser = optimiser.start({**rows, **network, **light})
+        self._optimiser = RowAdam({**rows, **network, **light})
         self._grid = start
         self._mean = MeanOfSteps()
 

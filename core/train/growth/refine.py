@@ -10,7 +10,7 @@ from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.learned import LearnedField
 from streamlod.core.train.growth.gradient import GrowthStatistics
 from streamlod.core.train.growth.new_anchors import first_values
-from streamlod.core.train.growth.rules import GrowthRule
+from streamlod.core.train.growth.rules import GradientGrowth
 
 
 def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Tensor | None, slots: int) -> None:
@@ -25,7 +25,7 @@ def count(statistics: GrowthStatistics, raster: Raster, splats: Splats, rows: Te
 def refine(
     learned: LearnedField,
     statistics: GrowthStatistics,
-    rule: GrowthRule,
+    rule: GradientGrowth,
     highest: int,
     most_anchors: int,
     generator: torch.Generator,

@@ -1,43 +1,14 @@
-"""Growth rules: where anchors are added and which are removed, by name.
-
-To add one, write a frozen dataclass with the three methods of `GrowthRule` here and name it in `GROWTH_RULES`.
-"""
+"""The growth rule: where a first frame adds anchors, and which it removes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from torch import Tensor
 
-from streamlod.core.errors import unknown_name
-from streamlod.core.train.config import KeyframeConfig
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.growth.gradient import GrowthStatistics, NewAnchors, earned_extra_level, grow
 from streamlod.core.train.growth.new_anchors import strongest
-
-
-class GrowthRule(Protocol):
-    """Decides from the statistics of some training steps."""
-
-    def new_anchors(
-        self, field: Field, statistics: GrowthStatistics, highest: int, most: int, occupied: Field | None = None
-    ) -> NewAnchors:
-        """Anchors to add.
-
-        Args:
-            field: N anchors that were trained.
-            statistics: of the steps since the last refinement.
-            highest: finest level that may receive anchors.
-            most: anchors that may be added.
-            occupied: all anchors there are, where `field` holds some of them only.
-        """
-
-    def extra_levels(self, field: Field, statistics: GrowthStatistics) -> Tensor:
-        """[N] float32 levels by which each anchor is drawn from farther away from now on."""
-
-    def removed(self, statistics: GrowthStatistics) -> Tensor:
-        """[N] bool: anchors to remove."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,35 +28,24 @@ class GradientGrowth:
     def new_anchors(
         self, field: Field, statistics: GrowthStatistics, highest: int, most: int, occupied: Field | None = None
     ) -> NewAnchors:
-        """As `GrowthRule.new_anchors`; where more would grow than may, those with the largest gradients do."""
+        """Anchors to add; where more would grow than may, those with the largest gradients do.
+
+        Args:
+            field: N anchors that were trained.
+            statistics: of the steps since the last refinement.
+            highest: finest level that may receive anchors.
+            most: anchors that may be added.
+            occupied: all anchors there are, where `field` holds some of them only.
+        """
         gradient = statistics.mean_gradient()
         new = grow(field, gradient, self.threshold, highest, occupied)
         return strongest(new, gradient.reshape(len(field), -1), most)
 
     def extra_levels(self, field: Field, statistics: GrowthStatistics) -> Tensor:
-        """As `GrowthRule.extra_levels`."""
+        """[N] float32 levels by which each anchor is drawn from farther away from now on."""
         earned = earned_extra_level(field, statistics.mean_gradient(), self.threshold)
         return earned.float() * self.extra_level_gain
 
     def removed(self, statistics: GrowthStatistics) -> Tensor:
-        """As `GrowthRule.removed`."""
+        """[N] bool: anchors to remove."""
         return statistics.faint(self.prune_opacity)
-
-
-class _MakeRule(Protocol):
-    def __call__(self, threshold: float, prune_opacity: float = 0.0, extra_level_gain: float = 0.0) -> GrowthRule: ...
-
-
-GROWTH_RULES: dict[str, _MakeRule] = {"gradient": GradientGrowth}
-
-
-def growth_rule(config: KeyframeConfig) -> GrowthRule:
-    """The rule that a configuration names; `core.train.growth.later` has those of later frames.
-
-    Raises:
-        InputError: no rule has that name.
-    """
-    if config.growth_rule not in GROWTH_RULES:
-        raise unknown_name("growth rule", config.growth_rule, GROWTH_RULES)
-    make = GROWTH_RULES[config.growth_rule]
-    return make(config.growth_threshold, config.prune_opacity, config.extra_level_gain)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -18,7 +17,6 @@ from streamlod.core.scene.octree import MAX_LEVELS, Octree, level_for_distance, 
 from streamlod.core.train.config import ModelConfig
 from streamlod.core.train.field.decode import Network
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.field.heads import separate_heads
 
 _FAR_QUANTILE, _NEAR_QUANTILE = 0.99, 0.01
 _SEED_SHARE = 0.7  # of the most anchors there may be; growing places the rest where they are needed
@@ -143,7 +141,4 @@ def _first_network(config: ModelConfig, generator: torch.Generator) -> Network:
         hidden_weight[:, unit], hidden_bias[unit], output_weight[unit] = 0.0, 0.0, 0.0
         hidden_weight[channel, unit] = sign
         output_weight[unit, slots + channel : 4 * slots : 3] = sign * _COLOUR_GAIN
-    network = Network(hidden_weight, hidden_bias, output_weight, output_bias)
-    if config.heads == "shared":
-        return network
-    return replace(network, output_weight=output_weight * separate_heads(slots))
+    return Network(hidden_weight, hidden_bias, output_weight, output_bias)

@@ -19,11 +19,10 @@ from streamlod.core.train.field.rounding import Precision, usual_precision
 from streamlod.core.train.growth.gradient import GrowthStatistics
 from streamlod.core.train.growth.near_space import NearSpace
 from streamlod.core.train.growth.refine import count, refine
-from streamlod.core.train.growth.rules import growth_rule
+from streamlod.core.train.growth.rules import GradientGrowth
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
-from streamlod.core.train.optimise.optimisers import optimiser
 from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from streamlod.core.train.pictures.views import Views
 
@@ -62,13 +61,9 @@ class KeyframeTrainer:
         self._whole = views
         first = views.halved() if self._config.half_size_until > 0 else views
         self._view_loss = ViewLoss(first, self._exposure, self._config, backend)
-        self._learned = LearnedField(
-            field,
-            self._exposure if config.model.exposure else None,
-            optimiser(self._config.optimiser),
-            separate=config.model.heads == "separate",
-        )
-        self._growth = growth_rule(self._config)
+        self._learned = LearnedField(field, self._exposure if config.model.exposure else None)
+        settings = self._config
+        self._growth = GradientGrowth(settings.growth_threshold, settings.prune_opacity, settings.extra_level_gain)
         self._begin_with_anchors(field)
         self._highest = field.octree.levels - 1
         self._precision: Precision | None = None

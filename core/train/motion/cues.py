@@ -99,15 +99,15 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class RenderingError:
-    """Gradient of the error between a rendering and the new pictures; all that is trained is taken to move.
+    """Gradient of the error between a rendering of the keyframe's state and the new pictures (the paper's cue).
+
+    All that is trained is taken to move.
 
     Attributes:
         posterior: of the mixture's dynamic component, from which an anchor is dynamic.
-        of_keyframe: render the keyframe's state, as the paper does (its cue, `canonical`), not the latest (`previous`).
     """
 
     posterior: float
-    of_keyframe: bool
 
     @property
     def only_changed_views(self) -> bool:
@@ -118,7 +118,7 @@ class RenderingError:
         """As `MotionCue.partition`."""
         if not seen.masks.any():  # where no pixel changed, the error is static
             return all_static(len(seen.field))
-        scores = error_scores(seen.canonical if self.of_keyframe else seen.field, seen)
+        scores = error_scores(seen.canonical, seen)
         dynamic = dynamic_anchors(scores, seen.previous.trained, self.posterior, self.posterior * _HYSTERESIS)
         return Partition(dynamic, dynamic)
 
@@ -140,8 +140,7 @@ class Everything:
 
 CUES: dict[str, Callable[[PredictConfig], MotionCue]] = {
     "difference": lambda config: Difference(config.posterior, config.changed_posterior, config.noise_floor),
-    "previous": lambda config: RenderingError(config.posterior, of_keyframe=False),
-    "canonical": lambda config: RenderingError(config.posterior, of_keyframe=True),
+    "canonical": lambda config: RenderingError(config.posterior),
 }
 
 

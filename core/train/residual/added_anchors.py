@@ -17,7 +17,7 @@ from streamlod.core.arrays import Int32
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.keyframe import coarseness
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.optimise.optimisers import RowOptimiser
+from streamlod.core.train.optimise.adam import RowAdam
 
 MAX_STEPS = 2.0**24  # of one change of a place; floating-point numbers hold all integers up to there
 RATES = {"feature": 0.02, "offset": 0.04, "scaling": 0.03}  # those of the first frame (`KeyframeConfig`)
@@ -33,7 +33,7 @@ class AddedAnchors:
         optimiser: of the run that they join.
     """
 
-    def __init__(self, start: dict[str, Tensor], known: Field, scene: Scene, optimiser: RowOptimiser) -> None:
+    def __init__(self, start: dict[str, Tensor], known: Field, scene: Scene, optimiser: RowAdam) -> None:
         header, device = scene.header, known.feature.device
         base = (header.feature_steps, header.offset_steps.reshape(-1, 3), header.scaling_steps)
         steps = dict(zip(RATES, (torch.from_numpy(width.copy()).to(device) for width in base), strict=True))

@@ -15,8 +15,8 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rounding import dead_zone
 from streamlod.core.train.growth.new_anchors import added_levels
+from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.optimise.mean import MeanOfSteps
-from streamlod.core.train.optimise.optimisers import Optimiser
 from streamlod.core.train.optimise.rate import residual_bits
 from streamlod.core.train.residual.added_anchors import MAX_STEPS, AddedAnchors
 from streamlod.core.train.residual.apply import UnitChange, applied
@@ -29,11 +29,11 @@ class TrainedAnchors:
     """Anchors `rows` [n] of a state in training.
 
     Args:
-        optimiser: of all their numbers.
+        memory: Adam's beta_1.
         group_cells: width of the neighbourhoods that also move as one, in motion cells (`Octree`); 0 for none.
     """
 
-    def __init__(self, state: State, rows: Tensor, optimiser: Optimiser, group_cells: float) -> None:
+    def __init__(self, state: State, rows: Tensor, memory: float, group_cells: float) -> None:
         scene, field = state.scene, state.field
         device = field.feature.device
         self.base, self._scene = field.with_rows(rows), scene
@@ -47,7 +47,7 @@ class TrainedAnchors:
             self._groups = neighbourhoods(self.base.position, group_cells * field.octree.motion_cell)
             begin |= self._groups.at_rest()
         leaves = {name: value.clone().requires_grad_() for name, value in begin.items()}
-        self.optimiser = optimiser.start(leaves)
+        self.optimiser = RowAdam(leaves, memory)
         self._mean = MeanOfSteps()
         self._added: AddedAnchors | None = None
 

@@ -26,7 +26,6 @@ from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.convergence import EpochProgress
 from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.optimise.losses import photometric_loss
-from streamlod.core.train.optimise.optimisers import Adam, Optimiser
 from streamlod.core.train.optimise.schedule import ViewOrder
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.anchors import TrainedAnchors
@@ -49,7 +48,7 @@ class ResidualTrainer:
         exposure: of the cameras.
         masks: [C,H,W] bool, pixels that changed.
         useful: cameras to train on, the most important first.
-        optimiser: of latents and positions.
+        memory: Adam's beta_1.
         group_cells: width of the neighbourhoods that also move as one, in motion cells (`Octree`); 0 for none.
         guess: [n,3] steps that the anchors may have gone instead of what `state` expects; None for no guess.
     """
@@ -62,14 +61,14 @@ class ResidualTrainer:
         exposure: Exposure,
         masks: Tensor,
         useful: list[int],
-        optimiser: Optimiser = Adam(),  # noqa: B008 (frozen)
+        memory: float = 0.9,
         group_cells: float = 0.0,
         guess: Tensor | None = None,
     ) -> None:
         field = state.field
         trained = torch.from_numpy(partition.trained).to(field.feature.device)
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
-        self._anchors = TrainedAnchors(state, rows, optimiser, group_cells)
+        self._anchors = TrainedAnchors(state, rows, memory, group_cells)
         self._all, self._views, self._exposure = field, views, exposure
         self._useful, self._guess = useful, guess
         self._alive, self._masks = state.alive, masks

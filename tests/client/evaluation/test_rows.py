@@ -28,7 +28,7 @@ def test_one_ablation_adds_its_rows_only(ablation: str) -> None:
     assert added
     assert set(bare) < set(with_it)
     later_frames_only = [row for row in added if row.config.model == bare[0].config.model]
-    assert bool(set(added) - set(later_frames_only)) == (ablation in {"lod", "heads"})
+    assert bool(set(added) - set(later_frames_only)) == (ablation == "lod")
 
 
 def test_what_is_unknown_is_refused() -> None:

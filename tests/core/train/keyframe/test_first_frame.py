@@ -1,4 +1,4 @@
-"""The first frame: sizes of pictures, levels that are kept, heads, and rigs at the edge of what can be done."""
+"""The first frame: sizes of pictures, levels that are kept, and rigs at the edge of what can be done."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.metrics import psnr
 from streamlod.core.render.cpu import render
-from streamlod.core.scene.anchors import HIDDEN, Scene
+from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.train import TrainConfig, Trainer, preset
-from streamlod.core.train.field.heads import separate_heads
 from streamlod.core.train.keyframe.levels import needed_levels
 from streamlod.core.train.pictures.views import Views
 
@@ -100,21 +99,6 @@ def test_a_plain_wall_gets_fewer_levels_than_a_printed_one() -> None:
         assert all(len(level) for level in scene.levels)
         levels.append(len(scene.levels))
     assert levels[0] < levels[1]
-
-
-def test_separate_heads_share_no_hidden_unit() -> None:
-    slots = 3
-    mask = separate_heads(slots)
-    assert mask.shape == (HIDDEN, 11 * slots)
-    assert (
-        mask[:, :slots].any(dim=1).int() + mask[:, slots : 4 * slots].any(dim=1) + mask[:, 4 * slots :].any(dim=1) == 1
-    ).all()
-    pictures = np.full((2, 32, 48, 3), 90, np.uint8)
-    config = short(preset("live"), 30, heads="separate")
-    weights = Trainer(ring(2), config, 30.0, "cpu").keyframe(frames(pictures), wall(60)).scene.weights
-    outside = ~separate_heads(config.model.gaussians_per_anchor).numpy()
-    assert (weights.output_weight[outside] == 0).all()
-    assert (weights.output_weight[~outside] != 0).all()
 
 
 @pytest.mark.parametrize("name", ["live", "paper"])

@@ -24,7 +24,7 @@ from streamlod.core.train.growth.gradient import NewAnchors
 from streamlod.core.train.growth.later import later_growth
 from streamlod.core.train.growth.new_anchors import first_values
 from streamlod.core.train.motion.partition import Partition
-from streamlod.core.train.optimise.optimisers import Adam, RowOptimiser
+from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.added_anchors import AddedAnchors
 from streamlod.core.train.residual.state import State, fresh_state
@@ -41,12 +41,12 @@ CAMERAS = tuple(
 )  # fmt: skip
 
 
-def few_new(scene: Scene) -> tuple[AddedAnchors, Field, RowOptimiser]:
+def few_new(scene: Scene) -> tuple[AddedAnchors, Field, RowAdam]:
     known = field_of(scene)
     new = NewAnchors(np.array([[1, 2, 3], [4, 5, 6]], np.int32), np.array([0, 2]), np.array([3, 4]))
     start = first_values(known, new, torch.Generator().manual_seed(0))
     start["position"] = start["position"] + 0.013
-    optimiser = Adam().start({})
+    optimiser = RowAdam({})
     return AddedAnchors(start, known, scene, optimiser), known, optimiser
 
 

@@ -9,7 +9,6 @@ import torch
 from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
-from streamlod.core.train.optimise.optimisers import Adam
 from streamlod.core.train.residual.anchors import TrainedAnchors
 from streamlod.core.train.residual.state import State, fresh_state
 from tests.core.train.fields import random_field
@@ -25,7 +24,7 @@ def state() -> State:
 
 @pytest.fixture
 def anchors(state: State) -> TrainedAnchors:
-    return TrainedAnchors(state, torch.arange(0, 30, 2), Adam(), group_cells=2.0)
+    return TrainedAnchors(state, torch.arange(0, 30, 2), 0.9, group_cells=2.0)
 
 
 def sent(anchors: TrainedAnchors) -> tuple[int, int]:

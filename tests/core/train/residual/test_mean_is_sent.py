@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 import torch
@@ -15,7 +13,6 @@ from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.optimisers import RowOptimiser
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.state import fresh_state
 from streamlod.core.train.residual.trainer import ResidualTrainer
@@ -24,25 +21,20 @@ from tests.core.train.fields import random_field
 WIDTH, HEIGHT = 40, 24
 
 
-@dataclass(frozen=True, slots=True)
-class RememberingAdam:
-    """Adam that remembers the latents after each step."""
+def _after_each_step(optimiser: RowAdam, monkeypatch: pytest.MonkeyPatch) -> list[Tensor]:
+    """The latents after each step that `optimiser` will take."""
+    latents, step = list[Tensor](), optimiser.step
 
-    latents: list[Tensor] = field(default_factory=list)
+    def remembering(rates: dict[str, float]) -> None:
+        step(rates)
+        latents.append(optimiser.parameters["latent"].detach().clone())
 
-    def start(self, parameters: dict[str, Tensor]) -> RowOptimiser:
-        latents = self.latents
-
-        class Remembering(RowAdam):
-            def step(self, rates: dict[str, float]) -> None:
-                super().step(rates)
-                latents.append(self.parameters["latent"].detach().clone())
-
-        return Remembering(parameters)
+    monkeypatch.setattr(optimiser, "step", remembering)
+    return latents
 
 
 @pytest.mark.parametrize(("average_from", "last"), [(1.0, 1), (0.5, 4), (0.0, 8)])
-def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int) -> None:
+def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int, monkeypatch: pytest.MonkeyPatch) -> None:
     config = PredictConfig(epochs=8, minimum_steps=0, least_gain=0.0, average_from=average_from)
     pose = np.eye(4)
     pose[2, 3] = 3.0
@@ -51,10 +43,10 @@ def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int) -> N
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0)), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
     everything = Partition(None, np.ones(len(state.field), np.bool_))
-    adam = RememberingAdam()
-    trainer = ResidualTrainer(state, everything, views, neutral(1), masks, [0], adam)
+    trainer = ResidualTrainer(state, everything, views, neutral(1), masks, [0])
+    latents = _after_each_step(trainer._anchors.optimiser, monkeypatch)
     update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
-    assert update.steps == len(adam.latents) == 8
-    assert not torch.equal(adam.latents[-1], adam.latents[-2])
-    mean = torch.stack(adam.latents[-last:]).mean(dim=0).numpy()
+    assert update.steps == len(latents) == 8
+    assert not torch.equal(latents[-1], latents[-2])
+    mean = torch.stack(latents[-last:]).mean(dim=0).numpy()
     np.testing.assert_allclose(update.wanted[:, : mean.shape[1]], mean, atol=1e-4)
