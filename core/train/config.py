@@ -266,14 +266,9 @@ class PredictConfig:
         given("canonical", "IV-B", "the frame is compared with a rendering of the first"),
     )
     posterior: float = setting(
-        0.2,
-        "probability of the mixture's dynamic component, from which an anchor is taken to move",
-        given(0.8, "IV-B", "rho is 80 %"),
-    )
-    changed_posterior: float = setting(
         0.05,
-        "the same, from which an anchor is trained because what it shows has changed, moving or not",
-        given(1.0, "IV-B", "only what moves is trained"),
+        "probability of the mixture's dynamic component, from which an anchor is trained",
+        given(0.8, "IV-B", "rho is 80 %"),
     )
     noise_floor: float = setting(
         0.02,

@@ -41,11 +41,10 @@ class FrameReport:
     Attributes:
         seconds: wall time by stage.
         steps: training steps taken.
-        anchors: anchors alive; dynamic: those taken to move; all that were trained where nobody asked.
+        anchors: anchors alive; dynamic: those that were trained.
         loss: mean loss of the last epoch.
         repaired: parameters that became non-finite and were reset.
         spans: each stage's name, begin and end in seconds of `time.perf_counter`.
-        changed: the other anchors that were trained, since what they show has changed.
     """
 
     seconds: dict[str, float]
@@ -55,7 +54,6 @@ class FrameReport:
     loss: float
     repaired: int = 0
     spans: tuple[tuple[str, float, float], ...] = ()
-    changed: int = 0
 
     @property
     def total_seconds(self) -> float:
@@ -71,8 +69,7 @@ class TrainedFrame:
         scene: the state after it.
         residual: what changed; None where the state is a keyframe.
         report: figures.
-        dynamic: [N] bool, which anchors of the state before were taken to move, over all levels; None for a keyframe,
-            and where nobody asked.
+        dynamic: [N] bool, which anchors of the state before were trained, over all levels; None for a keyframe.
     """
 
     scene: Scene

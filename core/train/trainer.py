@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from streamlod.core.arrays import Bool
 from streamlod.core.camera import Camera
 from streamlod.core.errors import ModelError
 from streamlod.core.frames import FrameSet, PointCloud
@@ -30,8 +31,7 @@ from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
 from streamlod.core.train.motion.cues import MotionCue, cue_of
-from streamlod.core.train.motion.partition import Observation, Partition, change_masks
-from streamlod.core.train.motion.steady import moves_steadily
+from streamlod.core.train.motion.partition import Observation, change_masks
 from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.pictures.uploading import Uploader
 from streamlod.core.train.pictures.views import Views
@@ -61,7 +61,6 @@ class Trainer:
         frame_budget_ms: wall time for each later frame, None for as long as it takes. `sent` tells what encoding took.
         target_kbps: kilobits a second that predicted packets may take, None for any; needs `sent` after every frame.
         clock: seconds that the budget and the report go by.
-        label_motion: tell which of the trained anchors move, for figures; without, only rate control has it told.
 
     Raises:
         ValueError: a budget or a rate that is not positive.
@@ -77,7 +76,6 @@ class Trainer:
         frame_budget_ms: float | None = None,
         target_kbps: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
-        label_motion: bool = True,
     ) -> None:
         self._cameras, self._config, self._fps = cameras, config, fps
         self._backend = select(device)
@@ -89,7 +87,6 @@ class Trainer:
         self._clock = clock
         self._budget = None if frame_budget_ms is None else FrameBudget(frame_budget_ms, clock)
         self._rate = None if target_kbps is None else RateControl(target_kbps, fps)
-        self._label = label_motion or target_kbps is not None
         self._uploader = Uploader(self._device)
         self._state: State | None = None
 
@@ -209,8 +206,8 @@ class Trainer:
             assert shown is not None
             masks = change_masks(references, views, config.noise_floor)
         with watch.stage("partition"):
-            partition, renewed = self._partition(cue, state, frames, views, masks)
-        rows = torch.from_numpy(np.flatnonzero(partition.trained)).to(self._device)
+            dynamic, renewed = self._partition(cue, state, frames, views, masks)
+        rows = torch.from_numpy(np.flatnonzero(dynamic)).to(self._device)
         update, trainer = no_update(0), None
         if len(rows):
             guess = self._guess(watch, state, rows, views, masks)
@@ -218,7 +215,7 @@ class Trainer:
                 useful = _by_change(views, references, masks) if cue.only_changed_views else views.usable
                 trainer = ResidualTrainer(
                     state,
-                    partition,
+                    dynamic,
                     views,
                     self._exposure,
                     masks,
@@ -232,20 +229,18 @@ class Trainer:
                 update = trainer.run(config, self._backend, generator, self._pace, *growth)
         with watch.stage("round"):
             if plan is not None:
-                assert partition.dynamic is not None
-                most = plan.most_changes_beside(update.new)
-                update = strongest_changes(update, most, partition.dynamic[partition.trained])
+                update = strongest_changes(update, plan.most_changes_beside(update.new))
             # what had no time or no bytes goes on where it ended
             done = update.complete and (plan is None or not plan.strained)
             residual = residual_of(state.scene, rows.cpu().numpy(), update, frames.index)
             scene = apply(state.scene, residual)
             before = update.sent * 0 if state.change is None else state.change[rows].cpu().numpy()
             start = update.continued(config.continuation, before, done=done)
-            after = state.after(residual, scene, partition, rows, update, start)
+            after = state.after(residual, scene, dynamic, rows, update, start)
         with watch.stage("settle"):
             if trainer is not None:
                 alive = after.alive.cpu().numpy()
-                drawn = torch.from_numpy(np.flatnonzero(after.partition.trained & alive)).to(self._device)
+                drawn = torch.from_numpy(np.flatnonzero(after.trained & alive)).to(self._device)
                 shown = trainer.show(after.field, drawn)
             if renewed:
                 after = renewed_references(after, state, views, masks, shown, done=done)
@@ -253,18 +248,16 @@ class Trainer:
             after = as_filmed(after, views, unknown) if unknown else after
             self._state = replace(after, shown=shown)
         self._learn_costs(watch.seconds)
-        moving = len(rows) if partition.dynamic is None else int(partition.dynamic.sum())
         report = FrameReport(
             watch.seconds,
             update.steps,
             scene.anchor_count,
-            moving,
+            len(rows),
             update.loss,
             update.repaired,
             tuple(watch.spans),
-            changed=len(rows) - moving,
         )
-        return TrainedFrame(scene, residual, report, partition.dynamic)
+        return TrainedFrame(scene, residual, report, dynamic)
 
     def sent(self, frame: TrainedFrame, size_bytes: int, seconds: float = 0.0) -> None:
         """Learn what `frame` took as a packet; the frame budget and the rate control go by it.
@@ -304,27 +297,23 @@ class Trainer:
 
     def _partition(
         self, cue: MotionCue, state: State, frames: FrameSet, views: Views, masks: Tensor
-    ) -> tuple[Partition, bool]:
+    ) -> tuple[Bool, bool]:
         """What to train, and whether that was found anew: where it is due and there is time; as before otherwise."""
         alive = state.alive
-        previous = state.partition.among(alive.cpu().numpy())
+        previous = state.trained & alive.cpu().numpy()
         late = self._budget is not None and not self._budget.allows("partition", *_AFTER_TRAINING)
-        if late or (frames.index % self._config.predict.partition_interval and previous.trained.any()):
+        if late or (frames.index % self._config.predict.partition_interval and previous.any()):
             return previous, False
         assert state.references is not None
-        assert state.filmed is not None
         seen = Observation(
             field=state.field,
             canonical=state.canonical,
             alive=alive,
             views=views,
             references=state.references,
-            filmed=state.filmed,
             masks=masks,
             previous=previous,
-            steady=moves_steadily(state.motion if self._label else None, state.field.position, self._cameras),
             backend=self._backend,
-            label=self._label,
         )
         return cue.partition(seen), True
 

@@ -254,7 +254,6 @@ class _Training:
             opened.rig,
             frame_budget_ms=job.frame_budget_ms,
             target_kbps=job.target_kbps,
-            label_motion=False,
         )
         self._refresh = RefreshSchedule(RefreshRule(max_age=job.keyframe_interval), size.size_bytes)
 

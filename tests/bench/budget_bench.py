@@ -46,7 +46,7 @@ def main() -> None:
         return psnr(render(expand(scene, camera.centre), camera, scene.header.background).image.clip(0, 1), truth)
 
     def run(milliseconds: float | None) -> None:
-        trainer = Trainer(cameras, config, clip.fps, "cpu", frame_budget_ms=milliseconds, label_motion=False)
+        trainer = Trainer(cameras, config, clip.fps, "cpu", frame_budget_ms=milliseconds)
         trainer.resume(first)
         trainer.predict(training[0])  # tells the trainer what the first frame was shown, and warms it up
         times, scores, steps = list[float](), list[float](), list[int]()

@@ -16,6 +16,7 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 import torch
 
+from streamlod.client.evaluation.measure.coverage import coverage
 from streamlod.client.evaluation.measure.scores import draw
 from streamlod.client.evaluation.measure.truth import MotionScore, dynamic_precision_recall
 from streamlod.codec.encoder import encode_residual
@@ -26,8 +27,7 @@ from streamlod.core.synthetic import SyntheticSpec, surface_motion
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.field.convert import field_of
 from streamlod.core.train.motion import cues
-from streamlod.core.train.motion.coverage import coverage
-from streamlod.core.train.motion.partition import Observation, Partition, all_static
+from streamlod.core.train.motion.partition import Observation
 from tests.bench.moving_bench import Clip, first_frame, open_clip
 
 _PARTLY = 0.1  # of what an anchor shows
@@ -47,18 +47,18 @@ class Watched:
 
     cue: cues.MotionCue
     only: Bool | None = None
-    last: Partition = field(default_factory=lambda: all_static(0))
+    last: Bool = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     @property
     def only_changed_views(self) -> bool:
         """As `MotionCue.only_changed_views`."""
         return self.cue.only_changed_views
 
-    def partition(self, seen: Observation) -> Partition:
+    def partition(self, seen: Observation) -> Bool:
         """As `MotionCue.partition`."""
         self.last = self.cue.partition(seen)
         if self.only is not None:
-            self.last = self.last.among(self.only)
+            self.last = self.last & self.only
         return self.last
 
 
@@ -125,7 +125,7 @@ def follow(clip: Clip, config: TrainConfig, first: Scene, truth: bool) -> Counts
         watched.only = has_moved if truth else None
         result = trainer.predict(frame)
         assert result.residual is not None
-        trained = watched.last.trained
+        trained = watched.last
         counts.trained += int(trained.sum())
         counts.still += int((trained & ~moves).sum())
         counts.always_still += int((trained & ~has_moved).sum())

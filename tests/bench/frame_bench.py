@@ -57,7 +57,7 @@ def describe(streaming: Streaming) -> dict[str, Any]:
     """Figures of the frame just trained."""
     assert streaming.result is not None
     report = streaming.result.report
-    share = (report.dynamic + report.changed) / report.anchors
+    share = report.dynamic / report.anchors
     numbers = {"steps": report.steps, "bytes": len(streaming.packet), "trained": share}
     seconds = report.seconds | {"encode": streaming.encode_seconds}
     return numbers | {f"{stage} wall s": taken for stage, taken in seconds.items()}
@@ -83,7 +83,7 @@ def clip(frames: int = 4) -> dict[str, Any]:
                 "cpu s": cpu,
                 "kernels of cpu": kernels.total / cpu,
                 "kernels of wall": waiting.total / wall,
-                "trained": report.dynamic + report.changed,
+                "trained": report.dynamic,
             }
             numbers |= {f"{stage} s": seconds for stage, seconds in report.seconds.items()}
             found[f"{threads} threads, frame {frame.index}"] = numbers | shares

@@ -81,7 +81,7 @@ def frame_figures(
             assert streaming.result is not None
             report = streaming.result.report
             best = {"wall s": wall, "steps": report.steps, "bytes": len(streaming.packet)}
-            best["trained"] = (report.dynamic + report.changed) / report.anchors
+            best["trained"] = report.dynamic / report.anchors
             stages = report.seconds | {"encode": streaming.encode_seconds}
             best |= {f"{stage} s": seconds for stage, seconds in stages.items()}
     if pictures:

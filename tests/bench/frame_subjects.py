@@ -64,7 +64,7 @@ class Streaming:
 
     def __init__(self, case: FrameCase, config: TrainConfig, device: str = "cpu") -> None:
         self._case = case
-        self._trainer = Trainer(case.cameras, config, 30.0, device, label_motion=False)
+        self._trainer = Trainer(case.cameras, config, 30.0, device)
         self._device = device
         self.result: TrainedFrame | None = None
         self.packet, self.encode_seconds = b"", 0.0
@@ -145,7 +145,7 @@ def trained_clip(
         predict=replace(live.predict, epochs=epochs, minimum_steps=0, least_gain=0.0),
     )
     filmed = [FrameSet(f.index, f.time_ns, f.images[rows], f.present[rows]) for f in made.frames()]
-    trainer = Trainer(cameras, config, made.fps, "cpu", label_motion=False)
+    trainer = Trainer(cameras, config, made.fps, "cpu")
     trainer.keyframe(filmed[0], first_points(filmed[0], cameras, depth_bounds=made.depth_bounds))
     return trainer, filmed
 

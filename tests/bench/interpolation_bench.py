@@ -32,7 +32,7 @@ WAYS = ("state before", "interpolated", "trained")
 def trained(clip: Clip, config: TrainConfig) -> list[Scene]:
     """The state of each frame."""
     first = first_frame(clip, config, None)
-    trainer = Trainer(clip.cameras, config, clip.fps, "cpu", label_motion=False)
+    trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
     trainer.resume(first)
     trainer.predict(clip.training[0])  # tells the trainer what the first frame was shown
     trainer.resume(first, keep_references=True)

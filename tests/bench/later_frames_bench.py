@@ -124,10 +124,7 @@ def main() -> None:
 
     def run(label: str, predict: PredictConfig) -> None:
         budget, chosen = options.budget_ms, replace(config, predict=predict)
-        labels = budget is None  # which take time that nobody else would spend
-        trainer = Trainer(
-            cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget, clock=time.process_time, label_motion=labels
-        )
+        trainer = Trainer(cameras, chosen, clip.fps, "cpu", frame_budget_ms=budget, clock=time.process_time)
         start = with_steps(first, config.predict, predict)
         warm_up(cameras, start, training[1])
         trainer.resume(start)

@@ -33,7 +33,7 @@ from streamlod.client.evaluation.measure.truth import shown_motion
 from streamlod.client.evaluation.systems import with_steps
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
-from streamlod.core.arrays import UInt8
+from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.data import linspace_split
 from streamlod.core.frames import FrameSet
@@ -43,7 +43,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.motion import cues
-from streamlod.core.train.motion.partition import Observation, Partition
+from streamlod.core.train.motion.partition import Observation
 
 _HELD_OUT = "cam00"
 _FIGURES = ("moving", "fitted", "whole", "size", "seconds", "trained", "anchors")  # of a `Course`
@@ -112,14 +112,13 @@ class TrueSet:
         self._clip = clip
         self.before, self.index = None, 0
 
-    def partition(self, seen: Observation) -> Partition:
+    def partition(self, seen: Observation) -> Bool:
         """As `MotionCue.partition`."""
         assert self.before is not None
         shown = np.zeros(len(seen.field))
         for index in {max(self.index - 1, 1), self.index}:
             shown = np.maximum(shown, shown_motion(self._clip.spec, self.before, index, self._clip.cameras)[1])
-        chosen = (shown >= _SHOWN) & seen.alive.cpu().numpy()
-        return Partition(chosen, chosen)
+        return np.asarray((shown >= _SHOWN) & seen.alive.cpu().numpy())
 
 
 def first_frame(clip: Clip, config: TrainConfig, kept: Path | None, device: str) -> Scene:
@@ -147,7 +146,7 @@ def follow(
     course = Course()
     held, fitted = MovingPixels((clip.held_out,), clip.spec), MovingPixels(clip.cameras, clip.spec)
     clock = time.process_time if device == "cpu" else time.perf_counter
-    trainer = Trainer(clip.cameras, config, clip.fps, device, label_motion=False)
+    trainer = Trainer(clip.cameras, config, clip.fps, device)
     truth.before = first
     trainer.resume(first)
     trainer.predict(clip.training[0])  # tells the trainer what the first frame was shown
@@ -161,7 +160,7 @@ def follow(
             assert result.residual is not None
             course.size.append(len(encode_residual(before, result.residual, time_ns=0)))
             course.seconds.append(clock() - begin)
-            course.trained.append(result.report.dynamic + result.report.changed)
+            course.trained.append(result.report.dynamic)
         scene = trainer.scene
         drawn = draw(scene, clip.held_out)
         course.whole.append(psnr(drawn, test.images[0]))

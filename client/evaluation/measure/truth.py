@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from streamlod.client.evaluation.measure.coverage import coverage
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.camera import Camera
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, surface_motion
 from streamlod.core.train.field.convert import field_of
-from streamlod.core.train.motion.coverage import coverage
 
 VISIBLE = 0.25  # pixels in one step: the motion precision of H.264 and HEVC
 _ANY = 0.01  # pixels

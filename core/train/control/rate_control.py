@@ -54,7 +54,6 @@ class RatePlan:
             config,
             rate_weight=config.rate_weight * self.weight_factor,
             posterior=1 - (1 - config.posterior) * surer,
-            changed_posterior=1 - (1 - config.changed_posterior) * surer,
         )
 
 

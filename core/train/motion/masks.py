@@ -3,9 +3,7 @@
 Pixels: each camera's picture is compared with its *reference*: what was filmed when a change was last accepted there,
 or what the model shows where training of that goes on. Only changes above the camera's own noise count, so a still
 scene yields nothing at all, whatever the model's static error; and as a reference is renewed only where a change was
-accepted, slow drift adds up until it is seen. Among the pixels that changed from picture to picture, those *moved* that
-no change of light explains: where the best gain of their neighbourhood, which is what a shadow or a lamp does, leaves
-as much of the change as would count by itself.
+accepted, slow drift adds up until it is seen.
 
 Anchors: scores of motion from `core.train.motion.partition`, split in two by a Gaussian mixture on their fourth root.
 (On the logarithm, as one might read the paper, the mixture's wide low component swallows the top: see docs/method.md.)
@@ -25,8 +23,6 @@ _MAX_FLOOR = 4.0  # floors; no camera worth using is noisier after the blur
 _SEED_FACTOR = 1.6  # a region of change needs a seed this much above the threshold
 _SMALLEST_REGION = 12  # pixels
 _GROW = 5  # pixels that a region is widened by: the blur and the object's edge
-_SHARP = (3, 3)  # pixels; as `_BLUR`, where a region's edge matters
-_LIGHT = (9, 9)  # pixels; neighbourhood that one light falls on
 _MIN_SCORED = 16  # below so many scored anchors a mixture means nothing
 _POWER = 0.25
 
@@ -37,7 +33,7 @@ def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
     Args:
         floor: smallest difference that counts, in units of [0, 1].
     """
-    difference = _largest_difference(current, reference, _BLUR)
+    difference = _largest_difference(current, reference)
     threshold = _threshold(difference, floor)
     weak = (difference > threshold).astype(np.uint8)
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
@@ -49,25 +45,9 @@ def changed_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
     return np.asarray(cv2.dilate(mask, np.ones((_GROW, _GROW), np.uint8)) > 0)
 
 
-def moved_pixels(reference: Float32, current: Float32, floor: float) -> Bool:
-    """[H,W] where `current` differs from `reference` sharply, and not by a change of light alone; as `changed_pixels`.
-
-    A light that dims or brightens multiplies a neighbourhood by one gain. What the best gain leaves of the squared
-    change, sum(c c) - sum(r c)^2 / sum(r r) over a window and its channels, must itself be above the threshold.
-    """
-    difference = _largest_difference(current, reference, _SHARP)
-    threshold = _threshold(difference, floor)
-    squares, products, energy = (
-        cv2.blur(np.einsum("hwc,hwc->hw", one, other) / one.shape[2], _LIGHT)
-        for one, other in ((reference, reference), (reference, current), (current, current))
-    )
-    unexplained = energy - products**2 / np.maximum(squares, 1e-6)
-    return np.asarray((difference > threshold) & (unexplained > threshold**2))
-
-
-def _largest_difference(one: Float32, other: Float32, window: tuple[int, int]) -> Float32:
+def _largest_difference(one: Float32, other: Float32) -> Float32:
     """[H,W] largest over the channels of the difference of two blurred pictures."""
-    red, green, blue = cv2.split(np.abs(cv2.blur(one, window) - cv2.blur(other, window)))
+    red, green, blue = cv2.split(np.abs(cv2.blur(one, _BLUR) - cv2.blur(other, _BLUR)))
     return np.asarray(np.maximum(np.maximum(red, green), blue))  # four times as fast as a reduction of a short axis
 
 

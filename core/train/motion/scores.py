@@ -13,7 +13,6 @@ from streamlod.core.render.differentiable import rasterise
 from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.motion.coverage import coverage
 from streamlod.core.train.motion.partition import Observation
 from streamlod.core.train.pictures.views import Views
 
@@ -24,62 +23,39 @@ def error_scores(field: Field, seen: Observation) -> Float64:
     The mean is over an anchor's visible Gaussians and the views that see it. Static error counts like motion.
     """
     rows = torch.nonzero(seen.alive)[:, 0]
-    mean = _GradientMean(field, rows, rows[:0])
+    mean = _GradientMean(field, rows)
     for number in seen.views.usable:
         mean.add(number, seen.views, None, None, seen.backend)
     return mean.value()
 
 
-def change_scores(seen: Observation, rows: Tensor, others: Tensor, masks: Tensor) -> Float64:
-    """[N] as `error_scores`, of MSE(new picture) - MSE(reference picture) over the pixels of `masks` [C,H,W].
+def change_scores(seen: Observation) -> Float64:
+    """[N] as `error_scores`, of MSE(new picture) - MSE(reference picture) over the pixels that changed.
 
-    The difference cancels the static error and is linear in the render (QUEEN). 0 but for `rows`; `others` are only
-    drawn.
+    The difference cancels the static error and is linear in the render (QUEEN).
     """
-    mean = _GradientMean(seen.field, rows, others)
+    mean = _GradientMean(seen.field, torch.nonzero(seen.alive)[:, 0])
     for number in seen.views.usable:
-        if masks[number].any():
-            mean.add(number, seen.views, seen.references[number], masks[number], seen.backend)
+        if seen.masks[number].any():
+            mean.add(number, seen.views, seen.references[number], seen.masks[number], seen.backend)
     return mean.value()
 
 
-def shown_shares(seen: Observation, rows: Tensor, others: Tensor, masks: Tensor) -> Float64:
-    """[N] share of what an anchor shows that lies on `masks` [C,H,W], over the views in which any pixel does.
-
-    0 but for `rows`; `others` are only drawn.
-    """
-    inside, total = torch.zeros(len(rows), device=rows.device), torch.zeros(len(rows), device=rows.device)
-    for number in seen.views.usable:
-        mask = masks[number]
-        if not mask.any():
-            continue
-        maps = torch.stack([torch.ones_like(mask), mask], dim=2).float()
-        camera, tiles = seen.views.cameras[number], tiles_of(mask, room=1)
-        sums = coverage(seen.field, rows, others, camera, maps, seen.backend, tiles)
-        total += sums[:, 0]
-        inside += sums[:, 1]
-    shares = np.zeros(len(seen.field))
-    shares[rows.cpu().numpy()] = (inside / total.clamp_min(1e-6)).double().cpu().numpy()
-    return shares
-
-
-def tiles_of(mask: Tensor, room: int = 0) -> Tensor:
-    """[tiles_y,tiles_x] bool: tiles that hold a pixel of `mask` [H,W], and `room` more on every side."""
+def tiles_of(mask: Tensor) -> Tensor:
+    """[tiles_y,tiles_x] bool: tiles that hold a pixel of `mask` [H,W]."""
     height, width = mask.shape
     rows, columns = tile_grid(width, height)
     padding = (0, columns * TILE_WIDTH - width, 0, rows * TILE_HEIGHT - height)
     padded = functional.pad(mask.float(), padding)[None, None]
     tiles = functional.max_pool2d(padded, (TILE_HEIGHT, TILE_WIDTH))
-    if room:
-        tiles = functional.max_pool2d(tiles, 2 * room + 1, stride=1, padding=room)
     return tiles[0, 0] > 0
 
 
 class _GradientMean:
     """View-space gradient norms of the anchors, averaged over Gaussians and views."""
 
-    def __init__(self, field: Field, rows: Tensor, others: Tensor) -> None:
-        self._field, self._rows, self._wanted = field, torch.cat([rows, others]), len(rows)
+    def __init__(self, field: Field, rows: Tensor) -> None:
+        self._field, self._rows = field, rows
         self._total, self._views_seen = np.zeros(len(field)), np.zeros(len(field))
         self._splats: Splats | None = None
 
@@ -95,7 +71,7 @@ class _GradientMean:
             *splats.astuple()[1:],
             camera=camera,
             background=torch.zeros(3, device=rows.device),
-            gradient_rows=self._wanted * field.slots,
+            gradient_rows=len(rows) * field.slots,
             tile_mask=None if mask is None else tiles_of(mask),
             backend=backend,
         )

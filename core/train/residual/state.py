@@ -8,14 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Float32
+from streamlod.core.arrays import Bool, Float32
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import anchor_positions, dequantise
 from streamlod.core.scene.residual import Residual
 from streamlod.core.train.field.convert import field_of, level_starts
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.motion.partition import Partition, all_static
-from streamlod.core.train.motion.steady import mean_motion
 from streamlod.core.train.residual.update import IntegerUpdate
 
 
@@ -32,10 +30,9 @@ class State:
         filmed: [C,H,W,3] what was filmed when a change was last accepted, also where training goes on; None: the same
             as `references`.
         shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
-        partition: what the latest frame trained.
+        trained: [N] bool, the anchors that the latest frame trained.
         change: [N,27] of the latest frame, latents and positions in steps; None for zeros.
         start: [N,27] likewise, where training of the next frame begins.
-        motion: [N,3] world units a frame, mean over the latest frames; None for none.
     """
 
     scene: Scene
@@ -43,10 +40,9 @@ class State:
     canonical: Field
     references: Tensor | None
     shown: Tensor | None
-    partition: Partition
+    trained: Bool
     change: Tensor | None = None
     start: Tensor | None = None
-    motion: Tensor | None = None
     filmed: Tensor | None = None
 
     @property
@@ -67,7 +63,7 @@ class State:
         self,
         residual: Residual,
         scene: Scene,
-        partition: Partition,
+        trained: Bool,
         rows: Tensor,
         update: IntegerUpdate,
         start: Float32,
@@ -75,10 +71,10 @@ class State:
         """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
 
         Args:
-            rows: [n] trained rows, with their `update` and where to `start` [n,27] in the next frame.
+            trained: [N] bool. rows: [n] their numbers, with their `update` and where to `start` [n,27] next.
         """
         if any(len(part.added) for part in residual.levels):
-            return self._with_added_rows(residual, scene, partition, rows, update, start)
+            return self._with_added_rows(residual, scene, trained, rows, update, start)
         field, starts = self.field, level_starts(scene)
         device = field.feature.device
         feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
@@ -90,7 +86,6 @@ class State:
             feature[changed] = torch.from_numpy(new_feature).to(device)
             offset[changed] = torch.from_numpy(new_offset).to(device)
             position[changed] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
-        motion = mean_motion(self.motion, position - field.position)
         field = replace(field, feature=feature, offset=offset, position=position)
         changes, starts_at = torch.zeros(2, len(field), start.shape[1], device=device)
         changes[rows], starts_at[rows] = torch.from_numpy(update.sent).to(device), torch.from_numpy(start).to(device)
@@ -98,17 +93,16 @@ class State:
             self,
             scene=scene,
             field=field,
-            partition=partition,
+            trained=trained,
             change=changes,
             start=starts_at,
-            motion=motion,
         )
 
     def _with_added_rows(
         self,
         residual: Residual,
         scene: Scene,
-        partition: Partition,
+        trained: Bool,
         rows: Tensor,
         update: IntegerUpdate,
         start: Float32,
@@ -126,17 +120,14 @@ class State:
         is_known = torch.from_numpy(origin >= 0).to(device)[:, None]
         changes, starts_at = torch.zeros(2, len(self.field), start.shape[1], device=device)
         changes[rows], starts_at[rows] = torch.from_numpy(update.sent).to(device), torch.from_numpy(start).to(device)
-        mean = None if self.motion is None else self.motion[known] * is_known
-        motion = mean_motion(mean, (field.position - self.field.position[known]) * is_known)
         return replace(
             self,
             scene=scene,
             field=field,
             canonical=canonical,
-            partition=partition.reordered(origin),
+            trained=(origin < 0) | trained[np.maximum(origin, 0)],
             change=changes[known] * is_known,
             start=starts_at[known] * is_known,
-            motion=motion,
         )
 
 
@@ -150,4 +141,4 @@ def fresh_state(
 ) -> State:
     """The state of a keyframe; `by_distance` as in `Field`."""
     field = replace(field_of(scene).to(device), by_distance=by_distance)
-    return State(scene, field, field, references, shown, all_static(len(field)))
+    return State(scene, field, field, references, shown, np.zeros(len(field), np.bool_))

@@ -22,7 +22,6 @@ from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.growth.gradient import GrowthStatistics
 from streamlod.core.train.growth.later import HalfTrained, LaterGrowth
-from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.convergence import EpochProgress
 from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.optimise.losses import photometric_loss
@@ -39,11 +38,11 @@ _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
 class ResidualTrainer:
-    """Fits the residuals of the anchors that `partition` trains to one instant.
+    """Fits the residuals of the `dynamic` anchors to one instant.
 
     Args:
         state: the state before.
-        partition: which anchors to train.
+        dynamic: [N] bool, the anchors to train.
         views: pictures of the instant.
         exposure: of the cameras.
         masks: [C,H,W] bool, pixels that changed.
@@ -56,7 +55,7 @@ class ResidualTrainer:
     def __init__(
         self,
         state: State,
-        partition: Partition,
+        dynamic: Bool,
         views: Views,
         exposure: Exposure,
         masks: Tensor,
@@ -66,7 +65,7 @@ class ResidualTrainer:
         guess: Tensor | None = None,
     ) -> None:
         field = state.field
-        trained = torch.from_numpy(partition.trained).to(field.feature.device)
+        trained = torch.from_numpy(dynamic).to(field.feature.device)
         rows, static = torch.nonzero(trained)[:, 0], torch.nonzero(state.alive & ~trained)[:, 0]
         self._anchors = TrainedAnchors(state, rows, memory, group_cells)
         self._all, self._views, self._exposure = field, views, exposure

@@ -76,14 +76,14 @@ def no_update(anchors: int) -> IntegerUpdate:
     )
 
 
-def strongest_changes(update: IntegerUpdate, most: int, first: Bool) -> IntegerUpdate:
-    """At most `most` of the changes: anchors of `first` [n] bool before others, and then the largest sums of steps."""
+def strongest_changes(update: IntegerUpdate, most: int) -> IntegerUpdate:
+    """At most `most` of the changes: the anchors with the largest sums of steps."""
     energy = np.abs(update.latent).sum(axis=1, dtype=np.int64) + np.abs(update.position).sum(axis=1, dtype=np.int64)
     energy[update.removed] = 0  # no change of theirs is sent
     if np.count_nonzero(energy) <= most:
         return update
     kept = np.zeros(len(energy), np.bool_)
-    kept[np.lexsort((-energy, ~first | (energy == 0)))[:most]] = True
+    kept[np.argsort(-energy, kind="stable")[:most]] = True
     return replace(
         update,
         latent=np.where(kept[:, None], update.latent, 0).astype(np.int32),

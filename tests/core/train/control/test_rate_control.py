@@ -75,7 +75,6 @@ def test_a_plan_under_strain_trains_less_and_surer() -> None:
     strained = control.plan().applied(config)
     assert strained.rate_weight > config.rate_weight
     assert config.posterior < strained.posterior < 1
-    assert config.changed_posterior < strained.changed_posterior < 1
     assert control.plan().most_anchors == 0
 
 

@@ -11,7 +11,6 @@ import torch
 from streamlod.core.camera import look_at, pinhole
 from streamlod.core.train.field.field import Field, visible_levels
 from streamlod.core.train.field.rendered import rendered
-from streamlod.core.train.motion.coverage import coverage
 from streamlod.core.train.motion.scores import tiles_of
 from streamlod.core.train.pictures.views import Views
 from tests.core.train.fields import random_field
@@ -35,28 +34,12 @@ def test_levels_that_the_distance_does_not_call_for_are_transparent(field: Field
     assert not replace(field, by_distance=True).looks_the_same
 
 
-def test_areas_shown_add_up_to_what_is_opaque(field: Field) -> None:
-    rows = torch.arange(len(field))
-    maps = torch.zeros(CAMERA.height, CAMERA.width, 2)
-    maps[..., 0] = 1
-    maps[:, :32, 1] = 1
-    shown = coverage(field, rows, rows[:0], CAMERA, maps, "cpu")
-    assert shown.shape == (len(field), 2)
-    assert (shown >= -1e-4).all()
-    assert (shown[:, 1] <= shown[:, 0] + 1e-4).all()
-    assert 0 < shown[:, 0].sum() <= CAMERA.width * CAMERA.height + 1
-    half = len(field) // 2
-    asked = coverage(field, rows[:half], rows[half:], CAMERA, maps, "cpu")
-    torch.testing.assert_close(asked, shown[:half], atol=1e-3, rtol=1e-3)
-
-
 def test_tiles_hold_every_pixel_of_a_mask() -> None:
     mask = torch.zeros(40, 50, dtype=torch.bool)
     mask[39, 49] = mask[0, 17] = True
     tiles = tiles_of(mask)
     assert tiles.shape == (3, 4)
     assert tiles.nonzero().tolist() == [[0, 1], [2, 3]]
-    assert tiles_of(mask, room=1).sum() == 6 + 4 - 1
 
 
 def test_a_camera_without_a_picture_is_shown_nothing_known(field: Field) -> None:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from streamlod.core.arrays import Bool
 from streamlod.core.errors import InputError
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import PredictConfig, Trainer, preset
 from streamlod.core.train.motion import cues
-from streamlod.core.train.motion.partition import Observation, Partition
+from streamlod.core.train.motion.partition import Observation
 from tests.core.true_points import true_points
 
 
@@ -25,9 +26,9 @@ class EveryNth:
     def only_changed_views(self) -> bool:
         return False
 
-    def partition(self, seen: Observation) -> Partition:
+    def partition(self, seen: Observation) -> Bool:
         chosen = seen.alive.numpy() & (np.arange(len(seen.field)) % self.stride == 0)
-        return Partition(chosen, chosen)
+        return np.asarray(chosen)
 
 
 def test_a_toy_cue_decides_what_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,7 +54,7 @@ def test_a_toy_cue_decides_what_is_trained(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.parametrize("name", sorted(cues.CUES))
 def test_cues_take_their_settings_from_the_configuration(name: str) -> None:
-    config = PredictConfig(cue=name, posterior=0.7, changed_posterior=0.3)
+    config = PredictConfig(cue=name, posterior=0.7)
     cue = cues.cue_of(config)
     assert isinstance(cue, cues.Difference | cues.RenderingError)
     assert cue.posterior == 0.7
@@ -61,5 +62,5 @@ def test_cues_take_their_settings_from_the_configuration(name: str) -> None:
 
 
 def test_an_unknown_cue_is_refused_and_the_known_are_named() -> None:
-    with pytest.raises(InputError, match="difference, previous, canonical"):
+    with pytest.raises(InputError, match="difference, canonical"):
         cues.cue_of(PredictConfig(cue="flow"))

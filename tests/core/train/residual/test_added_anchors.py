@@ -23,7 +23,6 @@ from streamlod.core.train.field.rounding import round_through
 from streamlod.core.train.growth.gradient import NewAnchors
 from streamlod.core.train.growth.later import later_growth
 from streamlod.core.train.growth.new_anchors import first_values
-from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.added_anchors import AddedAnchors
@@ -124,7 +123,7 @@ def targets(scene: Scene) -> Tensor:
 def trained(scene: Scene, targets: Tensor, most_new: int) -> tuple[ResidualTrainer, IntegerUpdate, State]:
     state = fresh_state(scene, "cpu")
     views = Views(CAMERAS, targets, [0, 1, 2, 3])
-    some = Partition(None, np.arange(len(state.field)) % 2 == 0)
+    some = np.arange(len(state.field)) % 2 == 0
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
     trainer = ResidualTrainer(state, some, views, neutral(4), masks, [0, 1, 2, 3])
     growth = later_growth(CONFIG) if most_new else None
@@ -163,7 +162,7 @@ def test_what_comes_in_is_shown_better_with_them(scene: Scene, targets: Tensor) 
 def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
     state = fresh_state(scene, "cpu")
     masks = torch.ones(4, HEIGHT, WIDTH, dtype=torch.bool)
-    everything = Partition(None, np.ones(len(state.field), np.bool_))
+    everything = np.ones(len(state.field), np.bool_)
     trainer = ResidualTrainer(state, everything, Views(CAMERAS, targets, [0, 1, 2, 3]), neutral(4), masks, [0, 1, 2, 3])
     update = trainer.run(
         replace(CONFIG, epochs=0),

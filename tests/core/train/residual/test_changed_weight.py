@@ -11,7 +11,6 @@ from streamlod.core.camera import look_at, pinhole
 from streamlod.core.train import PredictConfig
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.field.rendered import rendered
-from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.state import fresh_state
 from streamlod.core.train.residual.trainer import ResidualTrainer
@@ -30,7 +29,7 @@ def errors(changed_weight: float) -> list[float]:
     filmed = rendered(state.field, state.alive, views, "cpu")
     views = replace(views, targets=torch.stack([(filmed[0] + 0.15).clamp(max=1), (filmed[1] - 0.15).clamp(min=0)]))
     masks = torch.stack([torch.ones(48, 64, dtype=torch.bool), torch.zeros(48, 64, dtype=torch.bool)])
-    everything = Partition(None, np.ones(len(state.field), np.bool_))
+    everything = np.ones(len(state.field), np.bool_)
     trainer = ResidualTrainer(state, everything, views, neutral(2), masks, [0, 1])
     trainer.run(replace(CONFIG, changed_weight=changed_weight), "cpu", torch.Generator().manual_seed(0))
     shown = trainer.show(trainer._anchors.field(), torch.arange(len(state.field)))

@@ -15,7 +15,6 @@ from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rendered import rendered
-from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.groups import neighbourhoods
 from streamlod.core.train.residual.state import fresh_state
@@ -87,9 +86,7 @@ def missing_share(field: Field, group_cells: float) -> float:
     views = replace(blank, targets=rendered(moved, state.alive, blank, "cpu"))
     everything = np.ones(len(state.field), np.bool_)
     changed = torch.ones(3, HEIGHT, WIDTH, dtype=torch.bool)
-    trainer = ResidualTrainer(
-        state, Partition(None, everything), views, neutral(3), changed, [0, 1, 2], group_cells=group_cells
-    )
+    trainer = ResidualTrainer(state, everything, views, neutral(3), changed, [0, 1, 2], group_cells=group_cells)
     update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
     went = torch.from_numpy(update.position) * scene.header.position_steps[0]
     return float((went - shift).norm(dim=1).mean() / shift.norm())

@@ -11,7 +11,6 @@ from streamlod.core.camera import pinhole
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.exposure import neutral
-from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.adam import RowAdam
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.residual.state import fresh_state
@@ -42,7 +41,7 @@ def test_the_mean_of_the_last_steps_is_sent(average_from: float, last: int, monk
     state = fresh_state(scene_of(random_field(60), config, (camera,), 30.0, 0), "cpu")
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0)), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
-    everything = Partition(None, np.ones(len(state.field), np.bool_))
+    everything = np.ones(len(state.field), np.bool_)
     trainer = ResidualTrainer(state, everything, views, neutral(1), masks, [0])
     latents = _after_each_step(trainer._anchors.optimiser, monkeypatch)
     update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))

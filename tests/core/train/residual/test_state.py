@@ -12,7 +12,6 @@ from streamlod.core.scene.residual import apply
 from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import level_starts, scene_of
 from streamlod.core.train.growth.new_anchors import added_levels
-from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.residual.state import fresh_state
 from streamlod.core.train.residual.update import no_update, residual_of
 from tests.core.train.fields import random_field
@@ -29,19 +28,17 @@ def test_added_anchors_leave_the_changes_of_others_with_them() -> None:
     position = np.array([[1, 0, 0], [0, 2, 0], [0, 0, 3]], np.int32)
     update = replace(no_update(3), position=position, added=added)
     residual = residual_of(scene, rows.numpy(), update, 1)
-    partition = Partition(None, np.isin(np.arange(30), rows))
+    partition = np.isin(np.arange(30), rows)
     start = 0.9 * update.sent
     after = state.after(residual, apply(scene, residual), partition, rows, update, start)
 
     assert len(after.field) == 32
     assert after.change is not None
     assert after.start is not None
-    assert after.motion is not None
     moved = torch.tensor([2, 13, 27])  # a row more after level 0, two after level 1
     torch.testing.assert_close(after.change[moved], torch.from_numpy(update.sent))
     torch.testing.assert_close(after.start[moved], torch.from_numpy(start))
     others = torch.ones(32, dtype=torch.bool)
     others[moved] = False
-    for kept in (after.change, after.start, after.motion):
+    for kept in (after.change, after.start):
         assert not kept[others].any()
-    assert after.motion[moved].any(dim=1).all()

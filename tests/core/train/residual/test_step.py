@@ -25,7 +25,6 @@ from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.growth.later import ByError
 from streamlod.core.train.keyframe.trainer import Views
-from streamlod.core.train.motion.partition import Partition
 from streamlod.core.train.optimise.schedule import ViewOrder
 from streamlod.core.train.residual.state import State, fresh_state
 from streamlod.core.train.residual.trainer import ResidualTrainer
@@ -99,7 +98,7 @@ def prepared(view_dependent: bool) -> ResidualTrainer:
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
-    trainer = ResidualTrainer(state, Partition(None, some), views, neutral(1), masks, [0])
+    trainer = ResidualTrainer(state, some, views, neutral(1), masks, [0])
     trainer._caches[0] = trainer._cache_of(0, trainer._splats(0), "cuda")
     return trainer
 
