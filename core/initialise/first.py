@@ -13,10 +13,11 @@ from streamlod.core.errors import InputError, ModelError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.initialise.method import Method, PointSources
 from streamlod.core.initialise.methods import known_methods
+from streamlod.core.initialise.plugins import PLUGINS, load
 from streamlod.core.initialise.points_file import SUFFIXES, read_points
 
 _KNOWN = known_methods()
-METHODS = tuple(_KNOWN)
+METHODS = (*_KNOWN, *PLUGINS)
 _log = logging.getLogger(__name__)
 
 
@@ -50,13 +51,15 @@ def first_points(
     report = progress or (lambda _: None)
     if depth_bounds is not None and not 0 < depth_bounds[0] < depth_bounds[1] < np.inf:
         raise InputError("depth bounds", f"near and far must be positive and in order, not {depth_bounds}")
-    if isinstance(method, str) and method not in _KNOWN:
+    if isinstance(method, str) and method not in METHODS:
         if Path(method).suffix.lower() not in SUFFIXES:
             names = ", ".join(METHODS)
             raise InputError("first points", f"{method!r} is neither one of {names} nor a .ply or .npz file")
         points = read_points(Path(method))
     else:
-        finder = _KNOWN[method] if isinstance(method, str) else method
+        finder = method
+        if isinstance(finder, str):
+            finder = load(finder) if finder in PLUGINS else _KNOWN[finder]
         points = finder.find(PointSources(frame, cameras, depth_bounds, dataset_points, seed, report))
     if len(points) == 0:
         raise ModelError(f"first points by {method}: none were found; try random or a points file")

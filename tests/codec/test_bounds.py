@@ -26,11 +26,11 @@ _MEMORY = 192 << 20  # bytes that the process may take beside what Python and it
 _CHILD = """
 import os, resource, sys, time
 from streamlod.codec.decoder import SceneDecoder
-from streamlod.codec.warm import warm_up
+from streamlod.server.pipeline.warming import warm_codec
 from streamlod.core.errors import BitstreamError
 from tests.vectors.make import read_stream
 from pathlib import Path
-warm_up()
+warm_codec()
 for path in sys.argv[2:]:  # each in a fork of its own, which has loaded and compiled everything
     if (child := os.fork()) != 0:
         os.waitpid(child, 0)

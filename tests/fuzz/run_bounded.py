@@ -23,8 +23,8 @@ from pathlib import Path
 from types import FrameType
 
 from streamlod.codec.decoder import SceneDecoder
-from streamlod.codec.warm import warm_up
 from streamlod.core.errors import BitstreamError
+from streamlod.server.pipeline.warming import warm_codec
 from tests.fuzz import server_targets
 from tests.fuzz.corpus import KEPT, SEEDS, mutants
 from tests.fuzz.targets import REPAIRS, TARGETS, repair
@@ -56,7 +56,7 @@ def _alone(name: str, seconds: float, seed: int) -> int:
     else:
         seeds, target = list(server_targets.SEEDS[name]), server_targets.TARGETS[name]
     fix = REPAIRS.get(name, lambda data: data)
-    warm_up()
+    warm_codec()
     for data in seeds:
         target(data)
     _limit_memory()

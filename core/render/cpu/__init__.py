@@ -13,11 +13,10 @@ from streamlod.core.arrays import Float32, check_array
 from streamlod.core.camera import Camera
 from streamlod.core.render.cpu.frame import contiguous, forward
 from streamlod.core.render.cpu.listing import MAX_PAIRS
-from streamlod.core.render.cpu.warming import warm
 from streamlod.core.render.cpu.workspace import POOL
 from streamlod.core.scene.gaussians import GaussianCloud
 
-__all__ = ["Rendered", "render", "warm"]
+__all__ = ["Rendered", "render"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

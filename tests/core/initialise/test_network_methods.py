@@ -17,7 +17,7 @@ from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.errors import BackendUnavailable
 from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
-from streamlod.core.initialise.methods.depth_anything import DepthAnythingPoints, poses_to_tell
+from streamlod.core.initialise.plugins.depth_anything import DepthAnythingPoints, poses_to_tell
 from streamlod.core.initialise.views import inside, project
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic, render_frame
 

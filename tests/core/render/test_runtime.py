@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from streamlod.core import runtime
-from streamlod.core.render import cpu
 
 NAMES = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "NUMBA_THREADING_LAYER", "NUMBA_CACHE_DIR")
 
@@ -75,10 +74,3 @@ def test_a_changed_kernel_gets_a_new_cache_folder(monkeypatch: pytest.MonkeyPatc
     assert runtime.kernel_cache_folder() == before
     monkeypatch.setattr(runtime, "kernel_sources", lambda root: {"core.kernels": b"other"})
     assert runtime.kernel_cache_folder() != before
-
-
-def test_warming_tells_what_it_does() -> None:
-    said: list[str] = []
-    cpu.warm(said.append)
-    assert any("forward" in line for line in said)
-    assert "ready" in said[-1]

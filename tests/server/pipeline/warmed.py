@@ -17,10 +17,12 @@ from streamlod.server.pipeline.warming import WARM_UPS
 
 def kernels() -> dict[str, Dispatcher]:
     """All compiled functions of core and codec, by module and name."""
-    for package in ("core", "codec"):
+    for package in ("streamlod.core", "streamlod.codec"):
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
             importlib.import_module(module.name)
-    modules = {name: module for name, module in sys.modules.items() if name.split(".")[0] in ("core", "codec")}
+    modules = {
+        name: module for name, module in sys.modules.items() if name.startswith(("streamlod.core.", "streamlod.codec."))
+    }
     found = [value for module in modules.values() for value in vars(module).values() if isinstance(value, Dispatcher)]
     return {f"{kernel.py_func.__module__}.{kernel.py_func.__name__}": kernel for kernel in found}
 

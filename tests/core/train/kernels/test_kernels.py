@@ -12,10 +12,10 @@ from streamlod.core.camera import pinhole
 from streamlod.core.scene.anchors import LATENTS
 from streamlod.core.train.growth.depth_search import matched_pixels
 from streamlod.core.train.kernels import adam, decode, rate, windows
-from streamlod.core.train.kernels.warming import warm
 from streamlod.core.train.optimise.adam import RowAdam, update, update_all, update_reference
 from streamlod.core.train.optimise.rate import residual_bits, residual_bits_reference
 from streamlod.core.train.pictures.views import Views
+from streamlod.server.pipeline.warming import warm_trainer
 from tests.core.train.fields import random_field
 from tests.threads import MAX_THREADS, kernel_threads
 
@@ -119,7 +119,7 @@ def test_rate_of_broken_values_stays_in_its_table() -> None:
 
 
 def test_warming_compiles_what_training_uses() -> None:
-    warm()
+    warm_trainer()
     kernels = (adam.adam_step, rate.residual_bits, decode.activate, decode.differentiate, windows.best_depths)
     signatures = [len(kernel.signatures) for kernel in kernels]
     value, moments = torch.ones(3, 2), [torch.zeros(3, 2), torch.zeros(3, 2)]

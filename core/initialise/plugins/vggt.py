@@ -42,7 +42,7 @@ class VggtPoints:
         return predicted_points(sources.views(self.rows), _SIDE, _predict)
 
 
-METHODS = {"vggt": VggtPoints()}
+METHOD = VggtPoints()
 
 
 def _predict(views: WorkingViews) -> PredictedDepth:

@@ -78,7 +78,7 @@ class DepthAnythingPoints:
         return model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
 
 
-METHODS = {"depth-anything": DepthAnythingPoints()}
+METHOD = DepthAnythingPoints()
 
 
 def poses_to_tell(cameras: Sequence[Camera]) -> Float64 | None:
