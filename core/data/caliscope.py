@@ -13,6 +13,7 @@ import csv
 import tomllib
 from collections import defaultdict
 from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,8 @@ from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming, numbers, read_text
 from streamlod.core.data.lens import opencv_camera
 from streamlod.core.data.names import in_numeric_order
-from streamlod.core.data.sources import read_exactly
-from streamlod.core.data.video import VideoInfo, probe_video
+from streamlod.core.data.sources import shown
+from streamlod.core.data.video import VideoInfo, probe_video, read_video
 from streamlod.core.errors import InputError
 
 FILE = "camera_array.toml"
@@ -40,16 +41,15 @@ class TimedVideos:
     """Videos whose pictures are paired by a table.
 
     Attributes:
-        files: one a camera; counts: pictures in each.
+        files: one a camera.
         times_ns: mean capture time of each instant, from the first one's.
-        rows: for each camera, its picture's number at each instant; -1 where it has none.
+        taken_ns: for each camera, its picture's time in its file at each instant; None where it has none.
         fps: instants a second, from the median interval.
     """
 
     files: tuple[Path, ...]
-    counts: tuple[int, ...]
     times_ns: tuple[int, ...]
-    rows: tuple[tuple[int, ...], ...]
+    taken_ns: tuple[tuple[int | None, ...], ...]
     fps: float
 
     @property
@@ -63,15 +63,11 @@ class TimedVideos:
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
         """As `Source.pictures`."""
-        wanted = self.rows[camera][start:stop]
-        present = [row for row in wanted if row >= 0]
-        if not present:
-            yield from [None] * len(wanted)
-            return
-        decoded = read_exactly(self.files[camera], present[0], present[-1] + 1, self.counts[camera])
-        for row in wanted:
-            yield next(decoded) if row >= 0 else None
-        decoded.close()
+        taken = self.taken_ns[camera][start:stop]
+        with closing(read_video(self.files[camera])) as pictures:
+            found = shown(self.files[camera], pictures, [time_ns for time_ns in taken if time_ns is not None])
+            for time_ns in taken:
+                yield None if time_ns is None else next(found)
 
 
 def read_caliscope(path: Path) -> RawRecording:
@@ -131,15 +127,16 @@ def _paired(path: Path, keys: list[str], files: list[Path], infos: list[VideoInf
     instants = [times[index] for index in sorted(times)]
     if not instants or not np.isfinite([t for instant in instants for t in instant.values()]).all():
         raise InputError(path, "holds no usable time of any camera")
-    rows = []
+    taken = []
     for key, file, info in zip(keys, files, infos, strict=True):
         has = np.array([key in instant for instant in instants])
         if has.sum() != info.frame_count:
             raise InputError(path, f"has {has.sum()} times of {file.name}, which holds {info.frame_count} pictures")
-        rows.append(tuple(int(n) for n in np.where(has, np.cumsum(has) - 1, -1)))
+        pictures = iter(info.times_ns)
+        taken.append(tuple(next(pictures) if found else None for found in has))
     seconds = np.array([np.mean(list(instant.values())) for instant in instants])
     interval = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1 / infos[0].fps
     if interval <= 0:
         raise InputError(path, "its times do not increase with sync_index")
     times_ns = tuple(round(s * 1e9) for s in seconds - seconds[0])
-    return TimedVideos(tuple(files), tuple(info.frame_count for info in infos), times_ns, tuple(rows), 1 / interval)
+    return TimedVideos(tuple(files), times_ns, tuple(taken), 1 / interval)

@@ -2,78 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import av
+
 from streamlod.core.arrays import UInt8
 from streamlod.core.data.dataset import FPS_OF_PICTURES
+from streamlod.core.data.files import blaming
 from streamlod.core.data.pictures import read_picture
-from streamlod.core.data.video import VideoInfo, probe_video, read_video
-from streamlod.core.errors import InputError
-
-_FPS_TOLERANCE = 0.01
+from streamlod.core.data.video.file import VideoInfo, probe_video, read_video
+from streamlod.core.data.video.grid import Grid
+from streamlod.core.data.video.pairing import nearest, paired, picked
+from streamlod.core.data.video.upright import upright
 
 
 @dataclass(frozen=True, slots=True)
 class Videos:
-    """Videos that are synchronised picture by picture.
+    """Videos whose pictures are paired by their times.
 
     Attributes:
         files: one a camera.
-        fps, frame_count: common to all.
+        grid: the instants at which the cameras filmed.
+        numbers: ascending, of those instants on the grid that enough cameras hold.
     """
 
     files: tuple[Path, ...]
-    fps: float
-    frame_count: int
+    grid: Grid
+    numbers: tuple[int, ...]
+
+    @property
+    def fps(self) -> float:
+        """Instants a second."""
+        return float(1_000_000_000 / self.grid.period_ns)
+
+    @property
+    def frame_count(self) -> int:
+        """Number of instants."""
+        return len(self.numbers)
 
     def time_ns(self, index: int) -> int:
         """Capture time from the clip's start."""
-        return round(index * 1e9 / self.fps)
+        return round((self.numbers[index] - self.numbers[0]) * self.grid.period_ns)
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
-        """As `Source.pictures`; InputError where the file ends early."""
-        yield from read_exactly(self.files[camera], start, stop, self.frame_count)
+        """As `Source.pictures`."""
+        with closing(read_video(self.files[camera])) as pictures:
+            yield from shown(self.files[camera], nearest(pictures, self.grid), self.numbers[start:stop])
 
 
 def videos(files: Sequence[Path]) -> tuple[Videos, list[VideoInfo]]:
     """The source of `files`, and what each of them is like.
 
-    Videos that differ in length, even by one picture, are refused: somewhere a picture was lost or added, and from
-    there on the cameras would show different instants.
-
     Raises:
-        InputError: a file that is no sound video, or lengths or rates that differ.
+        InputError: a file that is no sound video, or files that cannot be paired.
     """
     infos = [probe_video(file) for file in files]
-    first = infos[0]
-    for file, info in zip(files, infos, strict=True):
-        if info.frame_count != first.frame_count:
-            shorter = min(info.frame_count, first.frame_count)
-            raise InputError(
-                file,
-                f"holds {info.frame_count} pictures, but {files[0].name} {first.frame_count}; if both start at one "
-                f"instant, cut them to {shorter} (ffmpeg -frames:v {shorter})",
-            )
-        if abs(info.fps - first.fps) > _FPS_TOLERANCE * first.fps:
-            raise InputError(file, f"runs at {info.fps:g} pictures a second, but {files[0].name} at {first.fps:g}")
-    if first.frame_count < 1:
-        raise InputError(files[0], "holds no pictures")
-    return Videos(tuple(files), first.fps, first.frame_count), infos
+    grid, numbers = paired(files, infos)
+    return Videos(tuple(files), grid, numbers), infos
 
 
-def read_exactly(file: Path, start: int, stop: int, expected: int) -> Generator[UInt8, None, None]:
-    """Pictures start to stop - 1 of a video that should hold `expected`; InputError if it ends before stop."""
-    number = start
-    if start >= stop:
-        return
-    for picture in read_video(file, start):
-        yield picture
-        number += 1
-        if number == stop:
-            return
-    raise InputError(file, f"ends after {number} of its {expected} pictures; the file is damaged, copy it again")
+def shown(
+    file: Path, pictures: Iterator[tuple[int, av.VideoFrame]], wanted: Sequence[int]
+) -> Generator[UInt8 | None, None, None]:
+    """[H,W,3] RGB of the ascending numbers `wanted` in numbered pictures of `file`; None where there is none."""
+    for picture in picked(pictures, wanted):
+        with blaming(file):
+            pixels = None if picture is None else upright(picture)
+        yield pixels
 
 
 @dataclass(frozen=True, slots=True)

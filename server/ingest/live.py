@@ -18,6 +18,7 @@ import numpy as np
 from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import Development, development
+from streamlod.core.data.video.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.server.ingest.ahead import just_in_time
@@ -26,7 +27,6 @@ from streamlod.server.ingest.push.intake import Intake
 from streamlod.server.ingest.push.relay import listening
 from streamlod.server.ingest.rig import Rig
 from streamlod.server.ingest.statistics import Statistics
-from streamlod.server.ingest.sync.grid import period_of
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant
 

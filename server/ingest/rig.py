@@ -13,11 +13,11 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from streamlod.core.data.video.grid import period_of
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.cameras.reader import Reader
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
 from streamlod.server.ingest.sync.clock import ClockSource
-from streamlod.server.ingest.sync.grid import period_of
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import Instant, Synchroniser
 from streamlod.server.ingest.sync.timeline import Timeline

@@ -18,10 +18,10 @@ import av.stream
 import numpy as np
 
 from streamlod.core.arrays import UInt8
+from streamlod.core.data.video.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
-from streamlod.server.ingest.sync.grid import period_of
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.timeline import Timeline
 

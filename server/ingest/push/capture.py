@@ -11,10 +11,10 @@ from pathlib import Path
 import av
 import cv2
 
+from streamlod.core.data.video.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address, parse_address, webcam_options
 from streamlod.server.ingest.push.message import Codec
-from streamlod.server.ingest.sync.grid import period_of
 
 _VIDEOS = (".mp4", ".mkv", ".mov", ".ts", ".avi", ".webm")
 _PICTURES = {".jpg": Codec.JPEG, ".jpeg": Codec.JPEG, ".png": Codec.PNG}

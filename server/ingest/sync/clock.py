@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 
+from streamlod.core.data.video.grid import period_of
 from streamlod.server.ingest.sync.clock_fit import Line
-from streamlod.server.ingest.sync.grid import period_of
 
 _SECOND_NS = 1_000_000_000
 _DAY_NS = 86_400 * _SECOND_NS

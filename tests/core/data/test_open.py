@@ -163,10 +163,7 @@ def test_a_missing_video_leaves_rows_over(clip: Path) -> None:
         open_dataset(clip)
 
 
-def test_videos_of_different_length_or_rate_or_size(clip: Path) -> None:
-    write_video(clip / "cam02.mp4", [picture(2, t) for t in range(5)])
-    with pytest.raises(InputError, match=r"cam02\.mp4: holds 5 pictures, but cam00\.mp4 6; .*cut them to 5"):
-        open_dataset(clip)
+def test_videos_of_different_rate_or_size(clip: Path) -> None:
     write_video(clip / "cam02.mp4", [picture(2, t) for t in range(6)], fps=25)
     with pytest.raises(InputError, match=r"cam02\.mp4: runs at 25 pictures a second, but cam00\.mp4 at 30"):
         open_dataset(clip)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
+from types import MappingProxyType
 
 import av
 import cv2
@@ -45,19 +46,72 @@ def read_back(image: UInt8) -> tuple[int, int]:
     return round((red - 20) / 12), round((green - 20) / 4)
 
 
-def write_video(path: Path, pictures: Sequence[UInt8], fps: int = 30, codec: str = "libx264") -> None:
-    """A video of [H,W,3] RGB pictures, nearly lossless, in 4:4:4."""
-    with av.open(str(path), "w") as container:
+def write_video(
+    path: Path,
+    pictures: Sequence[UInt8],
+    fps: int = 30,
+    codec: str = "libx264",
+    *,
+    times: Sequence[int] | None = None,
+    time_base: Fraction | None = None,
+    options: Mapping[str, str] = MappingProxyType({}),
+    muxing: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """A video of [H,W,3] RGB pictures, nearly lossless, in 4:4:4.
+
+    Args:
+        times: of the pictures in units of `time_base`; one picture after the other by default.
+        options, muxing: for FFmpeg's encoder and muxer.
+    """
+    base = Fraction(1, fps) if time_base is None else time_base
+    with av.open(str(path), "w", options=dict(muxing)) as container:
         stream = container.add_stream(codec, rate=Fraction(fps))
         stream.height, stream.width = pictures[0].shape[:2]
-        stream.pix_fmt = "yuv444p"
-        stream.options = {"crf": "4", "preset": "ultrafast"}
-        for image in pictures:
+        stream.pix_fmt = "yuv420p" if codec == "mpeg4" else "yuv444p"
+        stream.options = {"crf": "4", "preset": "ultrafast", **options} if codec != "mpeg4" else {"q": "2", **options}
+        stream.time_base = stream.codec_context.time_base = base
+        for number, image in enumerate(pictures):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+            frame.pts, frame.time_base = number if times is None else times[number], base
             for packet in stream.encode(frame):
                 container.mux(packet)
         for packet in stream.encode(None):
             container.mux(packet)
+
+
+def copy_video(source: Path, path: Path, *, skip: int = 0, earlier: int = 0, damaged: int = -1) -> None:
+    """Copy a video without decoding it.
+
+    Args:
+        skip: samples left out at the beginning.
+        earlier: frames by which all is moved to before the file's beginning, where an edit list hides it.
+        damaged: number of a sample that holds nothing useful.
+    """
+    with av.open(str(source)) as before, av.open(str(path), "w") as after:
+        stream = before.streams.video[0]
+        copied = after.add_stream_from_template(stream)
+        assert stream.average_rate is not None
+        assert stream.time_base is not None
+        shift = round(earlier / (stream.average_rate * stream.time_base))
+        for number, packet in enumerate(before.demux(stream)):
+            if packet.size > 0 and number >= skip:
+                assert packet.pts is not None
+                packet.pts -= shift
+                packet.dts = None if packet.dts is None else packet.dts - shift
+                written = av.Packet(bytes(100)) if number == damaged else packet
+                written.pts, written.dts, written.time_base = packet.pts, packet.dts, packet.time_base
+                written.stream = copied
+                after.mux(written)
+
+
+def put_display_matrix(path: Path, a: float, b: float, c: float, d: float) -> None:
+    """Write a display matrix into the track header of an MP4 of one track, as phones do (ISO/IEC 14496-12, 8.3.2)."""
+    data = bytearray(path.read_bytes())
+    at = data.index(b"tkhd") + 4
+    matrix = at + (52 if data[at] == 1 else 40)
+    values = [round(value * (1 << 16)) for value in (a, b, 0, c, d, 0, 0, 0)]
+    struct.pack_into(">9i", data, matrix, *values, 1 << 30)
+    path.write_bytes(data)
 
 
 def write_picture(path: Path, image: UInt8) -> None:

@@ -7,9 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from streamlod.core.data.video.grid import Grid, best_phase, period_of
 from streamlod.server.ingest.sync.clock import CaptureClock, ClockSource, Sighting, date_timecode, read_timecode
 from streamlod.server.ingest.sync.clock_fit import Line
-from streamlod.server.ingest.sync.grid import Grid, best_phase, period_of
 
 MS, SECOND = 1_000_000, 1_000_000_000
 HOUR = 3600 * SECOND

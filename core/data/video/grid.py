@@ -7,8 +7,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
+from statistics import median
 
 _SECOND_NS = 1_000_000_000
+_STEADY = 0.25  # of a period
+_USUAL = 0.01  # how far a usual rate may be from the measured one
 
 
 def period_of(fps: float) -> Fraction:
@@ -34,7 +38,8 @@ class Grid:
 
     def instant_of(self, capture_ns: int) -> int:
         """Number of the nearest instant."""
-        return self.anchor + math.floor((capture_ns - self.anchor_ns) / self.period_ns + Fraction(1, 2))
+        periods, period = (capture_ns - self.anchor_ns) * self.period_ns.denominator, self.period_ns.numerator
+        return self.anchor + (2 * periods + period) // (2 * period)  # in integers, as there are many pictures
 
     def time_of(self, number: int) -> int:
         """Capture time of an instant, to the nanosecond."""
@@ -63,3 +68,31 @@ def best_phase(phases: Sequence[float]) -> float:
     gap, begin = max((round(end - begin, 6), begin) for begin, end in zip(ordered, ends, strict=True))
     centre = begin + gap / 2 + 0.5
     return centre - math.ceil(centre - 0.5)
+
+
+def rate_of(times_ns: Sequence[int], declared: Fraction) -> float:
+    """Pictures a second of a camera that may have lost some.
+
+    The declared rate, or a usual one, is taken where the times show it: measured from a short or coarse clock, a rate
+    would be a little off.
+
+    Args:
+        times_ns: ascending times of pictures.
+        declared: what the file says.
+    """
+    steps = [after - before for before, after in pairwise(times_ns) if after > before]
+    if not steps:
+        return float(declared)
+    period = float(median(steps))
+    for _ in range(3):
+        period = sum(steps) / sum(max(1, round(step / period)) for step in steps)
+    measured = _SECOND_NS / period
+    usual = [float(declared), round(measured), round(measured * 1.001) / 1.001]
+    near = [rate for rate in usual if abs(rate / measured - 1) < _USUAL]
+    return next((rate for rate in near if is_steady(times_ns, rate)), measured)
+
+
+def is_steady(times_ns: Sequence[int], fps: float) -> bool:
+    """Whether all times lie within a quarter of a period of a grid of this rate, from the first one."""
+    period = float(period_of(fps))
+    return all(abs(part - round(part)) <= _STEADY for time in times_ns if (part := (time - times_ns[0]) / period))

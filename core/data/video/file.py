@@ -1,0 +1,125 @@
+"""Video files: what they say about themselves, and their pictures one at a time."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Generator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import av.container
+
+from streamlod.core.data.files import blaming
+from streamlod.core.data.pictures import MAX_SIDE
+from streamlod.core.data.video.grid import rate_of
+from streamlod.core.data.video.times import PictureTimes, timed_pictures
+from streamlod.core.data.video.upright import upright_size
+from streamlod.core.errors import InputError
+
+SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
+MAX_PICTURES = 4_000_000  # of a file: a day and a half at 30 a second
+
+
+@dataclass(frozen=True, slots=True)
+class VideoInfo:
+    """A video, read without its pixels.
+
+    Attributes:
+        width, height: of its pictures in pixels, upright.
+        fps: pictures a second where it is not interrupted.
+        times_ns: when each picture that can be shown was taken, ascending, from the file's beginning.
+    """
+
+    width: int
+    height: int
+    fps: float
+    times_ns: tuple[int, ...]
+
+    @property
+    def frame_count(self) -> int:
+        """Number of pictures."""
+        return len(self.times_ns)
+
+
+def probe_video(path: Path) -> VideoInfo:
+    """What the file holds; only its first picture is decoded.
+
+    Raises:
+        InputError: missing, not a video, cut short, of a size that is refused, or without a picture that decodes.
+    """
+    (width, height), begin_ns = _first_picture(path)
+    with contextlib.closing(_open(path)) as container:
+        stream = container.streams.video[0]
+        size = path.stat().st_size
+        if any(entry.pos + entry.size > size for entry in stream.index_entries):
+            raise InputError(path, "ends before its last picture; the file is cut short, copy it again")
+        rate = _declared_rate(container, path)
+        times, found = PictureTimes(container, stream, rate), []
+        try:
+            for packet in container.demux(stream):
+                time_ns = times.sample(packet) if packet.size > 0 else None
+                if time_ns is not None and time_ns >= begin_ns:
+                    found.append(time_ns)
+                if len(found) > MAX_PICTURES:
+                    raise InputError(path, f"holds more than {MAX_PICTURES} pictures; cut it into parts")
+        except av.FFmpegError as error:
+            raise InputError(path, f"cannot be read to its end ({error.strerror}); copy it again") from error
+    if not found:
+        raise InputError(path, "holds no picture with a time")
+    found.sort()
+    return VideoInfo(width, height, rate_of(found, rate), tuple(found))
+
+
+def read_video(path: Path) -> Generator[tuple[int, av.VideoFrame], None, None]:
+    """The pictures that can be shown, decoded one at a time, each with its time in nanoseconds as in `VideoInfo`.
+
+    Closes the file when done or dropped.
+
+    Raises:
+        InputError: missing, not a video, or bytes that do not decode.
+    """
+    with contextlib.closing(_open(path)) as container:
+        stream = container.streams.video[0]
+        # one thread a file: a rig decodes many files side by side, and each thread would hold pictures of its own
+        stream.codec_context.thread_count = 1
+        stream.codec_context.options = {"max_pixels": str(MAX_SIDE**2)}
+        try:
+            yield from timed_pictures(container, stream, _declared_rate(container, path))
+        except av.FFmpegError as error:
+            raise InputError(path, f"cannot be decoded ({error.strerror}); copy it again") from error
+
+
+def _first_picture(path: Path) -> tuple[tuple[int, int], int]:
+    """(width, height) of the first picture, upright, and its time."""
+    with contextlib.closing(read_video(path)) as pictures:
+        for time_ns, frame in pictures:
+            if max(frame.width, frame.height) > MAX_SIDE:
+                refused = f"video of {frame.width}x{frame.height} is refused"
+                raise InputError(path, f"{refused}; the limit is {MAX_SIDE} pixels a side")
+            with blaming(path):
+                return upright_size(frame), time_ns
+    raise InputError(path, "holds no picture that can be decoded; it may be cut before its first keyframe")
+
+
+def _declared_rate(container: av.container.InputContainer, path: Path) -> Fraction:
+    stream = container.streams.video[0]
+    rate = stream.guessed_rate or stream.average_rate
+    if not rate or rate < 0:
+        raise InputError(path, "does not say its frame rate; write it again with ffmpeg -r FPS")
+    return rate
+
+
+def _open(path: Path) -> av.container.InputContainer:
+    try:
+        container = av.open(str(path.absolute()), options={"protocol_whitelist": "file"})
+    except OSError as error:  # av's errors are OSErrors or ValueErrors
+        raise InputError(path, f"cannot be opened as a video: {error.strerror}") from error
+    except (av.FFmpegError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "the bytes are not those of a video"
+        raise InputError(path, f"cannot be opened as a video: {reason}") from error
+    if not container.streams.video:
+        container.close()
+        raise InputError(path, "holds no pictures, only other streams")
+    return container
