@@ -6,6 +6,7 @@
     +-- BitstreamError        bytes that are not a valid packet or file (refusal codes in codec/FORMAT.md)
     +-- SessionError          a peer broke the viewer protocol
     +-- RequestRefused        a server refuses a REST request
+    +-- TrainingCutShort      training ended before the clip did; the frames before are in the file
     +-- ModelError            training or a scene reached a state from which it can't go on
     +-- BackendUnavailable    a rendering backend or an optional package is missing
 
@@ -96,6 +97,25 @@ class RequestRefused(StreamlodError):
 
     def __str__(self) -> str:
         return f"{self.detail} [{self.status}]"
+
+
+class TrainingCutShort(StreamlodError):
+    """Training ended before the clip did, and its file is whole up to there.
+
+    Args:
+        path: the file.
+        reason: what ended the training.
+        kept: number of frames in the file.
+        wanted: number of frames that were to be trained, or None where the source has no end.
+    """
+
+    def __init__(self, path: object, reason: str, kept: int, wanted: int | None) -> None:
+        super().__init__(path, reason, kept, wanted)
+        self.path, self.reason, self.kept, self.wanted = str(path), reason, kept, wanted
+
+    def __str__(self) -> str:
+        first = f"the first {self.kept}" if self.wanted is None else f"the first {self.kept} of {self.wanted}"
+        return f"{self.reason}; {self.path} holds {first} frames, later ones are left out"
 
 
 class ModelError(StreamlodError):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from streamlod.core.errors import BackendUnavailable, InputError
+from streamlod.core.errors import BackendUnavailable, InputError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.server.pipeline.trace import chrome_trace
 
@@ -95,13 +95,19 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
             _set(first, 100)
             later.update()
 
-        train_clip(opened, out, on_frame, on_progress)
+        cut: TrainingCutShort | None = None
+        try:
+            train_clip(opened, out, on_frame, on_progress)
+        except TrainingCutShort as error:
+            cut = error
     sidecar = json.loads(out.with_name(out.name + ".json").read_text(encoding="utf-8"))
     if figures is not None:
         write_text(figures, json.dumps(sidecar, indent=1) + "\n")
     if trace is not None:
         spans = chrome_trace((frame.version, frame.spans) for frame in encoded)
         write_text(trace, json.dumps(spans, indent=1) + "\n")
+    if cut is not None:
+        raise cut
     first_frame, later_frames = sidecar.get("first_frame_seconds"), sidecar.get("train_seconds")
     spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
     spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""

@@ -22,7 +22,7 @@ from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
 from streamlod.core.camera import Camera
 from streamlod.core.data import Dataset, linspace_split, open_dataset, prefetch
-from streamlod.core.errors import InputError
+from streamlod.core.errors import InputError, StreamlodError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
@@ -74,6 +74,12 @@ class OpenJob:
     rig: tuple[Camera, ...]
     on_read: Callable[[FrameSet], None] = lambda _: None
 
+    @property
+    def stop(self) -> int | None:
+        """Number of the frame before which the job ends; None for live cameras without an end."""
+        stop, count = self.job.frames, self.dataset.frame_count
+        return stop if count is None else count if stop is None else min(stop, count)
+
     def frames(self, start: int, announce: Callable[[FrameSet], None]) -> Generator[tuple[FrameSet, Span], None, None]:
         """The job's frames from `start`, with the time that reading took.
 
@@ -82,10 +88,7 @@ class OpenJob:
         Args:
             announce: called as `on_read`.
         """
-        stop, count = self.job.frames, self.dataset.frame_count
-        if count is not None:
-            stop = count if stop is None else min(stop, count)
-        announced = _announced(self.dataset.frames(start, stop), self.on_read, announce)
+        announced = _announced(self.dataset.frames(start, self.stop), self.on_read, announce)
         frames = timed(announced, "read")
         return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
 
@@ -192,10 +195,16 @@ def train_clip(
     on_frame: Callable[[EncodedFrame], None],
     on_progress: Callable[[Progress], None] | None = None,
 ) -> None:
-    """Train a clip into the file `out`, which appears when it is complete; figures go into `out`.json."""
-    first_seconds, seconds, reports = 0.0, [], []
+    """Train a clip into the file `out`, which appears when it is complete; figures go into `out`.json.
+
+    A fault after the first frame, such as a damaged picture, ends the file there, with all frames trained before.
+
+    Raises:
+        TrainingCutShort: such a fault, one that is foreseen; another one is raised as it is, with a note.
+    """
+    first_seconds, seconds, reports, faults = 0.0, [], [], list[Exception]()
     with SlodWriter(out) as writer, closing(train_stream(opened, on_progress=on_progress)) as frames:
-        for encoded in frames:
+        for encoded in _up_to_fault(frames, faults):
             begin = time.perf_counter()
             for packet in encoded.packets:
                 writer.append(packet)
@@ -206,13 +215,30 @@ def train_clip(
             else:
                 seconds.append(encoded.report["total_seconds"])
             on_frame(replace(encoded, spans=(*encoded.spans, written)))
+        if faults and not reports:
+            raise faults[0]
+    cut = TrainingCutShort(out, str(faults[0]), len(reports), opened.stop) if faults else None
     figures = {
         "train_seconds": float(np.mean(seconds)) if seconds else None,
         "first_frame_seconds": first_seconds,
         "job": {name: str(value) for name, value in opened.job.to_json().items()},
+        "cut_short": None if cut is None else str(cut),
         "per_frame": reports,
     }
     write_text(out.with_name(out.name + ".json"), json.dumps(figures, indent=1))
+    if cut is not None:
+        if isinstance(faults[0], StreamlodError | OSError):
+            raise cut from faults[0]
+        faults[0].add_note(str(cut))
+        raise faults[0]
+
+
+def _up_to_fault(frames: Iterator[EncodedFrame], faults: list[Exception]) -> Iterator[EncodedFrame]:
+    """`frames` up to the first error, which is put into `faults`; those of the consumer are its own."""
+    try:
+        yield from frames
+    except Exception as error:
+        faults.append(error)
 
 
 class _KeyframeSize:

@@ -88,7 +88,8 @@ def rate_of(times_ns: Sequence[int], declared: Fraction) -> float:
         period = sum(steps) / sum(max(1, round(step / period)) for step in steps)
     measured = _SECOND_NS / period
     usual = [float(declared), round(measured), round(measured * 1.001) / 1.001]
-    near = [rate for rate in usual if abs(rate / measured - 1) < _USUAL]
+    periods = (times_ns[-1] - times_ns[0]) / period
+    near = [rate for rate in usual if abs(rate / measured - 1) < max(_USUAL, _STEADY / periods)]
     return next((rate for rate in near if is_steady(times_ns, rate)), measured)
 
 

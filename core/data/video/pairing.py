@@ -88,7 +88,8 @@ def _check_rates(files: Sequence[Path], infos: Sequence[VideoInfo], fps: float) 
     usual = files[[info.fps for info in infos].index(fps)]
     for file, info in zip(files, infos, strict=True):
         ratio = max(info.fps / fps, fps / info.fps)
-        if abs(ratio / round(ratio) - 1) > _RATE_TOLERANCE and is_steady(info.times_ns, info.fps):
+        tolerance = max(_RATE_TOLERANCE, 0.5 / info.frame_count)  # jitter makes the rate of few pictures uncertain
+        if abs(ratio / round(ratio) - 1) > tolerance and is_steady(info.times_ns, info.fps):
             raise InputError(
                 file,
                 f"runs at {info.fps:g} pictures a second, but {usual.name} at {fps:g}; give it its true rate",

@@ -18,15 +18,16 @@ from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_residual
 from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.packet import PacketKind
-from streamlod.core.errors import InputError, ModelError
+from streamlod.core.errors import InputError, ModelError, TrainingCutShort
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.synthetic import SyntheticSpec
+from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainedFrame, Trainer
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
 from streamlod.server.pipeline.trace import Span
 from streamlod.server.worker.process import Resume, Sender, Tag, show_again, train
+from tests.core.data.writers import write_colmap_binary, write_picture
 from tests.core.true_points import true_points
 from tests.server.brief import brief_training
 
@@ -228,3 +229,53 @@ def test_an_interrupted_run_leaves_nothing(job: TrainJob, tmp_path: Path) -> Non
     with pytest.raises(KeyboardInterrupt):
         train_clip(open_job(job), tmp_path / "scene.slod", interrupt)
     assert list(tmp_path.iterdir()) == []
+
+
+def _photographs(folder: Path, instants: int) -> TrainJob:
+    """A job for pictures in files, which are trained in full size."""
+    dataset = open_synthetic(SPEC)
+    entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in dataset.cameras]
+    write_colmap_binary(folder / "sparse" / "0", entries, np.zeros((0, 6)))
+    for frame in dataset.frames(0, instants):
+        for camera, image in zip(dataset.cameras, frame.images, strict=True):
+            write_picture(folder / "frames" / f"{frame.index:04d}" / f"{camera.name}.png", image)
+    return replace(JOB, synthetic=None, data=folder, test=(), frames=None)
+
+
+def test_a_late_fault_keeps_what_was_trained(job: TrainJob, tmp_path: Path) -> None:
+    late = replace(_photographs(tmp_path / "data", 3), points=job.points)
+    picture = next((tmp_path / "data" / "frames" / "0002").iterdir())
+    picture.write_bytes(picture.read_bytes()[:-500])
+    seen, out = list[EncodedFrame](), tmp_path / "scene.slod"
+    with pytest.raises(
+        TrainingCutShort, match=r"0002.*not a whole one; .*scene\.slod holds the first 2 of 3 frames"
+    ) as caught:
+        train_clip(open_job(late), out, seen.append)
+    assert (caught.value.kept, caught.value.wanted) == (2, 3)
+    with SlodReader(out) as reader:
+        assert [*reader.packets()] == [p for frame in seen for p in frame.packets]
+    assert len(seen) == 2
+    assert json.loads((tmp_path / "scene.slod.json").read_text())["cut_short"] == str(caught.value)
+
+
+def test_a_fault_in_the_first_frame_leaves_nothing(job: TrainJob, tmp_path: Path) -> None:
+    early = replace(_photographs(tmp_path / "data", 1), points=job.points)
+    for picture in (tmp_path / "data" / "frames" / "0000").iterdir():
+        picture.write_bytes(picture.read_bytes()[:-500])
+    with pytest.raises(InputError):
+        train_clip(open_job(early), tmp_path / "scene.slod", lambda _: None)
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_an_unforeseen_fault_keeps_what_was_trained_and_its_traceback(
+    job: TrainJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("a mistake of ours")
+
+    monkeypatch.setattr(Trainer, "predict", fail)
+    with pytest.raises(ZeroDivisionError) as caught:
+        train_clip(open_job(job), tmp_path / "scene.slod", lambda _: None)
+    assert "holds the first 1 of 4 frames" in caught.value.__notes__[0]
+    with SlodReader(tmp_path / "scene.slod") as reader:
+        assert len(reader.entries) == 1
