@@ -11,7 +11,7 @@ import numpy as np
 from streamlod.core.arrays import UInt8
 from streamlod.core.errors import InputError
 
-_MATRIX = struct.Struct("=9i")  # rows (a, b, u), (c, d, v), (x, y, w) of ISO/IEC 14496-12, section 6.2.2
+_MATRIX = struct.Struct("=9i")  # the track matrix of ISO/IEC 14496-12: rows (a, b, u), (c, d, v), (x, y, w)
 _SKEW = 0.02  # tangent of the angle by which a picture may miss a quarter turn
 
 
