@@ -41,9 +41,9 @@ def _packets(reader: SlodReader) -> tuple[list[PacketInfo], list[int]]:
     """What is known of the packets that are whole, and the numbers of the damaged ones."""
     infos: list[PacketInfo] = []
     damaged: list[int] = []
-    for number, packet in enumerate(reader.packets()):
+    for number in range(len(reader.entries)):
         try:
-            infos.append(describe(parse(packet)))
+            infos.append(describe(parse(reader.read(number))))
         except BitstreamError:
             damaged.append(number)
     return infos, damaged

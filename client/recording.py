@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 
 from streamlod.codec.container import Entry, SlodReader
@@ -41,7 +40,8 @@ def require_whole(path: Path, reader: SlodReader) -> None:
 def decode_frames(path: Path) -> Iterator[RecordedFrame]:
     """All frames of the file, in order, decoded from its bytes alone.
 
-    Where several versions show one instant (previews of a live recording), the last one is used.
+    Packets that are refused as `version_mismatch` are passed over (FORMAT.md section 15). Where several versions show
+    one instant (previews of a live recording), the last one is used.
 
     Raises:
         InputError: the file cannot be opened, is cut or damaged; names it.
@@ -56,26 +56,42 @@ def decode_frames(path: Path) -> Iterator[RecordedFrame]:
 
 def _decode(reader: SlodReader) -> Iterator[RecordedFrame]:
     decoder = SceneDecoder()
-    for time_ns, same_time in groupby(enumerate(reader.entries), lambda pair: pair[1].time_ns):
+    for time_ns, numbers in _instants(reader.entries):
         key_bytes = predicted_bytes = 0
-        for number, entry in same_time:
-            if _is_detour(entry, decoder):
-                continue
-            if entry.kind is PacketKind.KEY and (decoder.scene is None or entry.to_version > decoder.scene.version):
-                key_bytes = predicted_bytes = 0  # an early keyframe is replaced by a better one
-            decoder.push(reader.read(number))
-            if entry.kind is PacketKind.KEY:
-                key_bytes += entry.size_bytes
-            else:
+        for number in numbers:
+            entry, before = reader.entries[number], decoder.scene
+            try:
+                decoder.push(reader.read(number))
+            except BitstreamError as error:
+                if error.code == "version_mismatch":  # a packet to seek with
+                    continue
+                raise
+            if entry.kind is not PacketKind.KEY:
                 predicted_bytes += entry.size_bytes
+            elif before is None or entry.to_version > before.version:
+                key_bytes, predicted_bytes = entry.size_bytes, 0  # an early keyframe is replaced by a better one
+            else:
+                key_bytes += entry.size_bytes
         if decoder.scene is not None and key_bytes + predicted_bytes:
             yield RecordedFrame(decoder.scene, time_ns, key_bytes, predicted_bytes)
 
 
-def _is_detour(entry: Entry, decoder: SceneDecoder) -> bool:
-    """Whether the packet is needed for seeking only, as the packets before it lead to the same version."""
-    reached = decoder.scene is not None and entry.to_version <= decoder.scene.version
-    return entry.kind is not PacketKind.KEY and reached
+def _instants(entries: Sequence[Entry]) -> Iterator[tuple[int, Sequence[int]]]:
+    """Each instant's time, and the numbers of its packets.
+
+    A packet of an earlier time under the same keyframe belongs to the instant that it stands in: it brings a level
+    that lags behind the others.
+    """
+    numbers: list[int] = []
+    for number, entry in enumerate(entries):
+        if numbers:
+            now = entries[numbers[0]]
+            if entry.time_ns > now.time_ns or (entry.time_ns < now.time_ns and entry.keyframe != now.keyframe):
+                yield now.time_ns, numbers
+                numbers = []
+        numbers.append(number)
+    if numbers:
+        yield entries[numbers[0]].time_ns, numbers
 
 
 def decode_version(path: Path, version: int) -> Scene:

@@ -20,6 +20,8 @@ FOOTER = struct.Struct("<QI4s")
 FOOTER_MAGIC = b"SLIX"
 _INDEX_HEAD = struct.Struct("<II")
 _ENTRY = struct.Struct("<QIIIIQBBHI")
+_KIND_AT, _FIELDS_AT = 6, 8  # in a packet
+_FIELDS = struct.Struct("<IIIQH")  # keyframe, from_version, to_version, time_ns, level mask
 _COARSE_LEVELS = 3  # levels that make the first picture
 
 
@@ -74,6 +76,12 @@ def entry_of(info: PacketInfo, offset: int) -> Entry:
     )
 
 
+def is_packet_of(entry: Entry, packet: bytes) -> bool:
+    """Whether the header of `packet`, of 44 bytes or more, says the same as its entry in the index."""
+    fields = _FIELDS.pack(entry.keyframe, entry.from_version, entry.to_version, entry.time_ns, entry.level_mask)
+    return packet[_KIND_AT] == entry.kind and packet.startswith(fields, _FIELDS_AT)
+
+
 def record(packet: bytes) -> bytes:
     """A packet with its size before it."""
     return SIZE.pack(len(packet)) + packet
@@ -96,6 +104,16 @@ def entries_in(index: bytes, checksum: int) -> tuple[Entry, ...] | None:
         return tuple(_unpack(fields) for fields in _ENTRY.iter_unpack(index[_INDEX_HEAD.size :]))
     except ValueError:  # a kind of packet that there is not
         return None
+
+
+def lie_in_order(entries: Sequence[Entry], end: int) -> bool:
+    """Whether the packets lie one behind the other, each with its size before it, between the file's head and `end`."""
+    at = len(FILE_HEAD)
+    for entry in entries:
+        if entry.offset < at + SIZE.size:
+            return False
+        at = entry.offset + entry.size_bytes
+    return at <= end
 
 
 def _pack(e: Entry) -> bytes:

@@ -21,10 +21,13 @@ from streamlod.codec.container.layout import (
     check_head,
     entries_in,
     entry_of,
+    is_packet_of,
+    lie_in_order,
 )
+from streamlod.codec.container.seek import way
+from streamlod.codec.packet.bytes import HEADER_BYTES
 from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.errors import BitstreamError, InputError
 
 
@@ -56,11 +59,15 @@ class SlodReader:
             raise
 
     def read(self, number: int) -> bytes:
-        """Packet `number`; BitstreamError `bad_file` if the file became shorter."""
+        """Packet `number`; BitstreamError `bad_file` if the file became shorter, or the index says otherwise of it."""
         entry = self.entries[number]
         packet = self._at(entry.offset, entry.size_bytes)
         if len(packet) != entry.size_bytes:
             raise BitstreamError("bad_file", f"{self._path.name} ends inside packet {number}")
+        if len(packet) < HEADER_BYTES or not is_packet_of(entry, packet):
+            raise BitstreamError(
+                "bad_file", f"the index of {self._path.name} contradicts the header of packet {number}"
+            )
         return packet
 
     def packets(self) -> Iterator[bytes]:
@@ -73,30 +80,10 @@ class SlodReader:
         Raises:
             InputError: no packets of the file lead there.
         """
-        keys = [n for n, e in enumerate(self.entries) if e.kind is PacketKind.KEY and e.to_version <= version]
-        keyframe = max((self.entries[n].keyframe for n in keys), default=-1)
-        keys = [n for n in keys if self.entries[n].keyframe == keyframe]
-        mask = 0
-        for n in keys:
-            mask |= self.entries[n].level_mask
-        edges = [
-            n
-            for n, e in enumerate(self.entries)
-            if e.kind is not PacketKind.KEY and e.keyframe == keyframe and e.from_version < e.to_version
-        ]
-        best: dict[int, tuple[int, int]] = {keyframe: (0, -1)}  # bytes to a version, and the last packet on the way
-        for n in sorted(edges, key=lambda n: self.entries[n].to_version):
-            entry = self.entries[n]
-            if entry.from_version in best and entry.level_mask & mask == mask:
-                candidate = (best[entry.from_version][0] + entry.size_bytes, n)
-                best[entry.to_version] = min(best.get(entry.to_version, candidate), candidate)
-        if not keys or version not in best:
+        path = way(self.entries, version)
+        if path is None:
             raise InputError(self._path, f"no packets lead to version {version}")
-        path: list[int] = []
-        while version != keyframe:
-            path.append(best[version][1])
-            version = self.entries[path[-1]].from_version
-        return (*keys, *reversed(path))
+        return path
 
     def close(self) -> None:
         """Close the file."""
@@ -113,7 +100,7 @@ class SlodReader:
         return self._file.read(count)
 
     def _read_index(self) -> tuple[tuple[Entry, ...], int, bool] | None:
-        """The index at the file's end; None unless it is whole and every entry lies inside the file."""
+        """The index at the file's end; None unless it is whole and its packets lie in order before it."""
         footer = self._at(max(0, self._size - FOOTER.size), FOOTER.size)
         if len(footer) < FOOTER.size or footer[-4:] != FOOTER_MAGIC:
             return None
@@ -122,9 +109,8 @@ class SlodReader:
         entries = entries_in(self._at(at, length), checksum) if at >= len(FILE_HEAD) and length > 0 else None
         if entries is None:
             return None
-        first, most = len(FILE_HEAD) + SIZE.size, self._limits.packet_bytes
-        inside = all(first <= e.offset <= at - e.size_bytes and e.size_bytes <= most for e in entries)
-        return (entries, at, False) if inside else None
+        short = all(entry.size_bytes <= self._limits.packet_bytes for entry in entries)
+        return (entries, at, False) if short and lie_in_order(entries, at) else None
 
     def _walk(self) -> tuple[tuple[Entry, ...], int, bool]:
         """The entries of all complete packets from the file's start."""

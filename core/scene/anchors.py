@@ -6,8 +6,7 @@ state to the bit; floats appear only in `core.scene.expand`, after decoding.
 
 from __future__ import annotations
 
-import hashlib
-import struct
+import secrets
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -182,7 +181,7 @@ class Scene:
         levels: one AnchorLevel for each octree level, coarse to fine.
         keyframe: version at which the header and weights were sent.
         version: number of the state in its epoch.
-        identifier: 64 bits that this keyframe shares with no other, of this or another run; `identify` makes them.
+        identifier: 64 bits that this keyframe shares with no other, of this or another run (`new_identifier`).
     """
 
     header: SceneHeader
@@ -202,11 +201,6 @@ class Scene:
         return sum(int(level.alive.sum()) for level in self.levels)
 
 
-def identify(header: SceneHeader, weights: AnchorWeights, levels: tuple[AnchorLevel, ...], keyframe: int) -> int:
-    """A 64-bit identifier for a keyframe: a hash of its content, so that the same training gives the same bytes."""
-    found = hashlib.blake2b(struct.pack("<I", keyframe), digest_size=8)
-    for values in (header.octree.origin, *(getattr(weights, name) for name in AnchorWeights.__slots__)):
-        found.update(values.tobytes())
-    for level in levels:
-        found.update(struct.pack("<I", level.digest()))
-    return int.from_bytes(found.digest(), "little")
+def new_identifier() -> int:
+    """64 random bits for a keyframe, so that no packet of another run is taken for one of its own."""
+    return secrets.randbits(64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from streamlod.core.arrays import Float32, Int16, Int64
-from streamlod.core.scene.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader, identify
+from streamlod.core.scene.anchors import LATENTS, AnchorLevel, AnchorWeights, Scene, SceneHeader, new_identifier
 from streamlod.core.scene.expand import dequantise
 from streamlod.core.scene.octree import morton_key
 from streamlod.core.scene.quantise import trailing_zeros
@@ -26,8 +26,7 @@ def as_keyframe(scene: Scene, version: int) -> Scene:
     Positions, scalings, header and weights stay. `keyframe_error` measures the rounding.
     """
     levels = tuple(_fresh(scene.header, scene.weights, level) for level in scene.levels)
-    identifier = identify(scene.header, scene.weights, levels, version)
-    return replace(scene, levels=levels, keyframe=version, version=version, identifier=identifier)
+    return replace(scene, levels=levels, keyframe=version, version=version, identifier=new_identifier())
 
 
 def keyframe_error(before: Scene, after: Scene) -> tuple[float, float]:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from streamlod.client.inspection import describe_file
 from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.codec.container import SlodWriter
+from streamlod.codec.container.layout import FILE_HEAD, entry_of, file_end, record
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.levels import split_levels
 from streamlod.core.errors import InputError
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.scene.residual import difference
 from tests.client.clips import FRAME_NS, packets, plain_scene, states, write_clip
 from tests.codec.scenes import assert_same_state
+from tests.vectors.make import FOLDER, level_hash, read_stream
 
 
 def test_frames_are_the_encoders_states(tmp_path: Path) -> None:
@@ -53,6 +59,46 @@ def test_an_early_keyframe_is_replaced_and_a_new_one_counted_apart(tmp_path: Pat
     assert frames[0].key_bytes == sum(map(len, parts[1:-2]))
     assert (frames[1].predicted_bytes, frames[1].key_bytes) == (len(parts[-2]), len(parts[-1]))
     assert_same_state(fresh, frames[1].scene)
+
+
+VALID: list[dict[str, Any]] = json.loads((FOLDER / "manifest.json").read_text())["valid"]
+
+
+@pytest.mark.parametrize("vector", VALID, ids=lambda v: v["name"])
+def test_streams_cut_into_levels_end_in_the_state_of_the_format(tmp_path: Path, vector: dict[str, Any]) -> None:
+    """FORMAT.md section 15: in order, without packets refused as version_mismatch."""
+    parts = [part for packet in read_stream(FOLDER / vector["file"]) for part in split_levels(packet)]
+    with SlodWriter(tmp_path / "a.slod") as writer:
+        for part in parts:
+            writer.append(part)
+    *_, last = decode_frames(tmp_path / "a.slod")
+    assert [level_hash(level) for level in last.scene.levels] == vector["states"][-1]["levels"]
+
+
+def test_levels_that_come_later_belong_to_the_instant_in_which_they_come(tmp_path: Path) -> None:
+    scenes = states(3)
+    parts = [split_levels(packet) for packet in packets(scenes)]
+    with SlodWriter(tmp_path / "a.slod") as writer:
+        for level in range(len(scenes[0].levels)):
+            for part in parts:
+                writer.append(part[level])
+    frames = list(decode_frames(tmp_path / "a.slod"))
+    assert [frame.time_ns for frame in frames] == [0, FRAME_NS, 2 * FRAME_NS]
+    assert_same_state(scenes[2], frames[2].scene)
+    assert_same_state(scenes[1], decode_version(tmp_path / "a.slod", 1))
+
+
+def test_an_index_of_overlapping_packets_costs_no_more_than_the_file(tmp_path: Path) -> None:
+    """20 000 entries of one megabyte each, all over the same bytes: read one by one, they would be 20 GB."""
+    data = packets(states(1))[0] + bytes(1 << 20)
+    entry = entry_of(peek(packets(states(1))[0]), 12)
+    records = FILE_HEAD + record(data)
+    path = tmp_path / "a.slod"
+    path.write_bytes(records + file_end([replace(entry, size_bytes=1 << 20)] * 20_000, len(records)))
+    begin = time.process_time()
+    with pytest.raises(InputError, match="holds no whole keyframe"):
+        describe_file(path)
+    assert time.process_time() - begin < 10
 
 
 def test_skips_that_help_to_seek_are_no_frames(tmp_path: Path) -> None:

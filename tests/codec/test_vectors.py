@@ -12,7 +12,7 @@ from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.errors import BitstreamError
 from streamlod.core.scene.residual import difference
-from tests.vectors.make import FOLDER, read_stream, state_of
+from tests.vectors.make import FOLDER, read_file, read_stream, state_of
 
 MANIFEST: dict[str, Any] = json.loads((FOLDER / "manifest.json").read_text())
 
@@ -36,6 +36,13 @@ def test_broken(vector: dict[str, Any]) -> None:
         decoder.push(last)
     assert refused.value.code == vector["refused"]
     assert state_of(decoder) == before
+
+
+@pytest.mark.parametrize("vector", MANIFEST["files"], ids=lambda v: v["name"])
+def test_file(vector: dict[str, Any]) -> None:
+    """Index, order of packets, and the way to each version; also for files whose index is wrong."""
+    found = read_file(FOLDER / vector["file"])
+    assert {"name": vector["name"], "file": vector["file"], **found} == vector
 
 
 def test_every_refusal_code_has_a_vector() -> None:

@@ -9,13 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from streamlod.codec.container import SlodReader
 from streamlod.codec.decoder import SceneDecoder
-from streamlod.core.errors import BitstreamError
+from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.scene.anchors import AnchorLevel
 from tests.vectors.broken import broken_streams
+from tests.vectors.files import file_vectors
 from tests.vectors.valid import valid_streams
 
 FOLDER = Path(__file__).parent
@@ -76,6 +79,45 @@ def _broken(name: str, packets: list[bytes], code: str) -> dict[str, Any]:
     return {"name": name, "file": _write_stream(f"broken-{name}", packets), "refused": code}
 
 
+def read_file(path: Path) -> dict[str, Any]:
+    """What the manifest says of a `.slod` file, as this reader and decoder have it."""
+    with SlodReader(path) as reader:
+        versions = sorted({entry.to_version for entry in reader.entries})
+        content = path.read_bytes()
+        return {
+            "indexed": not reader.torn and reader.records_end < len(content),
+            "packets": len(reader.entries),
+            "in_order": _decoded(reader, range(len(reader.entries))),
+            "ways": {str(version): _way(reader, version) for version in versions},
+        }
+
+
+def _way(reader: SlodReader, version: int) -> dict[str, Any] | None:
+    try:
+        numbers = reader.plan(version)
+    except InputError:
+        return None
+    return {"numbers": list(numbers), **_decoded(reader, numbers)}
+
+
+def _decoded(reader: SlodReader, numbers: Sequence[int]) -> dict[str, Any]:
+    """The state after these packets, without those that are refused as `version_mismatch`; or the first refusal."""
+    decoder = SceneDecoder()
+    for number in numbers:
+        try:
+            decoder.push(reader.read(number))
+        except BitstreamError as error:
+            if error.code != "version_mismatch":
+                return {"refused": error.code, "packet": number}
+    return state_of(decoder)
+
+
+def _file(name: str, content: bytes) -> dict[str, Any]:
+    path = FOLDER / f"file-{name}.slod"
+    path.write_bytes(content)
+    return {"name": name, "file": path.name, **read_file(path)}
+
+
 def main() -> None:
     """Write the streams that are not frozen, and the manifest of all."""
     frozen, path = json.loads(FROZEN.read_text())["streams"], FOLDER / "manifest.json"
@@ -89,6 +131,9 @@ def main() -> None:
     manifest["valid"] += made
     refused = (_broken(*stream) for stream in broken_streams() if f"broken-{stream[0]}.slps" not in frozen)
     manifest["broken"] += refused
+    for old in FOLDER.glob("file-*.slod"):
+        old.unlink()
+    manifest["files"] = [_file(*file) for file in file_vectors()]
     path.write_text(json.dumps(manifest, indent=1) + "\n")
 
 

@@ -1,13 +1,13 @@
 /** The index of a `.slod` file, codec/FORMAT.md section 15, and the way through it to a version. */
 
 import { crc32 } from "./checksum.js";
-import { KEY, LIMITS, must, parseEnvelope } from "./packet.js";
+import { HEADER, KEY, LIMITS, must, parseEnvelope } from "./packet.js";
 
-/** @typedef {{ offset: number, size: number, keyframe: number, fromVersion: number, toVersion: number, timeMs: number, kind: number, mask: number }} Entry */
+/** @typedef {{ offset: number, size: number, keyframe: number, fromVersion: number, toVersion: number, timeNs: bigint, timeMs: number, kind: number, mask: number }} Entry */
 
 export const FILE_HEAD = 8; // bytes before the first record
 export const FOOTER = 16;
-const ENTRY = 40;
+const ENTRY = 40, SIZE = 4;
 
 /** Refuse other files than those of this version. @type {(head: Uint8Array) => void} */
 export function checkHead(head) {
@@ -32,15 +32,28 @@ export function readIndex(bytes, checksum, end) {
   const count = view.getUint32(4, true);
   if (bytes.length !== 8 + count * ENTRY) return null;
   const entries = Array.from({ length: count }, (_, i) => {
-    const at = 8 + i * ENTRY;
+    const at = 8 + i * ENTRY, timeNs = view.getBigUint64(at + 24, true);
     return {
       offset: Number(view.getBigUint64(at, true)), size: view.getUint32(at + 8, true), keyframe: view.getUint32(at + 12, true),
       fromVersion: view.getUint32(at + 16, true), toVersion: view.getUint32(at + 20, true),
-      timeMs: Number(view.getBigUint64(at + 24, true) / 1000n) / 1000, kind: bytes[at + 32], mask: view.getUint16(at + 34, true),
+      timeNs, timeMs: Number(timeNs / 1000n) / 1000, kind: bytes[at + 32], mask: view.getUint16(at + 34, true),
     };
   });
-  const sound = entries.every(({ offset, size, kind }) => offset >= 12 && offset + size <= end && size <= LIMITS.packetBytes && kind <= 1);
-  return sound ? entries : null;
+  let at = FILE_HEAD; // where the packet before ends
+  for (const { offset, size, kind } of entries) {
+    if (offset < at + SIZE || size > LIMITS.packetBytes || kind > 1) return null;
+    at = offset + size;
+  }
+  return at <= end ? entries : null;
+}
+
+/** Refuse a packet whose header, as far as it has come, says otherwise than its entry. @type {(entry: Entry, bytes: Uint8Array) => void} */
+export function checkEntry({ size, keyframe, fromVersion, toVersion, timeNs, kind, mask }, bytes) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  const agrees = size >= HEADER && (bytes.length < HEADER || (bytes[6] === kind && view.getUint32(8, true) === keyframe
+    && view.getUint32(12, true) === fromVersion && view.getUint32(16, true) === toVersion
+    && view.getBigUint64(20, true) === timeNs && view.getUint16(28, true) === mask));
+  must(agrees, "bad_file", "the recording's index contradicts a packet");
 }
 
 /** The entries of a file without a sound index: its records up to the first that is not a whole packet. @type {(bytes: Uint8Array) => Entry[]} */
@@ -75,28 +88,42 @@ export function plan(entries, version, from) {
   best.set(keyframe, { bytes: parts.reduce((sum, i) => sum + entries[i].size, 0), via: parts, before: -1 });
   if (from && from.keyframe === keyframe && from.version <= version) best.set(from.version, { bytes: 0, via: [], before: -1 });
   const keyed = parts.reduce((mask, i) => mask | entries[i].mask, 0);
-  const steps = entries.flatMap((entry, i) => {
-    const leads = entry.kind !== KEY && entry.keyframe === keyframe && entry.fromVersion < entry.toVersion && entry.toVersion <= version;
-    return leads && (entry.mask & keyed) === keyed ? [i] : [];
-  });
-  for (const i of steps.sort((a, b) => entries[a].toVersion - entries[b].toVersion)) {
-    const { fromVersion, toVersion, size } = entries[i];
-    const start = best.get(fromVersion), known = best.get(toVersion);
-    if (!start || (known && known.bytes <= start.bytes + size)) continue;
-    best.set(toVersion, { bytes: start.bytes + size, via: [i], before: fromVersion });
+  for (const { from, to, bytes, via } of steps(entries, keyframe, keyed, version)) {
+    const start = best.get(from), known = best.get(to);
+    if (start && (!known || known.bytes > start.bytes + bytes)) best.set(to, { bytes: start.bytes + bytes, via, before: from });
   }
-  /** @type {number[]} */
+  /** @type {number[][]} */
   const path = [];
   for (let at = version; at >= 0; ) {
     const step = best.get(at);
     must(step, "bad_file", `the file holds no way to version ${version}`);
-    path.unshift(...step.via);
+    path.push(step.via);
     at = step.before;
   }
-  return path;
+  return path.reverse().flat();
 }
 
-const HEADER = 44; // bytes of a packet before its directory
+/** One step under a keyframe: packets that together lead all its levels from one version to another. @typedef {{ from: number, to: number, bytes: number, via: number[] }} Step */
+
+/** All steps to versions up to `last`, by where they lead. @type {(entries: Entry[], keyframe: number, keyed: number, last: number) => Step[]} */
+function steps(entries, keyframe, keyed, last) {
+  /** @type {Step[]} */
+  const found = [];
+  /** @type {Map<string, Step & { mask: number }>} steps of several packets, each for some of the levels */
+  const partial = new Map();
+  entries.forEach(({ kind, keyframe: own, fromVersion: from, toVersion: to, size, mask }, i) => {
+    if (kind === KEY || own !== keyframe || from >= to || to > last) return;
+    if ((mask & keyed) === keyed) return void found.push({ from, to, bytes: size, via: [i] });
+    const name = `${from} ${to}`, step = partial.get(name) ?? { from, to, bytes: 0, via: [], mask: 0 };
+    if (!(mask & keyed & ~step.mask)) return; // it brings no level
+    step.mask |= mask;
+    step.bytes += size;
+    step.via.push(i);
+    partial.set(name, step);
+  });
+  for (const step of partial.values()) if ((step.mask & keyed) === keyed) found.push(step);
+  return found.sort((a, b) => a.to - b.to);
+}
 
 /**
  * One level of a packet as a packet of its own (codec/FORMAT.md, section 2), out of the bytes that have come so far.

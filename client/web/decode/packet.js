@@ -22,7 +22,8 @@ const NUMBERS_A_BYTE = 64;
  * @property {number} keyframe
  * @property {number} fromVersion
  * @property {number} toVersion
- * @property {number} timeMs - presentation time
+ * @property {bigint} timeNs - presentation time
+ * @property {number} timeMs - the same, rounded
  * @property {number} mask
  * @property {bigint} identifier - of the keyframe
  * @property {Map<number, Uint8Array>} chunks - by level << 4 | chunk kind
@@ -95,8 +96,8 @@ export function parseEnvelope(bytes) {
   }
   must(end <= bytes.length, "truncated");
   must(end === bytes.length, "trailing_bytes");
-  const timeMs = Number(view.getBigUint64(20, true) / 1000n) / 1000, identifier = view.getBigUint64(32, true);
-  return { fields: { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeMs, mask, identifier }, directory };
+  const timeNs = view.getBigUint64(20, true), timeMs = Number(timeNs / 1000n) / 1000, identifier = view.getBigUint64(32, true);
+  return { fields: { profile: bytes[5], kind, keyframe, fromVersion, toVersion, timeNs, timeMs, mask, identifier }, directory };
 }
 
 /** Its chunks are views into `bytes`. @type {(bytes: Uint8Array) => Packet} @throws {BitstreamError} */

@@ -91,9 +91,8 @@ const LENGTH = 4; // bytes before each packet
  */
 export async function cut(url, token, first, last) {
   const reader = new FileReader(url, token), entries = await reader.entries();
-  const keys = entries.filter(({ kind, keyframe }) => kind === KEY && keyframe <= first);
-  must(keys.length, "bad_file", "The first mark has left the window.");
-  const begin = Math.max(...keys.map(({ keyframe }) => keyframe));
+  const begin = entries.reduce((last, { kind, keyframe }) => (kind === KEY && keyframe <= first ? Math.max(last, keyframe) : last), -1);
+  must(begin >= 0, "bad_file", "The first mark has left the window.");
   const wanted = entries.filter(({ keyframe, toVersion }) => keyframe >= begin && toVersion <= last);
   const parts = [await reader.read(0, FILE_HEAD)];
   for (let i = 0, j; i < wanted.length; i = j) { // runs of records that lie side by side

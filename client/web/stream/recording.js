@@ -1,6 +1,6 @@
 /** Plays a `.slod` file over HTTP Range requests; takes the same commands as a connection. */
 
-import { levelOf, moments, plan } from "../decode/container.js";
+import { checkEntry, levelOf, moments, plan } from "../decode/container.js";
 import { KEY, LIMITS, must } from "../decode/packet.js";
 import { FileReader } from "./file.js";
 import { Session } from "./session.js";
@@ -144,13 +144,17 @@ export class Recording {
     }
     /** @type {Uint8Array} */
     let bytes = new Uint8Array(0);
-    for await (bytes of this.reader.arriving(first.offset, end)) if (bytes.length < first.size) yield bytes;
+    for await (bytes of this.reader.arriving(first.offset, end)) {
+      checkEntry(first, bytes);
+      if (bytes.length < first.size) yield bytes;
+    }
     must(bytes.length === end - first.offset, "truncated", "the recording ends too early");
     this.ahead = Math.min(MAX_AHEAD, (bytes.length * AHEAD_MS) / (performance.now() - begin + 1));
     for (let i = number; i <= last; i++) {
-      const { offset, size } = this.entries[i];
+      const { offset, size } = this.entries[i], packet = bytes.slice(offset - first.offset, offset - first.offset + size);
+      checkEntry(this.entries[i], packet);
       if (!this.cache.has(i)) this.cached += size;
-      this.cache.set(i, bytes.slice(offset - first.offset, offset - first.offset + size));
+      this.cache.set(i, packet);
     }
     for (const [i, old] of this.cache) {
       if (this.cached <= CACHE_BYTES || i === number) break;

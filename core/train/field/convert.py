@@ -16,7 +16,7 @@ from streamlod.core.scene.anchors import (
     AnchorWeights,
     Scene,
     SceneHeader,
-    identify,
+    new_identifier,
 )
 from streamlod.core.scene.expand import EXTRA_LEVEL_UNIT, anchor_positions, dequantise
 from streamlod.core.scene.keyframe import coarseness
@@ -65,8 +65,7 @@ def scene_of(
     )
     here = field.to("cpu")
     levels = tuple(_level_of(here, number, header) for number in range(field.octree.levels))
-    identifier = identify(header, weights, levels, version)
-    return Scene(header, weights, levels, keyframe=version, version=version, identifier=identifier)
+    return Scene(header, weights, levels, keyframe=version, version=version, identifier=new_identifier())
 
 
 def precision_of(scene: Scene, rows: Tensor) -> Precision:

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
 import { readFileSync } from "node:fs";
 import { test } from "node:test";
-import { checkHead, FILE_HEAD, FOOTER, levelOf, plan, readFooter, readIndex, walkRecords } from "../../../client/web/decode/container.js";
+import { checkEntry, checkHead, FILE_HEAD, FOOTER, levelOf, plan, readFooter, readIndex, walkRecords } from "../../../client/web/decode/container.js";
 import { SceneDecoder } from "../../../client/web/decode/decoder.js";
 import { BitstreamError } from "../../../client/web/decode/scene.js";
 
@@ -75,6 +75,48 @@ for (const [file, { states, packets }] of Object.entries(frozen.recordings)) {
     }
   });
 }
+
+/** State after these packets, without those to seek with; or the first refusal, as in the manifest. */
+function decoded(bytes, entries, numbers) {
+  const decoder = new SceneDecoder();
+  for (const i of numbers) {
+    const { offset, size } = entries[i], packet = bytes.slice(offset, offset + size);
+    try {
+      checkEntry(entries[i], packet);
+      decoder.push(packet);
+    } catch (error) {
+      assert.ok(error instanceof BitstreamError, String(error.stack));
+      if (error.code !== "version_mismatch") return { refused: error.code, packet: i };
+    }
+  }
+  return state(decoder);
+}
+
+for (const { file, indexed, packets, in_order: inOrder, ways } of manifest.files) {
+  test(`read as the Python reader reads it: ${file}`, () => {
+    const bytes = read(file), footer = readFooter(bytes.subarray(-FOOTER), bytes.length);
+    const found = footer && readIndex(bytes.subarray(footer.start, -FOOTER), footer.checksum, footer.start);
+    assert.equal(found !== null, indexed);
+    const entries = found ?? walkRecords(bytes);
+    assert.equal(entries.length, packets);
+    assert.deepEqual(decoded(bytes, entries, entries.keys()), inOrder);
+    assert.deepEqual([...new Set(entries.map(({ toVersion }) => toVersion))].sort((a, b) => a - b).map(String), Object.keys(ways));
+    for (const [version, way] of Object.entries(ways)) {
+      if (!way) assert.throws(() => plan(entries, Number(version), null), { code: "bad_file" });
+      else {
+        const numbers = plan(entries, Number(version), null);
+        assert.deepEqual({ numbers, ...decoded(bytes, entries, numbers) }, way);
+      }
+    }
+  });
+}
+
+test("the way through a long file, and one with a million key packets, is found", () => {
+  const entry = (from, to, more = {}) => ({ offset: 0, size: 9, keyframe: 0, fromVersion: from, toVersion: to, timeNs: 0n, timeMs: 0, kind: 1, mask: 3, ...more });
+  const keys = Array.from({ length: 1e6 }, () => entry(0, 0, { kind: 0 }));
+  const chain = Array.from({ length: 1e5 }, (_, i) => [entry(i, i + 1, { mask: 1 }), entry(i, i + 1, { mask: 2 })]).flat();
+  assert.equal(plan([...keys, ...chain], 1e5, null).length, 1.2e6);
+});
 
 test("a file of another version is refused as such, another file as none", () => {
   const head = read("growth.slod").subarray(0, FILE_HEAD);
