@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from streamlod.codec.packet.info import PacketInfo, describe
 from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.metadata import Metadata
 
 _MAX_NUMBERS = 10  # of damaged packets that are listed
 
@@ -34,7 +36,9 @@ def describe_file(path: Path) -> str:
     if scene is None:
         raise InputError(path, "holds no whole keyframe, so that nothing of it can be shown")
     size = path.stat().st_size
-    return "\n".join([*_file_lines(path, size, infos), *faults, "", *_scene_lines(scene), "", *_size_lines(infos)])
+    facts = _fact_lines(scene.metadata, infos[0].time_ns)
+    parts = [*_file_lines(path, size, infos), *faults, *facts, "", *_scene_lines(scene), "", *_size_lines(infos)]
+    return "\n".join(parts)
 
 
 def _packets(reader: SlodReader) -> tuple[list[PacketInfo], list[int]]:
@@ -82,6 +86,34 @@ def _file_lines(path: Path, size: int, infos: list[PacketInfo]) -> list[str]:
         f"{path}: {size / 1000:.1f} KB, {len(infos)} packets, profile {profiles}",
         f"frames {first} to {last}, {seconds:.2f} s from the first to the last",
     ]
+
+
+def _fact_lines(facts: Metadata, first_ns: int) -> list[str]:
+    """What the file says about its scene, a line each; `first_ns` is the first presentation time."""
+    lines = []
+    if facts.title is not None:
+        lines.append(f"title: {facts.title}")
+    if facts.licence is not None:
+        lines.append(f"licence: {facts.licence}")
+    if facts.metres_per_unit is not None:
+        lines.append(f"unit: {facts.metres_per_unit:.6g} m")
+    if facts.up is not None:
+        lines.append("up: " + " ".join(f"{x:.4g}" for x in facts.up))
+    if facts.epoch_ns is not None:
+        lines.append(f"begins: {_utc(facts.epoch_ns + first_ns)}")
+    if facts.original is not None:
+        moved = " ".join(f"{x:.6g}" for x in facts.original.translation)
+        lines.append(
+            f"calibration's coordinates: {facts.original.scale:.6g} times the scene's, turned, then moved by {moved}"
+        )
+    return lines
+
+
+def _utc(nanoseconds: int) -> str:
+    try:
+        return datetime.fromtimestamp(nanoseconds // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except (ValueError, OverflowError, OSError):  # a year that the calendar does not have
+        return f"{nanoseconds / 1e9:.0f} s after 1970"
 
 
 def _scene_lines(scene: Scene) -> list[str]:

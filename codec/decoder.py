@@ -10,10 +10,11 @@ import numpy as np
 from streamlod.codec.chunks import level as chunks
 from streamlod.codec.chunks.change import Elapsed
 from streamlod.codec.chunks.header import decode_header, decode_weights
+from streamlod.codec.chunks.metadata import decode_metadata
 from streamlod.codec.packet.bytes import parse
 from streamlod.codec.packet.info import PacketInfo, describe
 from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits, Room
-from streamlod.codec.packet.packet import ChunkKind, Packet, PacketKind
+from streamlod.codec.packet.packet import METADATA, ChunkKind, Packet, PacketKind
 from streamlod.core.arrays import Int32, Int64
 from streamlod.core.errors import BitstreamError
 from streamlod.core.scene.anchors import LATENTS, AnchorLevel, Scene, empty_level
@@ -75,12 +76,14 @@ class SceneDecoder:
         count = header.octree.levels
         _check_levels(packet, count)
         level = empty_level(len(header.feature_steps), header.gaussians_per_anchor)
-        scene = Scene(header, weights, (level,) * count, packet.keyframe, packet.keyframe, packet.identifier)
+        facts = decode_metadata(packet.chunk(0, METADATA) or b"")
+        scene = Scene(header, weights, (level,) * count, packet.keyframe, packet.keyframe, packet.identifier, facts)
         return scene, (ABSENT,) * count
 
     def _room(self, packet: Packet, number: int, levels: list[AnchorLevel]) -> Room:
         """What the packet's chunks of level `number` may still bring beside the rows of `levels`."""
-        rows = self._limits.rows(levels[number].row_bytes) - sum(map(len, levels))
+        level = levels[number]
+        rows = self._limits.rows(level.row_bytes, level.slots) - sum(map(len, levels))
         return Room(rows, packet.level_bytes(number))
 
     def _held(self, packet: Packet) -> Scene:

@@ -9,9 +9,10 @@ import numpy as np
 from streamlod.codec.chunks import level as chunks
 from streamlod.codec.chunks.change import Elapsed
 from streamlod.codec.chunks.header import encode_header, encode_weights
+from streamlod.codec.chunks.metadata import encode_metadata
 from streamlod.codec.chunks.padding import padded
 from streamlod.codec.packet.bytes import build
-from streamlod.codec.packet.packet import Chunk, ChunkKind, Packet, PacketKind, make_chunk
+from streamlod.codec.packet.packet import METADATA, Chunk, ChunkKind, Packet, PacketKind, make_chunk
 from streamlod.core.scene.anchors import AnchorLevel, Scene
 from streamlod.core.scene.residual import LevelResidual, Residual, apply_level
 
@@ -47,6 +48,9 @@ def encode_keyframe(scene: Scene, *, time_ns: int, profile: int = 1) -> bytes:
                 _hash_chunk(number, level),
             ]
             parts += padded(own, scene.header, len(level))
+    if not scene.metadata.is_empty:
+        parts.append(make_chunk(0, METADATA, encode_metadata(scene.metadata)))
+        parts.sort(key=lambda chunk: (chunk.level, chunk.kind))
     return _packet(scene, PacketKind.KEY, scene.version, profile, time_ns, parts)
 
 

@@ -29,9 +29,10 @@ class Limits(BaseModel):
     connections: int = Field(default=2000, ge=1, description="connections of any kind; further ones get 503")
     packet_bytes: int = Field(default=16 * 2**20, ge=1024, description="largest packet that is accepted from a worker")
     state_bytes: int = Field(
-        default=256 * 2**20, ge=2**20, description="memory of a decoded scene; a stream that needs more is refused"
+        default=64 * 2**20, ge=2**20, description="memory of a decoded scene; a stream that needs more is refused"
     )
-    anchors: int = Field(default=2**20, ge=1, description="anchors of a decoded scene")
+    anchors: int = Field(default=2**18, ge=1, description="anchors of a decoded scene")
+    gaussians: int = Field(default=2**21, ge=1, description="Gaussians of a decoded scene")
     request_bytes: int = Field(default=65536, ge=4096, description="largest head, and largest body, of a REST request")
     request_seconds: float = Field(default=10.0, gt=0, description="time in which a request must have arrived whole")
     message_bytes: int = Field(default=4096, ge=256, description="largest control message")
@@ -57,7 +58,12 @@ class Limits(BaseModel):
     @property
     def decoder(self) -> DecoderLimits:
         """What the server's decoders accept."""
-        return DecoderLimits(packet_bytes=self.packet_bytes, anchors=self.anchors, state_bytes=self.state_bytes)
+        return DecoderLimits(
+            packet_bytes=self.packet_bytes,
+            anchors=self.anchors,
+            gaussians=self.gaussians,
+            state_bytes=self.state_bytes,
+        )
 
 
 class Retention(BaseModel):

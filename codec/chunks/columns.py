@@ -11,7 +11,7 @@ from streamlod.codec.chunks.plain import row_count
 from streamlod.codec.coder import class_model
 from streamlod.codec.coder.entropy import corrupt, decode_scales, encode_items, encode_scales, words_of
 from streamlod.codec.coder.rans import MAX_VALUE
-from streamlod.codec.coder.trend import add_trend, trend_errors
+from streamlod.codec.coder.trend import restore, trend_errors
 from streamlod.codec.packet.limits import Room
 from streamlod.core.arrays import Int32, Int64
 from streamlod.core.errors import BitstreamError
@@ -20,7 +20,6 @@ from streamlod.core.scene.quantise import trailing_zeros
 _AS_IS, _CENTRED, _TREND = 0, 1, 2
 _COUNT = struct.Struct("<I")
 _MIN_CLASS_ROWS = 16  # rows that are worth a class of their own
-_INT32 = np.iinfo(np.int32)
 
 
 def encode(matrix: Int64, shifted: slice, *, with_count: bool = False) -> bytes | None:
@@ -104,18 +103,9 @@ def decode(data: bytes, at: int, rows: int, channels: int, shifted: slice) -> In
     values, classes = np.zeros((rows, channels), np.int32), np.zeros(rows, np.uint8)
     if not class_model.decode_rows(words_of(data, at), lanes, values, classes, scales):
         raise corrupt("an entropy-coded chunk does not end as it must")
-    scaled = _in_range(channels, shifted)
-    return _restored(values, used[classes], scaled, modes, centres)
-
-
-def _restored(numbers: Int32, shifts: Int64, scaled: Int64, modes: Int64, centres: Int64) -> Int32:
-    """[n,C] from what its mode left of each channel; rows are in 2^`shifts` [n] where `scaled` [C] is 1."""
-    values = (numbers.astype(np.int64) << shifts[:, None] * scaled) + centres
-    for c in np.flatnonzero(modes == _TREND):
-        values[:, c] = add_trend(numbers[:, c].astype(np.int64), shifts * scaled[c])
-    if values.size and (values.min() < _INT32.min or values.max() > _INT32.max):
+    if not restore(values, used[classes], _in_range(channels, shifted), modes, centres):
         raise BitstreamError("overflow", "a number leaves the range of its column")
-    return values.astype(np.int32)
+    return values
 
 
 def _unpack_classes(data: bytes, at: int) -> tuple[Int64, int]:

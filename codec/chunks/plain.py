@@ -15,6 +15,7 @@ from streamlod.core.errors import BitstreamError
 CODING = 0
 _HEAD = struct.Struct("<BI")
 _RAW_DEFLATE = -15
+_PIECE = 1 << 12  # bytes inflated at a time, to at most 4 MB
 
 
 def encode_plain(matrix: NDArray[Any]) -> bytes:
@@ -42,11 +43,25 @@ def decode_plain(data: bytes, columns: int) -> Int32:
     """
     count = row_count(data)
     wanted = 4 * columns * count
-    inflater = zlib.decompressobj(_RAW_DEFLATE)
+    content = bytearray(wanted)
     try:
-        content = inflater.decompress(memoryview(data)[_HEAD.size :], wanted + 1)  # one more, to see an excess
+        whole = _inflate(memoryview(data)[_HEAD.size :], memoryview(content))
     except zlib.error as error:
         raise BitstreamError("corrupt_chunk", f"deflate data are damaged: {error}") from error
-    if len(content) != wanted or not inflater.eof or inflater.unused_data:
+    if not whole:
         raise BitstreamError("corrupt_chunk", f"deflate data do not hold exactly {wanted} bytes")
     return np.asarray(np.frombuffer(content, "<i4").reshape(columns, count).T, np.int32)
+
+
+def _inflate(data: memoryview, out: memoryview) -> bool:
+    """Inflate all of `data` into all of `out`, a piece at a time; False if they do not fit each other."""
+    inflater, at = zlib.decompressobj(_RAW_DEFLATE), 0
+    for start in range(0, len(data), _PIECE):
+        content = inflater.decompress(data[start : start + _PIECE], len(out) - at + 1)  # one more, to see an excess
+        if inflater.unused_data or at + len(content) > len(out):
+            return False
+        out[at : at + len(content)] = content
+        at += len(content)
+        if inflater.eof:
+            return start + _PIECE >= len(data) and at == len(out)
+    return False

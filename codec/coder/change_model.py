@@ -180,12 +180,7 @@ def _take_latents(words: Array, x: Array, ctl: Array, before: Array, latent: Arr
         chosen[i] = take_flag(words, x, ctl, models[used[i]]) == 1
     if ctl[2]:
         return
-    rows = np.flatnonzero(chosen)
-    part = np.zeros((len(rows), latent.shape[1]), np.int64)
-    take_columns(words, x, ctl, part, scale)
-    for k in range(len(rows)):
-        for c in range(latent.shape[1]):
-            latent[rows[k], c] = part[k, c]
+    take_columns(words, x, ctl, latent, np.flatnonzero(chosen), scale)
 
 
 @compiled
@@ -200,7 +195,7 @@ def decode_change(
     age: int,
     span: int,
 ) -> tuple[bool, Array, Array, Array]:
-    """(whether the stream is sound, rows [n], position differences [n,3], latent differences [n,C]), all int64.
+    """(whether the stream is sound, rows [n], position differences [n,3], latent differences [n,C] int32), else int64.
 
     Args:
         position_before, latent_before: [N,3] and [N,C] of the level before.
@@ -216,7 +211,7 @@ def decode_change(
     if ctl[2]:
         count = 0
     rows = np.zeros(count, np.int64)
-    delta, latent = np.zeros((count, 3), np.int64), np.zeros((count, len(scale)), np.int64)
+    delta, latent = np.zeros((count, 3), np.int64), np.zeros((count, len(scale)), np.int32)
     n = 0
     for i in range(len(changed)):
         if changed[i] and n < count:

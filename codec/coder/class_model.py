@@ -57,10 +57,5 @@ def decode_rows(words: Array, lanes: int, values: Array, classes: Array, scales:
     for k in range(len(scales)):
         if ctl[2]:
             return False
-        rows = np.flatnonzero(classes == k)
-        part = np.zeros((len(rows), values.shape[1]), np.int32)
-        take_columns(words, x, ctl, part, scales[k])
-        for i in range(len(rows)):
-            for c in range(values.shape[1]):
-                values[rows[i], c] = part[i, c]
+        take_columns(words, x, ctl, values, np.flatnonzero(classes == k), scales[k])
     return finish(words, x, ctl)

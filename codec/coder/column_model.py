@@ -68,14 +68,14 @@ def columns_items(values: Array, scale: Array, items: Array, n: int) -> int:
 
 
 @compiled
-def take_columns(words: Array, x: Array, ctl: Array, values: Array, scale: Array) -> None:
-    """Decode `values` [rows, C]."""
+def take_columns(words: Array, x: Array, ctl: Array, values: Array, rows: Array, scale: Array) -> None:
+    """Decode the `rows` [n] of `values` [N, C] one after the other."""
     bins, weight, expected, total = channel_weights(scale)
     if total == 0:
         return
     mean, lanes = total, len(x) - 1
     item, at = ctl[0], ctl[1]  # local copies: the common case of `take_value` is written out here for speed
-    for i in range(len(values)):
+    for i in rows:
         energy, seen, gain = 0, 0, 0
         for c in range(len(scale)):
             if renews(c):

@@ -27,10 +27,23 @@ def trend_errors(values: Array, shifts: Array) -> Array:
 
 
 @compiled
-def add_trend(errors: Array, shifts: Array) -> Array:
-    """Inverse of `trend_errors`."""
-    values, total = np.zeros(len(errors), np.int64), 0
-    for i in range(len(errors)):
-        values[i] = (errors[i] << shifts[i]) + _prediction(total, shifts[i])
-        total += values[i] - (total >> _SHIFT)
-    return values
+def restore(numbers: Array, shifts: Array, scaled: Array, modes: Array, centres: Array) -> bool:
+    """Put in place of `numbers` [n,C] int32 the values that they stand for; False if one leaves int32.
+
+    Args:
+        shifts: [n] exponent of two of each row, for the channels where `scaled` [C] is 1.
+        modes: [C] 2 where the prediction of `trend_errors` is to be added.
+        centres: [C] to be added elsewhere.
+    """
+    totals = np.zeros(len(modes), np.int64)
+    for i in range(len(numbers)):
+        for c in range(len(modes)):
+            shift = shifts[i] * scaled[c]
+            value = (np.int64(numbers[i, c]) << shift) + centres[c]
+            if modes[c] == 2:
+                value += _prediction(totals[c], shift)
+                totals[c] += value - (totals[c] >> _SHIFT)
+            if value < -(1 << 31) or value >= 1 << 31:
+                return False
+            numbers[i, c] = value
+    return True

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from streamlod.codec.packet.bytes import ENTRY, HEADER_BYTES, parse
 from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
-from streamlod.codec.packet.packet import FIRST_EXTENSION, ChunkKind, Packet, PacketHeader
+from streamlod.codec.packet.packet import FIRST_EXTENSION, METADATA, ChunkKind, Packet, PacketHeader
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +15,7 @@ class PacketInfo(PacketHeader):
 
     Attributes:
         level_bytes: bytes of each level's chunks without header and weights, up to the finest level of the mask.
-        chunk_bytes: bytes of each chunk kind, by lower-case name; extensions count as "extension".
+        chunk_bytes: bytes of each chunk kind, by lower-case name; extensions but metadata count as "extension".
         size_bytes: length of the packet.
         has_header: whether a key packet starts a new scene.
     """
@@ -35,12 +35,18 @@ def peek(packet: bytes, limits: DecoderLimits = DEFAULT_LIMITS) -> PacketInfo:
     return describe(parse(packet, limits, verify=False))
 
 
+def _name(kind: int) -> str:
+    if kind < FIRST_EXTENSION:
+        return ChunkKind(kind).name.lower()
+    return "metadata" if kind == METADATA else "extension"
+
+
 def describe(packet: Packet) -> PacketInfo:
     """The facts of a packet already taken apart."""
     level_bytes = [0] * (packet.levels[-1] + 1)
     chunk_bytes: dict[str, int] = {}
     for chunk in packet.chunks:
-        name = ChunkKind(chunk.kind).name.lower() if chunk.kind < FIRST_EXTENSION else "extension"
+        name = _name(chunk.kind)
         chunk_bytes[name] = chunk_bytes.get(name, 0) + len(chunk.data)
         if not chunk.belongs_to_scene:
             level_bytes[chunk.level] += len(chunk.data)

@@ -13,10 +13,13 @@ MAX_NUMBERS_A_BYTE = 64  # part of the format, not of one decoder: rows x column
 class DecoderLimits:
     """Upper bounds, checked before memory is taken; a stream that needs more is refused with `limit_exceeded`.
 
+    Those of a player, by default: complexity level `main`.
+
     Attributes:
         packet_bytes: length of one packet.
         levels: octree levels.
         anchors: rows of all levels together.
+        gaussians: rows of all levels together, times the Gaussians of an anchor.
         state_bytes: memory of all rows together.
         gaussians_per_anchor, features: K and F of the header.
         cameras: cameras of the header.
@@ -24,18 +27,24 @@ class DecoderLimits:
 
     packet_bytes: int = 16 << 20
     levels: int = 16
-    anchors: int = 1 << 20
-    state_bytes: int = 256 << 20
+    anchors: int = 1 << 18
+    gaussians: int = 1 << 21
+    state_bytes: int = 64 << 20
     gaussians_per_anchor: int = 16
     features: int = 64
     cameras: int = 255
 
-    def rows(self, row_bytes: int) -> int:
-        """The most rows of `row_bytes` each that all levels may have together."""
-        return min(self.anchors, self.state_bytes // row_bytes)
+    def rows(self, row_bytes: int, slots: int) -> int:
+        """The most rows of `row_bytes` and `slots` Gaussians each that all levels may have together."""
+        return min(self.anchors, self.gaussians // slots, self.state_bytes // row_bytes)
 
 
-DEFAULT_LIMITS = DecoderLimits()
+COMPLEXITY_LEVELS = {
+    "small": DecoderLimits(anchors=1 << 16, gaussians=1 << 19, state_bytes=16 << 20),
+    "main": DecoderLimits(),
+    "large": DecoderLimits(anchors=1 << 20, gaussians=1 << 24, state_bytes=256 << 20),
+}
+DEFAULT_LIMITS = COMPLEXITY_LEVELS["main"]
 
 
 @dataclass(frozen=True, slots=True)

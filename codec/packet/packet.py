@@ -30,6 +30,7 @@ class ChunkKind(IntEnum):
 
 
 FIRST_EXTENSION = 12  # chunk kinds from here on are skipped, not refused
+METADATA = 12  # the extension with facts about the scene, in level 0 of a key packet that starts one
 PADDING = 15  # the extension that this encoder fills with zeros where a level's chunks are shorter than they may be
 SCENE_CHUNKS = frozenset({ChunkKind.HEADER, ChunkKind.WEIGHTS})
 
@@ -79,7 +80,7 @@ class Packet(PacketHeader):
 
     chunks: tuple[Chunk, ...]
 
-    def chunk(self, level: int, kind: ChunkKind) -> bytes | None:
+    def chunk(self, level: int, kind: int) -> bytes | None:
         """The bytes of chunk (level, kind), if the packet has it."""
         return next((c.data for c in self.chunks if c.level == level and c.kind == kind), None)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, Float32, Int16, Int32, check_array
 from streamlod.core.camera import Camera
+from streamlod.core.scene.metadata import NOTHING_KNOWN, Metadata
 from streamlod.core.scene.octree import Octree
 
 FEATURE_LATENTS = 12  # paper section V-A: latent size 12 for features and for offsets
@@ -66,6 +67,11 @@ class AnchorLevel:
 
     def __len__(self) -> int:
         return len(self.voxel)
+
+    @property
+    def slots(self) -> int:
+        """Gaussians of an anchor."""
+        return int(self.offset.shape[1]) // 3
 
     @property
     def row_bytes(self) -> int:
@@ -181,6 +187,7 @@ class Scene:
         levels: one AnchorLevel for each octree level, coarse to fine.
         keyframe: version at which the header and weights were sent.
         version: number of the state in its epoch.
+        metadata: facts that the pictures do not depend on.
         identifier: 64 bits that this keyframe shares with no other, of this or another run (`new_identifier`).
     """
 
@@ -190,6 +197,7 @@ class Scene:
     keyframe: int
     version: int
     identifier: int = 0
+    metadata: Metadata = NOTHING_KNOWN
 
     def __post_init__(self) -> None:
         if len(self.levels) != self.header.octree.levels:

@@ -15,7 +15,6 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from streamlod.codec.coder.trend import add_trend
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.core.arrays import Float32
@@ -43,7 +42,6 @@ def warm_codec() -> None:
     after = replace(before, levels=(moved,), version=1)
     decoder = SceneDecoder()
     decoder.push(encode_keyframe(before, time_ns=0))
-    add_trend(np.zeros(1, np.int64), np.zeros(1, np.int64))  # which these few anchors do not call for
     decoder.push(encode_residual(before, difference(before, after), time_ns=0))
 
 

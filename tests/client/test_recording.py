@@ -20,6 +20,7 @@ from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.levels import split_levels
 from streamlod.core.errors import InputError
 from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.core.scene.metadata import Metadata
 from streamlod.core.scene.residual import difference
 from tests.client.clips import FRAME_NS, packets, plain_scene, states, write_clip
 from tests.codec.scenes import assert_same_state
@@ -159,6 +160,17 @@ def test_description_adds_up(tmp_path: Path) -> None:
     assert re.search(rf"^change +3 +{sum(map(len, data[1:])) / 1000:.1f} ", text, re.MULTILINE)
     by_level, by_chunk = (int(n) for n in (_total(text, "bytes by level"), _total(text, "bytes by chunk")))
     assert 0 < by_level < by_chunk < sum(map(len, data))
+
+
+def test_description_says_what_the_file_says_of_its_scene(tmp_path: Path) -> None:
+    facts = Metadata(0.5, (0.0, -1.0, 0.0), 1_764_000_000 * 10**9, "Dance", "CC-BY-4.0", None)
+    write_clip(tmp_path / "a.slod", [replace(state, metadata=facts) for state in states(2)])
+    text = describe_file(tmp_path / "a.slod")
+    for line in ("title: Dance", "licence: CC-BY-4.0", "unit: 0.5 m", "up: 0 -1 0", "begins: 2025-11-24 16:00:00 UTC"):
+        assert f"\n{line}\n" in text
+    far = replace(states(1)[0], metadata=Metadata(epoch_ns=-(2**62)))
+    write_clip(tmp_path / "far.slod", [far])
+    assert "\nbegins: " in describe_file(tmp_path / "far.slod")
 
 
 def _total(text: str, heading: str) -> int:

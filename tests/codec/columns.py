@@ -12,5 +12,5 @@ def decode_columns(words: Array, lanes: int, values: Array, scale: Array) -> boo
     """Fill `values` [rows, C]; False if the stream is corrupt."""
     x, ctl = np.zeros(lanes, np.int64), np.zeros(3, np.int64)
     begin(words, x, ctl)
-    take_columns(words, x, ctl, values, scale)
+    take_columns(words, x, ctl, values, np.arange(len(values)), scale)
     return bool(finish(words, x, ctl))

@@ -9,10 +9,11 @@ import pytest
 
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
+from streamlod.codec.packet.limits import COMPLEXITY_LEVELS
 from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.errors import BitstreamError
 from streamlod.core.scene.residual import difference
-from tests.vectors.make import FOLDER, read_file, read_stream, state_of
+from tests.vectors.make import FOLDER, facts_of, read_file, read_stream, state_of
 
 MANIFEST: dict[str, Any] = json.loads((FOLDER / "manifest.json").read_text())
 
@@ -23,6 +24,15 @@ def test_valid(vector: dict[str, Any]) -> None:
     for packet, state in zip(read_stream(FOLDER / vector["file"]), vector["states"], strict=True):
         decoder.push(packet)
         assert state_of(decoder) == state
+    assert facts_of(decoder) == vector.get("metadata", {})
+
+
+def test_all_vectors_are_within_the_smallest_complexity_level() -> None:
+    for vector in MANIFEST["valid"]:
+        decoder = SceneDecoder(COMPLEXITY_LEVELS["small"])
+        for packet in read_stream(FOLDER / vector["file"]):
+            decoder.push(packet)
+        assert state_of(decoder) == vector["states"][-1]
 
 
 @pytest.mark.parametrize("vector", MANIFEST["broken"], ids=lambda v: v["name"])
@@ -48,7 +58,7 @@ def test_file(vector: dict[str, Any]) -> None:
 def test_every_refusal_code_has_a_vector() -> None:
     codes = {"bad_file", "too_large"} | {vector["refused"] for vector in MANIFEST["broken"]}
     text = (FOLDER.parents[1] / "codec" / "FORMAT.md").read_text()
-    section = text.split("## 13. Refusals")[1].split("Order of checks")[0]
+    section = text.split("## 13. Refusals")[1].split("The first check that fails")[0]
     documented = {line.split("|")[1].strip() for line in section.splitlines() if line.startswith("| ")} - {
         "code",
         "---",

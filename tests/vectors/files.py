@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 from streamlod.codec.container.layout import FILE_HEAD, FOOTER, FOOTER_MAGIC, Entry, entry_of, file_end, record
 from streamlod.codec.packet.info import peek
@@ -46,7 +47,8 @@ def file_vectors() -> Files:
         ("size_bytes", entries[1].size_bytes - 1),
     ):
         name = f"index-lies-of-{field.replace('_', '-')}" + ("-by-one" if wrong == entries[1].size_bytes - 1 else "")
-        yield name, _file(records, [entries[0], replace(entries[1], **{field: wrong}), *entries[2:]])
+        changes: dict[str, Any] = {field: wrong}
+        yield name, _file(records, [entries[0], replace(entries[1], **changes), *entries[2:]])
     yield "levels-apart", file_of([part for whole in packets for part in split_levels(whole)])
     yield "level-after-level", file_of(_level_after_level(packets))
     yield "levels-apart-or-whole", file_of([*_apart(packets[:3]), packets[2], *packets[3:]])

@@ -17,6 +17,7 @@ from streamlod.codec.container import SlodReader
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.scene.anchors import AnchorLevel
+from streamlod.core.scene.metadata import Metadata
 from tests.vectors.broken import broken_streams
 from tests.vectors.files import file_vectors
 from tests.vectors.valid import valid_streams
@@ -37,6 +38,21 @@ def state_of(decoder: SceneDecoder) -> dict[str, list[int] | list[str]]:
     """What the manifest says of a decoder's state."""
     levels = () if decoder.scene is None else decoder.scene.levels
     return {"versions": list(decoder.versions), "levels": [level_hash(level) for level in levels]}
+
+
+def facts_of(decoder: SceneDecoder) -> dict[str, Any]:
+    """What the manifest says of a scene's metadata."""
+    facts = Metadata() if decoder.scene is None else decoder.scene.metadata
+    original = facts.original and [facts.original.scale, *facts.original.rotation, *facts.original.translation]
+    named = {
+        "unit": facts.metres_per_unit,
+        "up": facts.up and list(facts.up),
+        "epoch": None if facts.epoch_ns is None else str(facts.epoch_ns),
+        "title": facts.title,
+        "licence": facts.licence,
+        "original": original,
+    }
+    return {name: value for name, value in named.items() if value is not None}
 
 
 def read_stream(path: Path) -> list[bytes]:
@@ -61,7 +77,9 @@ def _valid(name: str, packets: list[bytes]) -> dict[str, Any]:
     for packet in packets:
         decoder.push(packet)
         states.append(state_of(decoder))
-    return {"name": name, "file": _write_stream(f"valid-{name}", packets), "states": states}
+    facts = facts_of(decoder)
+    entry = {"name": name, "file": _write_stream(f"valid-{name}", packets), "states": states}
+    return {**entry, "metadata": facts} if facts else entry
 
 
 def _broken(name: str, packets: list[bytes], code: str) -> dict[str, Any]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import itertools
+import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from streamlod.codec.chunks.metadata import encode_metadata
 from streamlod.codec.chunks.plain import encode_plain
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.packet.bytes import build, parse
 from streamlod.codec.packet.levels import drop_levels, select_levels, split_levels
-from streamlod.codec.packet.packet import ChunkKind, make_chunk
+from streamlod.codec.packet.packet import METADATA, ChunkKind, make_chunk
 from streamlod.core.scene.anchors import AnchorLevel, Scene, empty_level
+from streamlod.core.scene.metadata import Metadata, Original
 from streamlod.core.scene.octree import Octree
 from streamlod.core.scene.residual import difference
 from tests.codec.scenes import grow, make_scene, move
@@ -75,6 +78,9 @@ def valid_streams() -> Streams:
         yield f"deflate-{name}", _deflated(level, strategy)
     yield "change-of-nothing", _nothing()
     yield "one-lane-key", _lanes()
+    yield "metadata", _metadata()
+    for name, content in _odd_metadata():
+        yield f"metadata-{name}", _with_metadata(content)
 
 
 def _chain(scene: Scene, profile: int, share: float = 0.3) -> list[bytes]:
@@ -343,6 +349,59 @@ def _nothing() -> list[bytes]:
     chunk = make_chunk(1, ChunkKind.CHANGE, encode_plain(np.array([[2] + [0] * 27])))
     chunks = sorted([*parsed.chunks, chunk], key=lambda c: (c.level, c.kind))
     return [key(scene), build(replace(parsed, chunks=tuple(chunks)))]
+
+
+_FACTS = Metadata(
+    metres_per_unit=0.01,
+    up=(0.0, -1.0, 0.25),
+    epoch_ns=1_764_000_000_123_456_789,
+    title="Dance at the \u00dcbersee-Museum, \u5e55 2",
+    licence="CC-BY-4.0",
+    original=Original(2.5, (0.5, -0.5, 0.5, 0.5), (500_000.125, -3.0, 4_649_776.5)),
+)
+
+
+def _metadata() -> list[bytes]:
+    """All facts, which a change keeps and a keyframe without the chunk ends, until another has it."""
+    first = replace(small(), metadata=_FACTS)
+    second = replace(small(seed=3), keyframe=7, version=7, identifier=2)
+    third = replace(second, keyframe=8, version=8, identifier=3, metadata=_FACTS)
+    return [key(first), packet(first, move(first)), key(second), key(third), packet(third, move(third))]
+
+
+def _with_metadata(content: bytes) -> list[bytes]:
+    """A keyframe with this METADATA chunk, and a change with another, which says nothing."""
+    scene, other = small(), encode_metadata(Metadata(title="of a change"))
+    packets = [(key(scene), 0, content), (packet(scene, move(scene, share=0.9)), 0, other)]
+    result = []
+    for data, level, facts in packets:
+        parsed = parse(data)
+        chunks = sorted([*parsed.chunks, make_chunk(level, METADATA, facts)], key=lambda c: (c.level, c.kind))
+        result.append(build(replace(parsed, chunks=tuple(chunks))))
+    return result
+
+
+def _odd_metadata() -> Iterator[tuple[str, bytes]]:
+    """Name and content of chunks that are not as they should be: none of them is refused."""
+
+    def field(tag: int, value: bytes) -> bytes:
+        return struct.pack("<HH", tag, len(value)) + value
+
+    title, licence = field(4, b"kept"), field(5, b"MIT")
+    yield "empty", b""
+    yield "unknown-tags", field(0, b"?") + title + field(900, b"") + field(40_000, b"private")
+    yield "cut-in-head", title + licence[:3]
+    yield "cut-in-value", title + licence[:-1]
+    yield "repeated", title + field(4, b"again") + licence
+    yield "descending", licence + title
+    yield "lengths", field(1, bytes(7)) + field(2, bytes(25)) + field(3, b"") + title + field(6, bytes(63))
+    wrong = struct.pack("<d", -1.0), struct.pack("<3d", 0, 0, 0), struct.pack("<8d", 1, 0, 0, 0, 0, 0, 0, 0)
+    yield "out-of-bounds", field(1, wrong[0]) + field(2, wrong[1]) + title + field(6, wrong[2])
+    nan = struct.pack("<3d", 1, float("nan"), 0)
+    yield "not-finite", field(1, struct.pack("<d", float("inf"))) + field(2, nan) + title
+    yield "no-texts", field(4, b"two\nlines") + field(5, b"\xff\xfe")
+    yield "empty-text", field(3, struct.pack("<q", -1)) + field(4, b"") + field(5, b"x" * 1025)
+    yield "line-separator", field(4, "a\u2028b".encode()) + licence
 
 
 def _lanes() -> list[bytes]:

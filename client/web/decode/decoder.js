@@ -112,7 +112,7 @@ function held(scene, { keyframe, identifier }) {
 }
 
 /** The most rows of all levels. @type {(header: Header) => number} */
-const mostRows = ({ featureSteps, slots }) => Math.min(LIMITS.anchors, Math.floor(LIMITS.stateBytes / rowBytes(featureSteps.length, slots)));
+const mostRows = ({ featureSteps, slots }) => Math.min(LIMITS.anchors, Math.floor(LIMITS.gaussians / slots), Math.floor(LIMITS.stateBytes / rowBytes(featureSteps.length, slots)));
 
 /** @type {(chunk: Uint8Array | undefined, level: Level) => void} */
 function checkHash(chunk, level) {
@@ -135,7 +135,8 @@ function checked(chunk, { profile }, coded = true) {
 const bitsOf = (mask) => Array.from({ length: 16 }, (_, i) => i).filter((i) => (mask >> i) & 1);
 
 /** FORMAT.md sections 4 and 5. @type {(header: Uint8Array, weights: Uint8Array, packet: Packet) => Scene} */
-function readScene(headerChunk, weightsChunk, { keyframe, identifier }) {
+function readScene(headerChunk, weightsChunk, { keyframe, identifier, chunks }) {
+  const metadata = chunks.get(Chunk.METADATA)?.slice();
   const header = readHeader(headerChunk);
   const { slots, levels } = header, features = header.featureSteps.length;
   const reader = new Reader(weightsChunk, "bad_weights");
@@ -150,7 +151,7 @@ function readScene(headerChunk, weightsChunk, { keyframe, identifier }) {
   };
   reader.end();
   const empty = Array.from({ length: levels }, () => emptyLevel(features, slots));
-  return { header, weights, levels: empty, versions: new Array(levels).fill(-1), keyframe, identifier };
+  return { header, weights, levels: empty, versions: new Array(levels).fill(-1), keyframe, identifier, metadata };
 }
 
 /** @type {(chunk: Uint8Array) => Header} */

@@ -5,11 +5,11 @@ import { BitstreamError } from "./scene.js";
 
 export const KEY = 0;
 const CHANGE = 1, FIRST_EXTENSION = 12;
-export const Chunk = Object.freeze({ HEADER: 0, WEIGHTS: 1, GEOMETRY: 2, BASE: 3, CHANGE: 4, REMOVED: 5, ADDED: 6, HASH: 7 });
+export const Chunk = Object.freeze({ HEADER: 0, WEIGHTS: 1, GEOMETRY: 2, BASE: 3, CHANGE: 4, REMOVED: 5, ADDED: 6, HASH: 7, METADATA: 12 });
 
-/** What a decoder takes at most. */
+/** What a player takes at most: complexity level main of codec/FORMAT.md, section 13. */
 export const LIMITS = Object.freeze({
-  packetBytes: 16 << 20, levels: 16, anchors: 1 << 20, stateBytes: 256 << 20, slots: 16, features: 64,
+  packetBytes: 16 << 20, levels: 16, anchors: 1 << 18, gaussians: 1 << 21, stateBytes: 64 << 20, slots: 16, features: 64,
 });
 
 export const HEADER = 44; // bytes before the directory

@@ -60,6 +60,7 @@ export const LATENTS = 24, FEATURE_LATENTS = 12, HIDDEN = 32, SCALINGS = 6;
  * @property {number[]} versions - one a level, -1 where the level is absent
  * @property {number} keyframe
  * @property {bigint} identifier - of the keyframe; no other has it
+ * @property {Uint8Array | undefined} metadata - facts about the scene, for `readMetadata`
  */
 
 /** Changes of one level: by how much [n, 3], [n, 24] which `rows` differ, which die, which come. @typedef {{ rows: Uint32Array, position: Int32Array, latent: Int32Array, removed: Uint32Array, added: Level | null }} LevelChange */

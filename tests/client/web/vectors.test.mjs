@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { checkEntry, checkHead, FILE_HEAD, FOOTER, levelOf, plan, readFooter, readIndex, walkRecords } from "../../../client/web/decode/container.js";
 import { SceneDecoder } from "../../../client/web/decode/decoder.js";
+import { readMetadata } from "../../../client/web/decode/metadata.js";
 import { BitstreamError } from "../../../client/web/decode/scene.js";
 
 const folder = new URL("../../vectors/", import.meta.url);
@@ -34,13 +35,20 @@ function state({ scene }) {
 
 test("there are vectors of both kinds", () => assert.ok(manifest.valid.length > 10 && manifest.broken.length > 30));
 
-for (const { name, file, states } of manifest.valid) {
+/** Facts by their names in the document. */
+function factsOf({ scene }) {
+  const { metresPerUnit: unit, up, epochNs, title, licence, original: o } = readMetadata(scene.metadata ?? new Uint8Array(0));
+  return JSON.parse(JSON.stringify({ unit, up, epoch: epochNs?.toString(), title, licence, original: o && [o.scale, ...o.rotation, ...o.translation] }));
+}
+
+for (const { name, file, states, metadata } of manifest.valid) {
   test(`valid: ${name}`, () => {
     const decoder = new SceneDecoder();
     for (const [i, packet] of packets(file).entries()) {
       decoder.push(packet);
       assert.deepEqual(state(decoder), { versions: states[i].versions, levels: states[i].levels });
     }
+    assert.deepEqual(factsOf(decoder), metadata ?? {});
   });
 }
 
