@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from streamlod.core.errors import InputError
+from streamlod.server.ingest.cameras.address import local_file
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 
@@ -67,13 +68,17 @@ def _check_rig(rig: dict[str, Any], settings: Settings) -> None:
 def _check_source(name: str, source: str, settings: Settings) -> None:
     if source == "push:" or source.startswith("push://"):
         return
+    path = local_file(source)
+    if path is not None:
+        _check_path(name, path, settings)
+        return
     try:
         parts = urlsplit(source)
         host, port = (parts.hostname or "").lower(), parts.port
     except ValueError as error:
         raise InputError(name, "is not a URL") from error
-    if "://" not in source or parts.scheme in ("file", "v4l2"):
-        _check_path(name, source if "://" not in source else parts.path, settings)
+    if parts.scheme == "v4l2":
+        _check_path(name, parts.path, settings)
         return
     listens = parts.scheme.endswith("+listen") or parts.scheme == "udp"
     if parts.scheme.partition("+")[0] in _OPTIONS_IN_QUERY:

@@ -104,6 +104,7 @@ class LiveDataset:
 
         Raises:
             ValueError: negative numbers, or the rig is being read already.
+            InputError: while iterating, where files end without one instant, and one of them is at fault.
         """
         if start < 0 or (stop is not None and stop < start):
             raise ValueError(f"frames {start} to {stop} do not exist")
@@ -153,6 +154,8 @@ class LiveDataset:
                 newest = next(found, None)
                 rig.waiting = False
                 if newest is None:
+                    if (failure := rig.failure()) is not None:
+                        raise failure
                     return
                 instant, images, present = newest
                 latency_ns = rig.note_delivery(instant)
@@ -190,9 +193,13 @@ def open_live(source: Path | dict[str, Any], *, downscale: float = 1, push_socke
     Pushed pictures come through a `RelayedIntake` to `push_socket`, or from an `Intake(dataset.rig)` in this process.
 
     Raises:
-        InputError: see `read_definition`; a distortion that cannot be undone, or a downscale below 1.
+        InputError: see `read_definition`; a file that is not there, a distortion that cannot be undone, or a downscale
+            below 1.
     """
     definition = read_definition(source)
+    for camera, address in zip(definition.cameras, definition.addresses, strict=True):
+        if not address.is_live and (not Path(address.url).exists() or Path(address.url).is_dir()):
+            raise InputError(f"camera {camera.name}", f"there is no file {address.url}")
     if not 1 <= downscale <= 64:
         raise InputError("downscale", f"must lie between 1 and 64, not {downscale}")
     return LiveDataset(definition, tuple(development(camera, downscale) for camera in definition.cameras), push_socket)

@@ -14,8 +14,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from streamlod.core.data.video.grid import period_of
+from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.definition import RigDefinition
-from streamlod.server.ingest.cameras.reader import Reader
+from streamlod.server.ingest.cameras.reader import ENDED, Reader
 from streamlod.server.ingest.statistics import CameraStatistics, Statistics
 from streamlod.server.ingest.sync.clock import ClockSource
 from streamlod.server.ingest.sync.picture import Picture
@@ -23,7 +24,7 @@ from streamlod.server.ingest.sync.synchroniser import Instant, Synchroniser
 from streamlod.server.ingest.sync.timeline import Timeline
 
 _LOG = logging.getLogger(__name__)
-_LEAD = 4  # pictures that the reader of an unpaced file may be ahead of the others
+_LEAD = 4  # periods that the reader of an unpaced file may be ahead of the others; also instants that may wait
 _JOIN_SECONDS = 0.5
 _FOREVER_NS = 2**62
 _FILE_DELAY_NS = 300_000_000  # time to open files on all threads
@@ -41,6 +42,7 @@ class _Last:
     refused: str = ""  # why its newest picture could not be used
     ended: bool = False
     put: int = 0
+    newest_ns: int | None = None
     holder: object = None  # the capture node that pushes it
 
 
@@ -66,12 +68,13 @@ class Rig:
         self._instants: deque[Instant] = deque()
         self._virtual_ns = 0
         self._delivered = self._stale = self._latency_ns = 0
-        quorum = max(1, definition.quorum - (len(definition.cameras) - len(self._names)))
+        quorum = self._quorum = max(1, definition.quorum - (len(definition.cameras) - len(self._names)))
         self._synchroniser = Synchroniser(
             self._names,
             definition.fps,
             quorum=quorum,
-            deadline_ns=None if self._paced else _FOREVER_NS,
+            # of unpaced files: when no reader may be so far behind any more
+            deadline_ns=None if self._paced else round((_LEAD + 2) * period_of(definition.fps)),
             lost_ns=1_000_000_000 if self._paced else _FOREVER_NS,
         )
         self._pushed = {
@@ -122,8 +125,10 @@ class Rig:
             last = self._last[picture.camera]
             last.source, last.error_ns = picture.source, picture.error_ns
             last.put += 1
+            last.newest_ns = picture.capture_ns
             if not self._paced:
-                self._change.wait_for(lambda: self._stopped or self._has_room(last))
+                self._change.notify_all()  # others may have waited for this camera
+                self._change.wait_for(lambda: self._stopped or self._has_room(picture.capture_ns))
             if self._stopped:
                 return
             self._virtual_ns = max(self._virtual_ns, picture.capture_ns)
@@ -206,6 +211,15 @@ class Rig:
                 _LOG.warning("camera %s: %s", camera, fault)
             self._last[camera].refused = fault
 
+    def failure(self) -> InputError | None:
+        """Why a rig of files has given out nothing, if a file is at fault."""
+        with self._change:
+            faults = {name: last.fault for name, last in self._last.items() if last.ended and last.fault != ENDED}
+            if self._stopped or self._delivered or not self._is_over() or not faults:
+                return None
+            name, fault = next(iter(faults.items()))
+            return InputError(f"camera {name}", f"{fault}; no instant has as many cameras as it needs")
+
     def statistics(self) -> Statistics:
         """A snapshot."""
         clocks = {reader.camera: (reader.clock, reader.connections) for reader in self._readers}
@@ -240,13 +254,18 @@ class Rig:
         if instants:
             self._change.notify_all()
 
-    def _has_room(self, last: _Last) -> bool:
+    def _has_room(self, capture_ns: int) -> bool:
         """Whether an unpaced reader may continue: it must not be far ahead of the others, nor of training."""
-        behind = min((other.put for other in self._last.values() if not other.ended), default=last.put)
-        return last.put - behind <= _LEAD and len(self._instants) <= _LEAD
+        newest = [last.newest_ns for last in self._last.values() if not last.ended]
+        known = [ns for ns in newest if ns is not None]
+        if len(known) < len(newest) or len(self._instants) > _LEAD:
+            return False
+        return capture_ns - min(known, default=capture_ns) <= _LEAD * period_of(self._fps)
 
     def _is_over(self) -> bool:
-        return all(last.ended for last in self._last.values())
+        """Whether no instant can come any more: all files have ended, or too many of them without one picture."""
+        delivering = sum(not last.ended or last.put > 0 for last in self._last.values())
+        return delivering < self._quorum or all(last.ended for last in self._last.values())
 
     def _clock_ns(self) -> int:
         """The synchroniser's time; for unpaced files, the capture time."""

@@ -18,6 +18,7 @@ import av.video.stream
 
 _log = logging.getLogger(__name__)
 _SECOND_NS = 1_000_000_000
+_LATEST_BEGIN_NS = 5 * _SECOND_NS
 _IN_ORDER = "avi"  # has a time for each sample in their order, and none for the pictures
 _UNTIMED = {"h264", "hevc", "vvc", "m4v", "mpegvideo", "mjpeg", "mpjpeg", "obu"}  # FFmpeg supposes a rate for these
 _OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
@@ -128,6 +129,17 @@ def timed_pictures(
             if time_ns is not None:
                 shown_ns = time_ns
                 yield time_ns, frame
+
+
+def played_pictures(
+    container: av.container.InputContainer, stream: av.video.stream.VideoStream, rate: Fraction
+) -> Iterator[tuple[int, av.VideoFrame]]:
+    """As `timed_pictures`, for files that are played: nobody waits for a first picture with a time of another clock."""
+    begin_ns: int | None = None
+    for time_ns, frame in timed_pictures(container, stream, rate):
+        if begin_ns is None:
+            begin_ns = time_ns if abs(time_ns) > _LATEST_BEGIN_NS else 0
+        yield time_ns - begin_ns, frame
 
 
 def _nanoseconds(ticks: int, base: Fraction) -> int:

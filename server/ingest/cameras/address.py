@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 from streamlod.core.errors import InputError
 
@@ -76,8 +76,11 @@ def parse_address(source: str) -> Address:
         raise InputError(
             f"source {source!r:.80}", f"must be a URL or a path of 1 to {_MAX_LENGTH} printable characters"
         )
-    if "://" not in source:
-        return _push() if source == "push:" else _file(Path(source))
+    if source == "push:":
+        return _push()
+    path = local_file(source)
+    if path is not None:
+        return Address(str(path.absolute()), "file", options={"protocol_whitelist": "file"})
     try:
         parts = urlsplit(source)
         place = parts.netloc and (parts.port is None or parts.port > 0)
@@ -85,12 +88,10 @@ def parse_address(source: str) -> Address:
         raise InputError(f"source {source!r:.80}", f"is not a URL ({error})") from error
     base, _, mode = parts.scheme.partition("+")
     listens = mode == "listen" and base in _LISTENING
-    if (mode and not listens) or base not in {*_PROTOCOLS, "file", "push", "srt", "v4l2"}:
+    if (mode and not listens) or base not in {*_PROTOCOLS, "push", "srt", "v4l2"}:
         raise InputError(f"source {source!r:.80}", f"has an unknown scheme; use {SCHEMES}")
     if base == "push":
         return _push()
-    if base == "file":
-        return _file(Path(parts.path))
     if base == "v4l2":
         if not _DEVICE.fullmatch(parts.path):
             raise InputError(f"source {source!r:.80}", "names no camera; write v4l2:///dev/video0")
@@ -108,14 +109,33 @@ def parse_address(source: str) -> Address:
     return Address(url, base, listens, "mpegts" if base in ("udp", "tcp") else None, options)
 
 
+def local_file(source: str) -> Path | None:
+    """The file that a path, which may hold colons, or a file URL (RFC 8089) stands for; None for any other address.
+
+    Raises:
+        InputError: a file URL of another machine, or with parts that no file has.
+    """
+    if source == "push:":
+        return None
+    if not source.lower().startswith("file:/"):
+        return Path(source) if "://" not in source else None
+    try:
+        parts = urlsplit(source)
+        path = unquote(parts.path, errors="strict")
+    except ValueError as error:
+        raise InputError(f"source {source!r:.80}", f"is not a URL ({error})") from error
+    if parts.query or parts.fragment:
+        fault = "has a ? or # in its path; write %3F or %23 there, or the path without file://"
+        raise InputError(f"source {source!r:.80}", fault)
+    if parts.netloc.lower() not in ("", "localhost") or not path.isprintable():
+        raise InputError(f"source {source!r:.80}", "is no file of this machine; write file:///folder/cam.mp4")
+    return Path(path)
+
+
 def webcam_options(fps: float, size: tuple[int, int] | None) -> dict[str, str]:
     """FFmpeg's options for a webcam: pictures a second, and (width, height), None for the webcam's default."""
     options = {"framerate": f"{fps:g}"}
     return options if size is None else options | {"video_size": f"{size[0]}x{size[1]}"}
-
-
-def _file(path: Path) -> Address:
-    return Address(str(path.absolute()), "file", options={"protocol_whitelist": "file"})
 
 
 def _push() -> Address:

@@ -125,7 +125,8 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
 
 
 def _beside(path: Path, source: str) -> str:
-    return source if ":" in source or not source else str(path.parent / source)
+    is_relative = source and "://" not in source and source != "push:" and not source.lower().startswith("file:/")
+    return str(path.parent / source) if is_relative else source
 
 
 def _camera(path: Path, entry: _CameraEntry) -> Camera:

@@ -14,11 +14,12 @@ from typing import Any, Protocol
 
 import av
 import av.container
-import av.stream
-import numpy as np
+import av.video.stream
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.data.video.grid import period_of
+from streamlod.core.data.video.times import played_pictures
+from streamlod.core.data.video.upright import upright, upright_size
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
@@ -28,7 +29,7 @@ from streamlod.server.ingest.sync.timeline import Timeline
 _LOG = logging.getLogger(__name__)
 _MIN_DELAY, _MAX_DELAY = 0.25, 5.0  # seconds between attempts
 _SETTLED_SECONDS = 5.0  # a connection that lasted so long resets the delay
-_ENDED = "it ended"
+ENDED = "it ended"
 _LISTENS = "listening; its camera has not connected yet"
 _REPORT_NS = 1_000_000_000
 
@@ -95,7 +96,7 @@ class Reader:
         if self._address.listens:
             self._sink.gone(self.camera, _LISTENS, ended=False)
         while not self._stopping.is_set():
-            begin, before, reason = time.monotonic(), self.connections, _ENDED
+            begin, before, reason = time.monotonic(), self.connections, ENDED
             try:
                 self._read()
             except InputError as error:
@@ -110,7 +111,7 @@ class Reader:
             lasted = time.monotonic() - begin
             if self._address.listens and self.connections == before and lasted > _MIN_DELAY:
                 reason = _LISTENS
-            ended = not self._address.is_live and reason == _ENDED
+            ended = not self._address.is_live  # read again, a file would be no better, or begin anew
             self._sink.gone(self.camera, reason, ended=ended)
             if ended:
                 return
@@ -129,21 +130,29 @@ class Reader:
             stream = container.streams.video[0]
             stream.codec_context.thread_count = 1  # each further thread would delay pictures by one
             stream.codec_context.options = {"max_pixels": str(max_pixels(self._size))}
-            self._check_size(stream.codec_context.width, stream.codec_context.height)
+            width, height = stream.codec_context.width, stream.codec_context.height
+            if (height, width) != self._size:  # else it may be turned upright, as its pictures will tell
+                self._check_size(width, height)
             self.clock = CaptureClock(self._fps, expects_ntp=self._address.scheme in ("rtsp", "rtsps"))
             self.connections += 1
-            first: int | None = None
-            for media, seen, frame in self._frames(container, stream, self.clock):
+            if not self._address.is_live:
+                self._play(container, stream)
+                return
+            for seen, frame in self._frames(container, stream, self.clock):
                 if self._stopping.is_set():
                     return
-                self._check_size(frame.width, frame.height)
-                if self._address.is_live:
-                    found = self.clock.capture(seen)
-                else:
-                    first = media if first is None else first
-                    found = self._wait(media - first) if media is not None and first is not None else None
+                found = self.clock.capture(seen)
                 if found is not None:
                     self._deliver(frame, found)
+
+    def _play(self, container: av.container.InputContainer, stream: av.video.stream.VideoStream) -> None:
+        """A file, at its pace; one without times at the rig's rate."""
+        rate = 1_000_000_000 / period_of(self._fps)
+        for since_begin_ns, frame in played_pictures(container, stream, rate):
+            found = self._wait(since_begin_ns)
+            if self._stopping.is_set() or found is None:
+                return
+            self._deliver(frame, found)
 
     def _check_size(self, width: int, height: int) -> None:
         """Refuse another size than the calibrated one; 0 stands for one that is not known yet."""
@@ -164,8 +173,8 @@ class Reader:
         return av.open(address.url, "r", format=address.format, options=options, timeout=timeout)
 
     def _frames(
-        self, container: av.container.InputContainer, stream: av.stream.Stream, clock: CaptureClock
-    ) -> Iterator[tuple[int | None, Sighting, av.VideoFrame]]:
+        self, container: av.container.InputContainer, stream: av.video.stream.VideoStream, clock: CaptureClock
+    ) -> Iterator[tuple[Sighting, av.VideoFrame]]:
         reported: tuple[int, int] | None = None
         for packet in container.demux(stream):
             arrival = self._timeline.now_ns()
@@ -178,18 +187,20 @@ class Reader:
                 media = (
                     None if frame.pts is None or frame.time_base is None else _nanoseconds(frame.pts, frame.time_base)
                 )
-                yield media, Sighting(arrival, media, timecode_ns=_timecode(frame, self._fps)), frame
+                yield Sighting(arrival, media, timecode_ns=_timecode(frame, self._fps)), frame
 
-    def _wait(self, since_first_ns: int) -> CaptureTime | None:
+    def _wait(self, since_begin_ns: int) -> CaptureTime | None:
         """The capture time of a file's picture, when that time has come; None if stopped meanwhile."""
-        capture = self._anchor_ns + since_first_ns
+        capture = self._anchor_ns + since_begin_ns
         if self._paced and self._stopping.wait(max(0.0, (capture - self._timeline.now_ns()) / 1e9)):
             return None
         return CaptureTime(capture, ClockSource.FILE, 0)
 
     def _deliver(self, frame: av.VideoFrame, found: CaptureTime) -> None:
+        self._check_size(*upright_size(frame))
+
         def load() -> UInt8:
-            return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+            return upright(frame)
 
         self._sequence += 1
         picture = Picture(self.camera, found.capture_ns, found.source, found.error_ns, self._sequence, self._size, load)

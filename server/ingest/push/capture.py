@@ -11,7 +11,10 @@ from pathlib import Path
 import av
 import cv2
 
+from streamlod.core.data.names import files_in, numeric_key
 from streamlod.core.data.video.grid import period_of
+from streamlod.core.data.video.times import played_pictures
+from streamlod.core.data.video.upright import upright
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address, parse_address, webcam_options
 from streamlod.server.ingest.push.message import Codec
@@ -38,7 +41,7 @@ class CaptureCamera:
     Attributes:
         name: as in the rig's definition.
         source: a folder of pictures, or where PyAV reads them.
-        fps: of folders, which don't say their rate, and asked of webcams.
+        fps: of folders and files without times, and asked of webcams.
         size: (width, height) asked of webcams, or None for their default.
         repeats: whether files and folders start again at their end.
     """
@@ -77,22 +80,21 @@ class CaptureCamera:
         options = webcam_options(self.fps, self.size) if address.scheme == "v4l2" else address.options
         try:
             with closing(av.open(address.url, "r", format=address.format, options=options)) as container:
-                first: int | None = None
+                if not address.is_live:
+                    rate = _SECOND_NS / period_of(self.fps)
+                    for since_begin_ns, frame in played_pictures(container, container.streams.video[0], rate):
+                        capture = start_ns + since_begin_ns
+                        _sleep_until(capture)
+                        yield Taken(capture, Codec.JPEG, _jpeg(frame))
+                    return
                 for packet in container.demux(video=0):
                     arrival = time.time_ns()
                     for frame in packet.decode():
                         assert isinstance(frame, av.VideoFrame)
-                        capture = arrival
-                        if not address.is_live and frame.pts is not None and frame.time_base is not None:
-                            media = round(frame.pts * frame.time_base * _SECOND_NS)
-                            first = media if first is None else first
-                            capture = start_ns + media - first
-                            _sleep_until(capture)
-                        yield Taken(capture, Codec.JPEG, _jpeg(frame))
+                        yield Taken(arrival, Codec.JPEG, _jpeg(frame))
         except (av.FFmpegError, OSError) as error:
             raise InputError(address.url, f"cannot be read ({error.strerror or error})") from error
-        if address.is_live:
-            raise InputError(address.url, "has ended")
+        raise InputError(address.url, "has ended")
 
 
 def find_cameras(
@@ -126,7 +128,8 @@ def find_cameras(
 
 
 def _cameras_in(folder: Path) -> list[tuple[str, Path | Address]]:
-    children = sorted(child for child in folder.iterdir() if not child.name.startswith("."))
+    shown = (child for child in folder.iterdir() if not child.name.startswith("."))
+    children = sorted(shown, key=lambda child: numeric_key(child.name))
     found: list[tuple[str, Path | Address]] = [
         (child.stem, _address(str(child))) for child in children if child.suffix.lower() in _VIDEOS
     ]
@@ -146,11 +149,11 @@ def _address(source: str) -> Address:
 
 
 def _pictures_in(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in _PICTURES)
+    return files_in(folder, tuple(_PICTURES))
 
 
 def _jpeg(frame: av.VideoFrame) -> bytes:
-    ok, data = cv2.imencode(".jpg", frame.to_ndarray(format="bgr24"), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    ok, data = cv2.imencode(".jpg", upright(frame, "bgr24"), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     assert ok
     return data.tobytes()
 
