@@ -169,6 +169,7 @@ async function start(viewer) {
     const phase = viewer.status?.phase;
     if (phase === "reconnecting") viewer.tell({ type: "hurry" });
     else if (phase === "missing") showStreams(options);
+    else if (phase === "denied") enterToken();
     else location.reload();
   };
   const rig = new Rig(viewer, goTo);
@@ -253,6 +254,15 @@ async function start(viewer) {
   followPast(place, token, viewer, timeline);
   countWatchers(options, stream, viewer);
   viewer.tell({ type: "connect", live: liveAddress(stream), file: isShared ? null : `${place}/recording`, token, wishes });
+}
+
+/** Ask for a token, and begin anew with it. */
+function enterToken() {
+  const given = prompt("Token")?.trim();
+  if (!given) return;
+  const address = new URL(location.href);
+  address.searchParams.set("token", given);
+  location.assign(address);
 }
 
 const viewer = await createViewer();

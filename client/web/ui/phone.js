@@ -8,6 +8,7 @@ const PLAYING = ["live", "behind", "replay", "preview"];
 
 /** @param {import("../view/viewer.js").Viewer} viewer */
 export function attachPhone(viewer) {
+  attachWhole(viewer);
   const { classList } = document.body, more = button("b-more");
   /** @param {boolean} open */
   const sheet = (open) => {
@@ -47,4 +48,16 @@ export function attachPhone(viewer) {
     stayOn();
   });
   document.addEventListener("visibilitychange", stayOn);
+}
+
+/** On a narrow screen, the button between a cut picture and a whole one. @param {import("../view/viewer.js").Viewer} viewer */
+function attachWhole(viewer) {
+  const whole = button("b-whole");
+  const update = () => (whole.hidden = !viewer.isNarrow);
+  viewer.addEventListener("scene", update);
+  window.addEventListener("resize", update);
+  whole.onclick = () => {
+    viewer.showWhole(!viewer.whole);
+    whole.setAttribute("aria-pressed", String(viewer.whole));
+  };
 }

@@ -74,7 +74,7 @@ export function words(status, picture, waitMs) {
     case "version":
       return full("Outdated", "bad", "This page is out of date", "The server speaks another version of the protocol. Reload to get its page.", { button: "Reload" });
     case "denied":
-      return full("No permission", "bad", "You may not watch this stream", detail || "Ask for a link that carries a token.");
+      return full("No permission", "bad", "You may not watch this stream", detail || "Ask for a link that carries a token.", { button: "Enter a token" });
     case "missing":
       return full("Not found", "bad", "No such stream", detail || "It may have been deleted.", { button: "Show streams" });
   }

@@ -1,26 +1,43 @@
 /** Which stream to watch. */
 
 import { button, element } from "./page.js";
+import { show } from "./status.js";
 
 /** @typedef {{ id: string, name: string, state: string, viewers: number, camera_pictures?: string[] }} Stream */
 
 /** An address of the server that the page is from, which may stand under a path of a proxy. @param {string} path - without a slash at its begin */
 export const serverPath = (path) => new URL(path, new URL(".", location.href)).href;
 
-/** @param {URLSearchParams} options @returns {Promise<Stream[]>} empty where the server does not say */
-async function fetchStreams(options) {
+/** @param {URLSearchParams} options @returns {Promise<Stream[] | null>} empty where the server does not say, null where it does not answer */
+async function askStreams(options) {
   const token = options.get("token");
   try {
     const answer = await fetch(serverPath("v1/streams"), { headers: token ? { Authorization: `Bearer ${token}` } : {} });
+    if (answer.status >= 500) return null;
     return answer.ok ? (await answer.json()).items : [];
   } catch {
-    return [];
+    return null;
+  }
+}
+
+/** @param {URLSearchParams} options @returns {Promise<Stream[]>} */
+const fetchStreams = async (options) => (await askStreams(options)) ?? [];
+
+/** The list, however long that takes: a server that does not answer is asked again, ever more slowly. @param {URLSearchParams} options @returns {Promise<Stream[]>} */
+async function awaitStreams(options) {
+  for (let attempt = 0; ; attempt++) {
+    const streams = await askStreams(options);
+    if (streams) return streams;
+    const wait = Math.min(FIRST_WAIT_MS * 2 ** Math.max(attempt - 3, 0), MAX_WAIT_MS);
+    const text = `Trying again in ${Math.ceil(wait / 1000)} s.`;
+    show({ chip: "Connecting", tone: "busy", card: { title: "The server does not answer", text, spinner: true } });
+    await new Promise((resolve) => setTimeout(resolve, wait));
   }
 }
 
 /** The stream the address names, or the server's only or first one. @param {URLSearchParams} options @returns {Promise<string>} */
 export async function chooseStream(options) {
-  const named = options.get("stream"), listed = fetchStreams(options);
+  const named = options.get("stream"), listed = named === null ? awaitStreams(options) : fetchStreams(options);
   const chosen = named ?? (await listed)[0]?.id ?? "main"; // a named one need not wait
   listed.then((streams) => {
     const label = button("stream-name");
@@ -30,6 +47,7 @@ export async function chooseStream(options) {
   return chosen;
 }
 
+const FIRST_WAIT_MS = 500, MAX_WAIT_MS = 15_000; // between two attempts, as of the connection
 const COUNT_MS = 10_000;
 
 /** Ask how many watch a stream, and for its cameras' pictures, while `viewer` watches. @param {URLSearchParams} options @param {string} stream @param {import("../view/viewer.js").Viewer} viewer */

@@ -13,6 +13,7 @@ import { Renderer } from "./renderer.js";
 
 const GLIDE_MS = 450;
 const REST_MS = 400, HELD_MS = 1000; // a view that has not changed for so long is drawn in full; while a finger or button is down
+const MIN_FILL = 0.6; // of a narrow screen's height: what a camera sees is cut left and right to fill that much
 const MAX_PATIENCE_MS = 1500; // where pictures take long
 const VSYNC_MS = 25, ASLEEP_MS = 3000; // between two frames: more means that drawing was waited for; that nobody looked
 const still = matchMedia("(prefers-reduced-motion: reduce)");
@@ -39,6 +40,7 @@ export class Viewer extends EventTarget {
     /** @type {Pose | null} */
     this.home = null;
     this.aspect = 1; // width over height of the rig's pictures
+    this.whole = false; // show all of that on narrow screens, too
     /** @type {import("./limits.js").SeenSpace | null} */
     this.space = null;
     /** @type {import("./messages.js").SceneFacts | null} */
@@ -229,8 +231,8 @@ export class Viewer extends EventTarget {
   view() {
     const { width, height } = this.canvas;
     const { rotation, position, focal, stretch, shift } = this.pose;
-    // On a narrow screen all that a camera of the rig sees from left to right is kept, and more above and below.
-    const unit = Math.min(height, width / Math.max(this.aspect, 1));
+    const whole = Math.min(height, width / Math.max(this.aspect, 1)); // all that a camera sees from left to right
+    const unit = this.whole ? whole : Math.max(whole, MIN_FILL * height);
     const translation = [0, 1, 2].map((i) => -dot(row(rotation, i), position));
     const scale = focal * unit;
     return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
@@ -264,6 +266,18 @@ export class Viewer extends EventTarget {
     const elapsed = now - this.lastDraw;
     this.lastDraw = now;
     if (elapsed < 1000) this.fps += (1000 / Math.max(elapsed, 1) - this.fps) * (this.frames++ < 3 ? 1 : 0.1);
+  }
+
+  /** Whether the screen is so narrow that a camera's picture is cut, or would be. */
+  get isNarrow() {
+    const { clientWidth, clientHeight } = this.canvas;
+    return clientWidth / Math.max(this.aspect, 1) < MIN_FILL * clientHeight;
+  }
+
+  /** @param {boolean} whole - all that a camera sees from left to right */
+  showWhole(whole) {
+    this.whole = whole;
+    this.viewChanged();
   }
 
   draw() {
