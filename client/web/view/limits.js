@@ -29,8 +29,8 @@ export function spread({ directions }) {
 
 /** A movement from a to b, which takes ever more force outside of what was seen. @type {(space: SeenSpace, a: Pose, b: Pose) => Pose} */
 export function braked(space, a, b) {
-  const before = outside(space, a.position), after = outside(space, b.position);
-  return after <= before || after <= 0 ? b : between(a, b, (1 - after) ** 2);
+  const before = outside(space, a.position);
+  return outside(space, b.position) <= before ? b : between(a, b, (1 - before) ** 2);
 }
 
 /** @type {(x: number) => number} */
