@@ -2,7 +2,8 @@
 
 Needs no fuzzer. Targets are those of `targets` and of `server_targets`. An input that takes more than a second of
 processor time, or more memory than there is left, fails; it is written to ``tests/fuzz/found``. Target `differential`
-gives each mutant to the Python decoder and to the page's, which runs under node, and compares refusals and states.
+gives each mutant to the Python decoder and to the page's, which runs under node, and compares refusals and states;
+`rust` does the same with the decoder in Rust, for `--count` mutants if that is given.
 The page's own targets are in `run_page.mjs`.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import resource
 import signal
@@ -18,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from types import FrameType
@@ -25,6 +28,7 @@ from types import FrameType
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.core.errors import BitstreamError
 from streamlod.server.pipeline.warming import warm_codec
+from tests.codec import rust
 from tests.fuzz import server_targets
 from tests.fuzz.corpus import KEPT, SEEDS, mutants
 from tests.fuzz.targets import REPAIRS, TARGETS, repair
@@ -39,13 +43,18 @@ _NODE = Path(__file__).with_name("decode_all.mjs")
 def main() -> None:
     """Run one target for so long; print how many executions there were."""
     parser = argparse.ArgumentParser(description="Fuzz under limits of memory and time.")
-    parser.add_argument("target", choices=[*sorted(TARGETS), *sorted(server_targets.TARGETS), "differential"])
+    parser.add_argument("target", choices=[*sorted(TARGETS), *sorted(server_targets.TARGETS), *_OTHERS])
     parser.add_argument("--seconds", type=float, default=60.0, help="of processor time")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, help="end after so many mutants, of differential and rust")
     options = parser.parse_args()
-    run = _differential if options.target == "differential" else _alone
-    count = run(options.target, options.seconds, options.seed)
-    told = f"{count} executions in {options.seconds:.0f} s of processor time, no finding"
+    begin = _processor_seconds()
+    if options.target in _OTHERS:
+        seconds = math.inf if options.count else options.seconds
+        count = differential(_OTHERS[options.target], seconds, options.seed, options.count or math.inf)
+    else:
+        count = _alone(options.target, options.seconds, options.seed)
+    told = f"{count} executions in {_processor_seconds() - begin:.0f} s of processor time, no finding"
     sys.stdout.write(f"{options.target}, seed {options.seed}: {told}\n")
 
 
@@ -95,24 +104,32 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (taken + _MEMORY, taken + _MEMORY))
 
 
-def _differential(_: str, seconds: float, seed: int) -> int:
-    """Mutants of the last packet of each stream for both decoders for so long; the number of mutants."""
+Chosen = list[tuple[bytes, bytes]]  # last packet of a stream, and its mutant
+Before = dict[bytes, list[bytes]]  # the packets before it
+
+
+def differential(other: Callable[[Chosen, Before], list[list[object]]], seconds: float, seed: int, most: float) -> int:
+    """Mutants of the last packet of each stream for Python's and another decoder; the number of mutants.
+
+    Args:
+        seconds: of processor time, after which it ends. most: mutants, after which it ends.
+    """
     streams = [read_stream(path) for path in sorted(FOLDER.glob("*.slps"))]
     lasts = [stream[-1] for stream in streams if len(stream[-1]) < 20_000]
     before = {stream[-1]: stream[:-1] for stream in streams}
     ready = {last: _decoded(before[last]) for last in lasts}
     count, batches = 0, mutants([struct.pack("<I", n) + last for n, last in enumerate(lasts)], 1 << 40, seed)
     end = _processor_seconds() + seconds
-    while _processor_seconds() < end:
-        chosen: list[tuple[bytes, bytes]] = []
+    while _processor_seconds() < end and count < most:
+        chosen: Chosen = []
         for data in islice(batches, _BATCH):
             number = struct.unpack("<I", data[:4].ljust(4, b"\0"))[0]
             chosen.append((lasts[number % len(lasts)], repair(data[4:])))
         ours = [_outcome(ready[last], mutant) for last, mutant in chosen]
-        for one, other, (last, mutant) in zip(ours, _by_node(chosen, before), chosen, strict=True):
-            if one != other:
+        for one, its, (last, mutant) in zip(ours, other(chosen, before), chosen, strict=True):
+            if one != its:
                 (KEPT / f"differential-{count}.bin").write_bytes(mutant)
-                raise AssertionError(f"after {len(before[last])} packets: Python says {one}, the page {other}")
+                raise AssertionError(f"after {len(before[last])} packets: Python says {one}, the other {its}")
         count += len(chosen)
     return count
 
@@ -136,7 +153,7 @@ def _outcome(ready: SceneDecoder, packet: bytes) -> list[object]:
     return ["", state["versions"], state["levels"]]
 
 
-def _by_node(chosen: list[tuple[bytes, bytes]], before: dict[bytes, list[bytes]]) -> list[list[object]]:
+def _by_node(chosen: Chosen, before: Before) -> list[list[object]]:
     """What the page's decoder makes of each mutant after the packets before it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "mutants.bin"
@@ -151,6 +168,22 @@ def _by_node(chosen: list[tuple[bytes, bytes]], before: dict[bytes, list[bytes]]
         raise AssertionError(done.stderr[-2000:])
     found: list[list[object]] = json.loads(done.stdout)
     return found
+
+
+@cache
+def _rust() -> tuple[Path, tempfile.TemporaryDirectory[str]]:
+    folder = tempfile.TemporaryDirectory()
+    return rust.build(Path(folder.name)), folder
+
+
+def by_rust(chosen: Chosen, before: Before) -> list[list[object]]:
+    """What the decoder in Rust makes of each mutant after the packets before it."""
+    program, folder = _rust()
+    found = rust.outcomes(program, [[*before[last], mutant] for last, mutant in chosen], Path(folder.name) / "mutants")
+    return [[code] if code else ["", state["versions"], state["levels"]] for code, state in found]
+
+
+_OTHERS = {"differential": _by_node, "rust": by_rust}
 
 
 if __name__ == "__main__":
