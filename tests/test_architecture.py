@@ -27,7 +27,7 @@ LAYERS = {
         "camera", "frames", "scene", "render metrics data synthetic initialise", "train",
     ),
     "core.train": (
-        "setting config paper presets pictures kernels control", "optimise", "field", "growth motion",
+        "setting config paper presets pictures kernels control", "optimise", "field", "growth motion engine",
         "keyframe residual", "refresh", "progress", "trainer",
     ),
     "server": (

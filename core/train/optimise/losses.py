@@ -145,6 +145,13 @@ def _blurred(planes: Tensor) -> Tensor:
     return blurred.view(planes.shape)
 
 
+def blurred_moments(pictures: Tensor) -> tuple[Tensor, Tensor]:
+    """Pictures [C,H,W,3] and their squares, both after SSIM's window."""
+    planes = torch.cat([pictures, pictures * pictures]).permute(0, 3, 1, 2)
+    mean, square = _blurred(planes).permute(0, 2, 3, 1).chunk(2)
+    return mean, square
+
+
 def _moments(image: Tensor, target: Tensor) -> Tensor:
     """[5,3,H,W] what SSIM blurs: both pictures, their squares and their product."""
     a, b = image.permute(2, 0, 1), target.permute(2, 0, 1)

@@ -1,0 +1,140 @@
+"""A frame's anchors, still Gaussians and pictures, written into the memory of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from streamlod.core.camera import Camera
+from streamlod.core.errors import ModelError
+from streamlod.core.render.warp.kernels.rules import Cloud
+from streamlod.core.render.warp.listing import camera_rows, list_gaussians
+from streamlod.core.scene.anchors import FEATURE_LATENTS, HIDDEN
+from streamlod.core.scene.gaussians import MAX_LOG_SCALE
+from streamlod.core.train.engine.warp.room import StepRoom, view_of
+from streamlod.core.train.field.decode import Network, Splats
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.optimise.losses import blurred_moments
+
+
+def load_anchors(
+    room: StepRoom, base: Field, feature: Tensor, offset: Tensor, step: Tensor, group: Tensor, arm: Tensor
+) -> None:
+    """The anchors in training, as they were before the frame.
+
+    Args:
+        base: n anchors. feature [12,F], offset [12,3K]: the latents' decoders. step: [n] world units of a position's.
+        group: [n] number of each anchor's neighbourhood. arm: [n,3] from its middle.
+
+    Raises:
+        ModelError: more anchors or neighbourhoods than there is room for.
+    """
+    count, capacity = len(base), room.capacity
+    groups = int(group.max()) + 1 if count else 0
+    if count > capacity.anchors or groups > capacity.groups:
+        raise ModelError(
+            f"{count} anchors in {groups} neighbourhoods are to be trained, and there is room for "
+            f"{capacity.anchors} in {capacity.groups}"
+        )
+    network, features = base.network, base.feature.shape[1]
+    hidden = network.hidden_weight[:features]
+    _fill(room.base.hidden, torch.addmm(network.hidden_bias, base.feature, hidden))
+    _fill(room.base.offset, base.offset)
+    size = base.scaling.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp()
+    _fill(room.base.offset_size, size[:, :3])
+    _fill(room.base.scale_size, size[:, 3:])
+    _fill(room.base.node, base.position)
+    _fill(room.base.step, step)
+    _fill(room.base.group, group)
+    _fill(room.base.arm, arm)
+    view_of(room.base.count)[0] = count
+    view_of(room.moving_count)[0] = count * capacity.slots
+    load_network(room, network, feature, offset, features)
+    view_of(room.decoders.distance)[0] = base.reference_distance if base.view_dependent else 0.0
+
+
+def load_network(room: StepRoom, network: Network, feature: Tensor, offset: Tensor, features: int) -> None:
+    """The shared network with the latents' decoders folded in."""
+    slots, weight = room.capacity.slots, network.hidden_weight
+    _fill(room.decoders.latent, (feature @ weight[:features]).T)
+    view = torch.zeros(HIDDEN, 4, device=weight.device)
+    view[:, : len(weight) - features] = weight[features:].T
+    _fill(room.decoders.view, view)
+    _fill(room.decoders.offset, offset.view(FEATURE_LATENTS, slots, 3))
+    outputs = torch.cat([network.output_weight, network.output_bias[None]])
+    opacity, colour, scale, rotation = torch.split(outputs, [slots, 3 * slots, 3 * slots, 4 * slots], dim=1)
+    _fill(room.decoders.opacity, opacity)
+    for array, part in (
+        (room.decoders.colour, colour),
+        (room.decoders.scale, scale),
+        (room.decoders.rotation, rotation),
+    ):
+        _fill(array, part.reshape(HIDDEN + 1, slots, -1))
+
+
+def load_still(room: StepRoom, splats: Sequence[Splats]) -> None:
+    """Project and list the Gaussians that stand still: of each camera, or one set for all.
+
+    Raises:
+        ModelError: more Gaussians, or pairs of Gaussian and tile, than there is room for.
+    """
+    most = max(map(len, splats))
+    if most > room.capacity.still:
+        raise ModelError(f"{most} Gaussians stand still, and there is room for {room.capacity.still}")
+    for name in Cloud.vars:
+        view = view_of(getattr(room.still_cloud, name))
+        for number, own in enumerate(splats[: len(view)]):
+            values = getattr(own, name)
+            view[number, : len(values)].copy_(values)
+            view[number, len(values) :] = 0  # an opacity of 0 is not drawn
+    view_of(room.still_count)[0] = most
+    sight, clean = room.sight, wp.zeros_like(room.sight.dirty)
+    every = wp.array(list(range(room.capacity.cameras)), dtype=int, device=room.device)
+    cameras = (every, sight.cameras, sight.grid, clean)
+    list_gaussians(room.still, room.still_count, room.still_cloud, *cameras, room.device)
+    if room.still.overflow:
+        raise ModelError(
+            f"Gaussians that stand still reach {room.still.overflow} tiles more than the {room.still.pairs} that there "
+            "is room for"
+        )
+
+
+def load_cameras(room: StepRoom, cameras: Sequence[Camera], exposure: Exposure) -> None:
+    """The rig; what lies behind everything is black, as the cameras expose it."""
+    gain, offset = (value.detach().cpu().numpy() for value in (exposure.gain, exposure.offset))
+    _fill(room.sight.cameras, torch.from_numpy(camera_rows(cameras, gain, offset, offset)))
+    centres = [torch.from_numpy(camera.centre).float() for camera in cameras]
+    _fill(room.decoders.centre, torch.stack(centres))
+
+
+def load_pictures(room: StepRoom, targets: Tensor, shown: Tensor, weights: Tensor | None) -> None:
+    """What the cameras filmed [C,H,W,3], what the state before shows them [C,H,W,3], and weights of errors [C,H,W].
+
+    All tiles become clean; cameras without a picture hold NaN, and no step may choose them.
+    """
+    _fill(room.filmed.target, targets)
+    mean, square = blurred_moments(targets)
+    _fill(room.filmed.mean, mean)
+    _fill(room.filmed.square, square)
+    view_of(room.filmed.weight).copy_(torch.ones_like(targets[..., 0]) if weights is None else weights)
+    _fill(room.sight.base, shown)
+    room.sight.dirty.zero_()
+
+
+def begin(room: StepRoom, latent: Tensor, position: Tensor) -> None:
+    """Let training begin at `latent` [n,24] and `position` [n,3], with neighbourhoods at rest and no moments."""
+    t, count = room.trained, len(latent)
+    for array in (t.values, t.gradient, t.first, t.second, t.mean, t.totals, t.broken):
+        array.zero_()
+    numbers = view_of(t.values)[: room.capacity.anchors * 27].view(-1, 27)
+    numbers[:count] = torch.cat([latent, position], dim=1)
+
+
+def _fill(array: object, values: Tensor) -> None:
+    """Write `values` over the first rows of a Warp array."""
+    view = view_of(array)
+    view[: len(values)].copy_(values.detach().reshape(len(values), *view.shape[1:]))

@@ -1,0 +1,70 @@
+"""One step of Adam (Kingma and Ba 2015, algorithm 1) over all that is trained, and the mean of the last steps."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from streamlod.core.train.engine.warp.kernels.layout import (
+    INVERSE_SECOND,
+    LATENT_COUNT,
+    MEAN_WEIGHT,
+    NEWS_FIRST,
+    NEWS_SECOND,
+    NUMBERS,
+    PLACE,
+    PRICE,
+    RATE_GROUP,
+    RATE_LATENT,
+    RATE_POSITION,
+    SUM_BITS,
+    SUM_LATENTS,
+    SUM_LOSS,
+    SUM_POSITIONS,
+)
+
+LARGEST = wp.constant(3.4028234e38)
+EPSILON = wp.constant(1e-15)
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def adam(
+    told: wp.array[float],
+    anchors: int,
+    gradient: wp.array[float],
+    first: wp.array[float],
+    second: wp.array[float],
+    values: wp.array[float],
+    mean: wp.array[float],
+    broken: wp.array[int],
+    totals: wp.array[float],
+    losses: wp.array[float],
+) -> None:
+    """Grid: every number that is trained, `anchors` * 27 and then those of the neighbourhoods.
+
+    Args:
+        told: see `layout`. gradient: in, back to zero. first, second: moments. values: the numbers.
+        mean: of the steps with a weight. broken: [1] entries so far that were not finite and counted as zero.
+        totals: in, back to zero, with the step's loss in `losses` at the place that `told` says.
+    """
+    p = wp.tid()
+    rate = told[RATE_GROUP]
+    if p < anchors * NUMBERS:
+        rate = wp.where(p % NUMBERS < LATENT_COUNT, told[RATE_LATENT], told[RATE_POSITION])
+    g = gradient[p]
+    gradient[p] = 0.0
+    if not (wp.abs(g) <= LARGEST):  # true for NaN too
+        g = 0.0
+        wp.atomic_add(broken, 0, 1)
+    m = first[p] + told[NEWS_FIRST] * (g - first[p])
+    v = second[p] + told[NEWS_SECOND] * (g * g - second[p])
+    value = values[p] - rate * m / (wp.sqrt(v * told[INVERSE_SECOND]) + EPSILON)
+    first[p] = m
+    second[p] = v
+    values[p] = value
+    mean[p] = mean[p] + told[MEAN_WEIGHT] * (value - mean[p])
+    if p == 0:
+        losses[int(told[PLACE])] = totals[SUM_LOSS] + told[PRICE] * totals[SUM_BITS]
+        totals[SUM_LATENTS] = 0.0
+        totals[SUM_POSITIONS] = 0.0
+        totals[SUM_LOSS] = 0.0
+        totals[SUM_BITS] = 0.0

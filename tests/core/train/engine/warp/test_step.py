@@ -1,0 +1,207 @@
+"""A whole step in Warp against float64 torch; replayed, it is the launched one, and nothing in it needs the host."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+import warp as wp
+from torch import Tensor
+
+from streamlod.core.errors import ModelError
+from streamlod.core.train.engine.warp.frame import begin, load_pictures
+from streamlod.core.train.engine.warp.room import StepRoom, view_of
+from streamlod.core.train.engine.warp.step import TrainingStep
+from streamlod.core.train.optimise.adam import update_reference
+from tests.core.train.engine.warp.rooms import ANCHORS, GROUPS, RATES, TOLD, SmallFrame, relative, small_frame
+
+BOUND = 1e-4
+
+
+@pytest.fixture(scope="module")
+def frame() -> SmallFrame:
+    return small_frame()
+
+
+def numbers(room: StepRoom, array: Any) -> tuple[Tensor, Tensor]:
+    """The anchors' [n,27] and the neighbourhoods' [M,6] part of a flat array."""
+    flat, end = view_of(array), room.capacity.anchors * 27
+    return flat[:end].view(-1, 27)[:ANCHORS].clone(), flat[end:].view(-1, 6)[:GROUPS].clone()
+
+
+@pytest.mark.parametrize("view_dependent", [False, True])
+def test_gradients_of_a_step_equal_the_reference(view_dependent: bool) -> None:
+    frame, cameras = small_frame(view_dependent=view_dependent), (2, 0)
+    room = frame.loaded(2)
+    step = TrainingStep(room)
+    step.tell(0, TOLD, cameras)
+    step.show()
+    for view, camera in enumerate(cameras):
+        moves = frame.moves(frame.position.double(), frame.groups.double())
+        wanted = frame.picture(frame.splats(frame.latent.double(), moves, camera), camera)
+        assert float((view_of(room.drawn.image)[view].double() - wanted).abs().max()) < 1e-5
+    step.judge()
+    step.pull()
+    loss, anchors, groups = frame.gradients(cameras)
+    found, of_groups = numbers(room, room.trained.gradient)
+    assert relative(found[:, :12], anchors[:, :12]) < BOUND
+    assert relative(found[:, 12:24], anchors[:, 12:24]) < BOUND
+    assert relative(found[:, 24:], anchors[:, 24:]) < BOUND
+    assert relative(of_groups, groups) < BOUND
+    step.update()
+    assert float(view_of(room.trained.losses)[0]) == pytest.approx(loss, rel=1e-5)
+    assert not view_of(room.trained.totals).any()
+    assert not view_of(room.trained.gradient).any()
+
+
+def test_a_step_is_adams_and_counts_into_the_mean(frame: SmallFrame) -> None:
+    room = frame.loaded(1)
+    step = TrainingStep(room)
+    told = list(TOLD)
+    told[6] = 0.5
+    step.tell(0, told, (1,))
+    before = numbers(room, room.trained.values)
+    step.show()
+    step.judge()
+    step.pull()
+    gradients = numbers(room, room.trained.gradient)
+    step.update()
+    after, mean = numbers(room, room.trained.values), numbers(room, room.trained.mean)
+    parts = ((before[0][:, :24], gradients[0][:, :24]), (before[0][:, 24:], gradients[0][:, 24:]))
+    wanted = []
+    for (value, gradient), rate in zip((*parts, (before[1], gradients[1])), RATES, strict=True):
+        new = value.clone()
+        update_reference(new, gradient, *torch.zeros(2, *new.shape), rate, 1 - 0.999, 0.6)
+        wanted.append(new)
+    assert torch.allclose(after[0], torch.cat(wanted[:2], dim=1), rtol=2e-6, atol=1e-6)
+    assert torch.allclose(after[1], wanted[2], rtol=2e-6, atol=1e-6)
+    assert torch.equal(mean[0], 0.5 * after[0])
+
+
+def test_a_broken_gradient_is_counted_and_changes_nothing(frame: SmallFrame) -> None:
+    room = frame.loaded(1)
+    step = TrainingStep(room)
+    step.tell(0, TOLD, (1,))
+    before = view_of(room.trained.values).clone()
+    gradient = view_of(room.trained.gradient)
+    gradient[3], gradient[40], gradient[41] = torch.nan, torch.inf, -torch.inf
+    step.update()
+    assert torch.equal(view_of(room.trained.values), before)
+    assert int(room.trained.broken.numpy()[0]) == 3
+
+
+def test_replayed_steps_equal_launched_ones_after_all_inputs_changed() -> None:
+    first, second = (small_frame(view_dependent=True, seed=seed) for seed in (1, 2))
+    second = replace(second, trained=replace(second.trained, reference_distance=4.0))
+    cameras = (0, 1), (2, 0), (1, 2)
+    replayed, launched = TrainingStep(first.loaded(2)), TrainingStep(second.loaded(2))
+    for number in range(3):  # the first is launched and recorded
+        replayed.run(number, TOLD, cameras[number])
+    second.load(replayed.room)
+    for number in range(3):
+        replayed.run(number, TOLD, cameras[number])
+        launched.tell(number, TOLD, cameras[number])
+        launched.launch()
+    for name in ("values", "first", "second", "mean", "losses"):
+        arrays = (view_of(getattr(step.room.trained, name)) for step in (replayed, launched))
+        assert torch.equal(*arrays), name
+    assert torch.equal(view_of(replayed.room.drawn.image), view_of(launched.room.drawn.image))
+
+
+@contextmanager
+def nothing_but_kernels(patch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Fail where the host reads, waits, or takes memory of a device."""
+
+    def refuse(name: str) -> Any:
+        def refused(*_: Any, **__: Any) -> None:
+            raise AssertionError(f"{name} while a step is recorded")
+
+        return refused
+
+    with patch.context() as inside:
+        for name in ("numpy", "list", "assign", "__init__"):
+            inside.setattr(wp.array, name, refuse(f"array.{name}"))
+        for name in ("synchronize", "synchronize_device", "synchronize_stream", "to_torch", "from_torch"):
+            inside.setattr(wp, name, refuse(name))
+        yield
+
+
+def test_a_step_is_recorded_without_the_host(frame: SmallFrame, monkeypatch: pytest.MonkeyPatch) -> None:
+    step = TrainingStep(frame.loaded(2))
+    step.run(0, TOLD, (0, 1))
+    with nothing_but_kernels(monkeypatch):
+        step.recorded()
+
+
+@pytest.mark.parametrize("what", ["read", "wait", "take memory"])
+def test_the_guard_notices(what: str, frame: SmallFrame, monkeypatch: pytest.MonkeyPatch) -> None:
+    step = TrainingStep(frame.loaded(2))
+    step.run(0, TOLD, (0, 1))
+    totals = step.room.trained.totals
+    judge = step.judge
+
+    def offending() -> None:
+        judge()
+        if what == "read":
+            totals.numpy()
+        elif what == "wait":
+            wp.synchronize()
+        else:
+            wp.zeros(3, dtype=float, device="cpu")
+
+    monkeypatch.setattr(step, "judge", offending)
+    with nothing_but_kernels(monkeypatch), pytest.raises(AssertionError, match="while a step is recorded"):
+        step.recorded()
+
+
+def test_steps_make_the_loss_fall(frame: SmallFrame) -> None:
+    room = frame.loaded(3)
+    step = TrainingStep(room)
+    begin(room, torch.zeros_like(frame.latent), torch.zeros_like(frame.position))
+    step.tell(0, TOLD, (0, 1, 2))
+    step.show()
+    goal = view_of(room.drawn.image).clone()
+    load_pictures(room, goal, torch.zeros_like(goal), None)
+    begin(room, frame.latent, frame.position)
+    for number in range(30):
+        told = list(TOLD)
+        told[:3], told[3] = [rate / (1 - 0.6 ** (number + 1)) for rate in RATES], 1 / (1 - 0.999 ** (number + 1))
+        step.run(number, told, (0, 1, 2))
+    losses = view_of(room.trained.losses)[:30]
+    assert losses.isfinite().all()
+    assert float(losses[-5:].mean()) < 0.6 * float(losses[0])
+
+
+def test_too_few_pairs_are_told_and_lose_nothing(frame: SmallFrame) -> None:
+    plenty, short = (TrainingStep(frame.loaded(3, **few)) for few in ({}, {"moving_pairs": 64}))
+    for step in (plenty, short):
+        step.run(0, TOLD, (0, 1, 2))
+        step.run(1, TOLD, (0, 1, 2))
+    assert plenty.room.moving.overflow == 0
+    assert short.room.moving.overflow > 0
+    assert all(part.isfinite().all() for part in numbers(short.room, short.room.trained.values))
+    assert int(short.room.trained.broken.numpy()[0]) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "what"), [({"anchors": 5}, "anchors"), ({"groups": 1}, "neighbourhoods"), ({"still": 3}, "stand still")]
+)
+def test_what_is_too_much_is_refused(frame: SmallFrame, change: dict[str, int], what: str) -> None:
+    with pytest.raises(ModelError, match=what):
+        frame.loaded(1, **change)
+
+
+def test_still_gaussians_that_reach_too_many_tiles_are_refused(frame: SmallFrame) -> None:
+    with pytest.raises(ModelError, match="tiles more than the 50"):
+        frame.loaded(1, still_pairs=50)
+
+
+def test_steps_beyond_the_frame_are_refused(frame: SmallFrame) -> None:
+    step = TrainingStep(frame.loaded(1))
+    for number, cameras in ((40, (0,)), (-1, (0,)), (0, (0, 1))):
+        with pytest.raises(ValueError, match="step"):
+            step.run(number, TOLD, cameras)
