@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import av
 import av.container
+import av.video.stream
 
 from streamlod.core.data.files import blaming
 from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.data.video.grid import rate_of
-from streamlod.core.data.video.times import PictureTimes, timed_pictures
+from streamlod.core.data.video.times import PictureTimes, pictures_of, timed_pictures
 from streamlod.core.data.video.upright import upright_size
 from streamlod.core.errors import InputError
 
@@ -50,12 +51,11 @@ def probe_video(path: Path) -> VideoInfo:
         InputError: missing, not a video, cut short, of a size that is refused, or without a picture that decodes.
     """
     (width, height), begin_ns = _first_picture(path)
-    with contextlib.closing(_open(path)) as container:
-        stream = container.streams.video[0]
+    with _opened(path) as (container, stream):
         size = path.stat().st_size
         if any(entry.pos + entry.size > size for entry in stream.index_entries):
             raise InputError(path, "ends before its last picture; the file is cut short, copy it again")
-        rate = _declared_rate(container, path)
+        rate = _declared_rate(stream, path)
         times, found = PictureTimes(container, stream, rate), []
         try:
             for packet in container.demux(stream):
@@ -80,13 +80,12 @@ def read_video(path: Path) -> Generator[tuple[int, av.VideoFrame], None, None]:
     Raises:
         InputError: missing, not a video, or bytes that do not decode.
     """
-    with contextlib.closing(_open(path)) as container:
-        stream = container.streams.video[0]
+    with _opened(path) as (container, stream):
         # one thread a file: a rig decodes many files side by side, and each thread would hold pictures of its own
         stream.codec_context.thread_count = 1
         stream.codec_context.options = {"max_pixels": str(MAX_SIDE**2)}
         try:
-            yield from timed_pictures(container, stream, _declared_rate(container, path))
+            yield from timed_pictures(container, stream, _declared_rate(stream, path))
         except av.FFmpegError as error:
             raise InputError(path, f"cannot be decoded ({error.strerror}); copy it again") from error
 
@@ -103,15 +102,15 @@ def _first_picture(path: Path) -> tuple[tuple[int, int], int]:
     raise InputError(path, "holds no picture that can be decoded; it may be cut before its first keyframe")
 
 
-def _declared_rate(container: av.container.InputContainer, path: Path) -> Fraction:
-    stream = container.streams.video[0]
+def _declared_rate(stream: av.video.stream.VideoStream, path: Path) -> Fraction:
     rate = stream.guessed_rate or stream.average_rate
     if not rate or rate < 0:
         raise InputError(path, "does not say its frame rate; write it again with ffmpeg -r FPS")
     return rate
 
 
-def _open(path: Path) -> av.container.InputContainer:
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[tuple[av.container.InputContainer, av.video.stream.VideoStream]]:
     try:
         container = av.open(str(path.absolute()), options={"protocol_whitelist": "file"})
     except OSError as error:  # av's errors are OSErrors or ValueErrors
@@ -119,7 +118,8 @@ def _open(path: Path) -> av.container.InputContainer:
     except (av.FFmpegError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "the bytes are not those of a video"
         raise InputError(path, f"cannot be opened as a video: {reason}") from error
-    if not container.streams.video:
-        container.close()
-        raise InputError(path, "holds no pictures, only other streams")
-    return container
+    with contextlib.closing(container):
+        stream = pictures_of(container)
+        if stream is None:
+            raise InputError(path, "holds no pictures, only other streams")
+        yield container, stream

@@ -14,6 +14,7 @@ from typing import Any
 
 import av
 import av.container
+import av.stream
 import av.video.stream
 
 _log = logging.getLogger(__name__)
@@ -22,6 +23,12 @@ _LATEST_BEGIN_NS = 5 * _SECOND_NS
 _IN_ORDER = "avi"  # has a time for each sample in their order, and none for the pictures
 _UNTIMED = {"h264", "hevc", "vvc", "m4v", "mpegvideo", "mjpeg", "mpjpeg", "obu"}  # FFmpeg supposes a rate for these
 _OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
+
+
+def pictures_of(container: av.container.InputContainer) -> av.video.stream.VideoStream | None:
+    """The video in a file; None where it holds none, or only a still picture that goes with its sound."""
+    moving = [s for s in container.streams.video if not s.disposition & av.stream.Disposition.attached_pic]
+    return moving[0] if moving else None
 
 
 class PictureTimes:

@@ -18,7 +18,7 @@ import av.video.stream
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.data.video.grid import period_of
-from streamlod.core.data.video.times import played_pictures
+from streamlod.core.data.video.times import pictures_of, played_pictures
 from streamlod.core.data.video.upright import upright, upright_size
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
@@ -125,9 +125,9 @@ class Reader:
         """One connection, from its beginning to its end."""
         with contextlib.ExitStack() as stack:
             container = stack.enter_context(contextlib.closing(self._open(stack)))
-            if not container.streams.video:
+            stream = pictures_of(container)
+            if stream is None:
                 raise InputError(f"camera {self.camera}", "its source holds no pictures, only other streams")
-            stream = container.streams.video[0]
             stream.codec_context.thread_count = 1  # each further thread would delay pictures by one
             stream.codec_context.options = {"max_pixels": str(max_pixels(self._size))}
             width, height = stream.codec_context.width, stream.codec_context.height

@@ -13,7 +13,7 @@ import cv2
 
 from streamlod.core.data.names import files_in, numeric_key
 from streamlod.core.data.video.grid import period_of
-from streamlod.core.data.video.times import played_pictures
+from streamlod.core.data.video.times import pictures_of, played_pictures
 from streamlod.core.data.video.upright import upright
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.address import Address, parse_address, webcam_options
@@ -80,14 +80,17 @@ class CaptureCamera:
         options = webcam_options(self.fps, self.size) if address.scheme == "v4l2" else address.options
         try:
             with closing(av.open(address.url, "r", format=address.format, options=options)) as container:
+                stream = pictures_of(container)
+                if stream is None:
+                    raise InputError(address.url, "holds no pictures, only other streams")
                 if not address.is_live:
                     rate = _SECOND_NS / period_of(self.fps)
-                    for since_begin_ns, frame in played_pictures(container, container.streams.video[0], rate):
+                    for since_begin_ns, frame in played_pictures(container, stream, rate):
                         capture = start_ns + since_begin_ns
                         _sleep_until(capture)
                         yield Taken(capture, Codec.JPEG, _jpeg(frame))
                     return
-                for packet in container.demux(video=0):
+                for packet in container.demux(stream):
                     arrival = time.time_ns()
                     for frame in packet.decode():
                         assert isinstance(frame, av.VideoFrame)

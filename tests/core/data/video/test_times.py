@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from fractions import Fraction
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from streamlod.core.data.video import probe_video, read_video
 from streamlod.core.data.video.times import timed_pictures
 from streamlod.core.data.video.upright import upright
 from streamlod.core.errors import InputError
-from tests.core.data.writers import copy_video, picture, read_back, write_video
+from tests.core.data.writers import copy_video, picture, read_back, write_picture, write_video
 
 PICTURES = [picture(0, t) for t in range(24)]
 GROUPS = {"g": "8", "x264-params": "scenecut=0:open-gop=0"}
@@ -132,6 +133,22 @@ def test_a_file_without_any_keyframe_is_refused(tmp_path: Path) -> None:
     copy_video(tmp_path / "whole.mp4", tmp_path / "joined.mkv", skip=2)
     with pytest.raises(InputError, match=r"joined\.mkv: holds no picture that can be decoded"):
         probe_video(tmp_path / "joined.mkv")
+
+
+def test_a_still_picture_that_goes_with_sound_is_no_video(tmp_path: Path) -> None:
+    """Recorders put a small picture before the video, players of music a cover."""
+    sound, cover, still = tmp_path / "sound.m4a", tmp_path / "cover.jpg", tmp_path / "still.mp4"
+    write_picture(cover, picture(5, 5, (32, 32)))
+    write_video(tmp_path / "cam.mp4", PICTURES[:6])
+    quiet = ["ffmpeg", "-loglevel", "error", "-f", "lavfi", "-i", "anullsrc=r=8000:cl=mono", "-t", "1", "-c:a", "aac"]
+    subprocess.run([*quiet, str(sound)], check=True)
+    join = ["ffmpeg", "-loglevel", "error", "-i", str(cover), "-i"]
+    as_cover = ["-map", "0", "-map", "1", "-c", "copy", "-disposition:v:0", "attached_pic"]
+    subprocess.run([*join, str(sound), *as_cover, str(still)], check=True)
+    with pytest.raises(InputError, match=r"still\.mp4: holds no pictures, only other streams"):
+        probe_video(still)
+    subprocess.run([*join, str(tmp_path / "cam.mp4"), *as_cover, str(tmp_path / "both.mp4")], check=True)
+    assert _seen(tmp_path / "both.mp4") == {t: t for t in range(6)}
 
 
 def test_a_file_with_sound_before_its_pictures(tmp_path: Path) -> None:
