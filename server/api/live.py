@@ -18,7 +18,7 @@ from streamlod.server.api.registry import Registry
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.websocket import CONNECTION, Connection
 from streamlod.server.protocol.messages import SUBPROTOCOL, Hello, parse_control, parse_hello
-from streamlod.server.protocol.packets import text_frame
+from streamlod.server.protocol.packets import BinaryMessage, text_frame
 from streamlod.server.viewer.session import ViewerSession
 from streamlod.server.viewer.thin_session import ThinSession
 
@@ -38,8 +38,14 @@ class _SocketTransport:
         self.post: Callable[[bytes], None] = self.connection.post
         self.on_blocked = self.connection.on_blocked
 
-    async def binary(self, frame: bytes) -> None:
-        await self.connection.write(frame, self._stuck)
+    async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None:
+        if interval_seconds is None:
+            await self.connection.write(message.frame, self._stuck)
+            return
+        for number, piece in enumerate(message.pieces):
+            if number:
+                await asyncio.sleep(interval_seconds)
+            await self.connection.write(piece, self._stuck)
 
     async def text(self, message: str) -> None:
         await self.connection.write(text_frame(message), self._stuck)

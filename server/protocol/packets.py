@@ -6,6 +6,7 @@ import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from websockets.frames import Frame, Opcode
 
@@ -32,6 +33,23 @@ class Position:
 Place = tuple[Position, bool]  # of a packet, and whether it is a keyframe, which comes after a residual of its position
 
 
+@dataclass(frozen=True, eq=False)
+class BinaryMessage:
+    """One binary message to viewers, and the websocket frames that carry it, made once and shared by all of them."""
+
+    data: bytes
+
+    @cached_property
+    def frame(self) -> bytes:
+        """The message as one websocket frame."""
+        return binary_frame(self.data)
+
+    @cached_property
+    def pieces(self) -> tuple[bytes, ...]:
+        """The message as websocket frames of `PIECE_BYTES`."""
+        return tuple(binary_fragments(memoryview(self.data), PIECE_BYTES))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamPacket:
     """One published packet.
@@ -50,8 +68,7 @@ class StreamPacket:
     info: PacketInfo
     data: bytes
     arrived: float
-    _framed: dict[int, bytes] = field(default_factory=dict, repr=False)
-    _pieces: dict[int, tuple[bytes, ...]] = field(default_factory=dict, repr=False)
+    _messages: dict[int, BinaryMessage] = field(default_factory=dict, repr=False)
 
     @property
     def is_key(self) -> bool:
@@ -71,31 +88,23 @@ class StreamPacket:
         """The packet with its coarsest `levels` levels."""
         return self.data if levels >= self.info.level_mask.bit_length() else drop_levels(self.data, levels - 1)
 
-    def framed(self, levels: int) -> bytes:
-        """`restricted` as one websocket frame, made once and shared by all viewers."""
-        frame = self._framed.get(levels)
-        if frame is None:
+    def message(self, levels: int) -> BinaryMessage:
+        """`restricted` as a message, made once and shared by all viewers."""
+        message = self._messages.get(levels)
+        if message is None:
             held = min(levels, self.info.level_mask.bit_length())
-            if held not in self._framed:
-                self._framed[held] = binary_frame(self.restricted(held))
-            frame = self._framed[levels] = self._framed[held]
-        return frame
+            if held not in self._messages:
+                self._messages[held] = BinaryMessage(self.restricted(held))
+            message = self._messages[levels] = self._messages[held]
+        return message
 
-    def pieces(self, levels: int) -> tuple[bytes, ...]:
-        """`restricted` as one websocket message in frames of `PIECE_BYTES`, made once and shared by all viewers."""
-        pieces = self._pieces.get(levels)
-        if pieces is None:
-            pieces = self._pieces[levels] = tuple(binary_fragments(memoryview(self.restricted(levels)), PIECE_BYTES))
-        return pieces
+    def forget_messages(self) -> None:
+        """Free the shared messages; they are made again when needed."""
+        self._messages.clear()
 
-    def forget_frames(self) -> None:
-        """Free the shared websocket frames; they are made again when needed."""
-        self._framed.clear()
-        self._pieces.clear()
-
-    def without_frames(self) -> StreamPacket:
-        """A copy to keep, without the shared websocket frames."""
-        return replace(self, _framed={}, _pieces={})
+    def without_messages(self) -> StreamPacket:
+        """A copy to keep, without the shared messages."""
+        return replace(self, _messages={})
 
 
 def stream_packet(sequence: int, epoch: int, data: bytes) -> StreamPacket:
@@ -119,11 +128,6 @@ def binary_fragments(data: bytes | memoryview, size_bytes: int) -> Iterator[byte
 def text_frame(message: str) -> bytes:
     """One unmasked websocket frame with a whole text message."""
     return Frame(Opcode.TEXT, message.encode()).serialize(mask=False)
-
-
-def payload_bytes(frame: bytes) -> int:
-    """Payload length of a frame made here."""
-    return len(frame) - {126: 4, 127: 10}.get(frame[1], 2)
 
 
 class PacketWindow:

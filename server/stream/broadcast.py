@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from streamlod.server.protocol.packets import StreamPacket, payload_bytes
+from streamlod.server.protocol.packets import StreamPacket
 from streamlod.server.stream.counters import Counters
 
 
@@ -60,9 +60,9 @@ class Broadcast:
         for levels, group in self._groups.items():
             if not group:
                 continue
-            frame = packet.framed(levels)
-            size, receivers = payload_bytes(frame), tuple(group)  # a write may block, which removes the receiver
-            frame += message
+            carried = packet.message(levels)
+            size, receivers = len(carried.data), tuple(group)  # a write may block, which removes the receiver
+            frame = carried.frame + message
             for receiver in receivers:
                 receiver.sent += size
                 receiver.write(frame)

@@ -99,7 +99,7 @@ class Bus:
 
     def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
         """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""
-        self.window.append(packet.without_frames())
+        self.window.append(packet.without_messages())
         if self.recording is not None and record:
             self.recording.append(packet)
 

@@ -19,7 +19,7 @@ from streamlod.codec.packet.levels import select_levels, split_levels
 from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from streamlod.core.scene.anchors import AnchorLevel, Scene
 from streamlod.core.scene.residual import difference
-from streamlod.server.protocol.packets import PIECE_BYTES, PacketWindow, StreamPacket, binary_frame
+from streamlod.server.protocol.packets import PIECE_BYTES, BinaryMessage, PacketWindow, StreamPacket
 from streamlod.server.stream.broadcast import Broadcast, Receiver
 from streamlod.server.stream.counters import Counters
 
@@ -57,8 +57,8 @@ class Hub:
         self._states: OrderedDict[int, _Decoded] = OrderedDict()
         self._state_bytes = 0
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
-        self._parts: tuple[int, list[bytes]] | None = None
-        self._framed: deque[StreamPacket] = deque()
+        self._parts: tuple[int, list[BinaryMessage]] | None = None
+        self._sent: deque[StreamPacket] = deque()
         self.broadcast = Broadcast(counters)
         self.listeners: set[Callable[[], None]] = set()
 
@@ -105,9 +105,9 @@ class Hub:
         if packet.is_key and len(packet.data) > PIECE_BYTES:
             self.broadcast.notify_all()  # each viewer gets a large keyframe at its own pace
         self.window.append(packet)
-        self._framed.append(packet)
-        while packet.arrived - self._framed[0].arrived > _FRAMES_SECONDS:
-            self._framed.popleft().forget_frames()
+        self._sent.append(packet)
+        while packet.arrived - self._sent[0].arrived > _FRAMES_SECONDS:
+            self._sent.popleft().forget_messages()
         state = _Decoded(packet, scene)
         if packet.is_key:
             self._key = state
@@ -145,23 +145,23 @@ class Hub:
         same = state.packet.position.epoch == newest.position.epoch
         return same and state.scene.keyframe == self._states[newest.sequence].scene.keyframe
 
-    async def skip(self, sequence: int, levels: int) -> tuple[StreamPacket, bytes]:
-        """The newest packet, and one framed residual to it from packet `sequence`; needs `can_skip_from`."""
+    async def skip(self, sequence: int, levels: int) -> tuple[StreamPacket, BinaryMessage]:
+        """The newest packet, and one residual to it from packet `sequence`; needs `can_skip_from`."""
         return await self._residual(self._states[sequence], (1 << levels) - 1)
 
-    def key_parts(self, first: int, last: int) -> list[bytes]:
-        """The newest keyframe's levels `first` to `last` as framed packets, coarse first.
+    def key_parts(self, first: int, last: int) -> list[BinaryMessage]:
+        """The newest keyframe's levels `first` to `last` as packets, coarse first.
 
         The part of level 0 begins the scene; the others need it.
         """
         assert self._key is not None
         packet = self._key.packet
         if self._parts is None or self._parts[0] != packet.sequence:
-            self._parts = packet.sequence, [binary_frame(part) for part in split_levels(packet.data)]
+            self._parts = packet.sequence, [BinaryMessage(part) for part in split_levels(packet.data)]
         return self._parts[1][first : last + 1]
 
-    async def catch_up(self, first: int, last: int) -> tuple[StreamPacket, bytes | None]:
-        """The newest packet, and one framed residual of levels `first` to `last` to it from the newest keyframe.
+    async def catch_up(self, first: int, last: int) -> tuple[StreamPacket, BinaryMessage | None]:
+        """The newest packet, and one residual of levels `first` to `last` to it from the newest keyframe.
 
         There is no residual where that packet is the keyframe itself.
         """
@@ -182,12 +182,12 @@ class Hub:
             packets.append(await self._encoded(self._key))
         return packets
 
-    async def _residual(self, before: _Decoded, mask: int) -> tuple[StreamPacket, bytes]:
+    async def _residual(self, before: _Decoded, mask: int) -> tuple[StreamPacket, BinaryMessage]:
         newest = self.newest
         assert newest is not None
         packet = await self._encoded(before)
         whole = mask & newest.info.level_mask == newest.info.level_mask
-        return newest, binary_frame(packet if whole else select_levels(packet, mask))
+        return newest, BinaryMessage(packet if whole else select_levels(packet, mask))
 
     async def _encoded(self, before: _Decoded) -> bytes:
         """The residual from `before` to the newest state, encoded once."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import time
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from typing import Any, Protocol
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
-from streamlod.server.protocol.packets import Position, StreamPacket, payload_bytes
+from streamlod.server.protocol.packets import BinaryMessage, Position, StreamPacket
 from streamlod.server.settings import Limits
 from streamlod.server.stream.broadcast import Receiver
 from streamlod.server.stream.counters import Counters
@@ -23,8 +22,8 @@ _ACK_SECONDS = 1.0  # that a viewer may take to acknowledge
 class Transport(Protocol):
     """A viewer's connection. `binary` and `text` wait until the write buffer has drained."""
 
-    async def binary(self, frame: bytes) -> None:
-        """Send a packet that already is a websocket frame."""
+    async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None:
+        """Send a packet or picture: at once, or in its pieces with an interval between them."""
 
     async def text(self, message: str) -> None:
         """Send a control message."""
@@ -127,30 +126,22 @@ class Delivery:
             raise SessionError(CloseCode.BUSY, f"nothing was acknowledged for {self._limits.stuck_seconds:g} s")
         return True
 
-    async def send(self, frame: bytes, packet: StreamPacket | None = None) -> None:
-        """Send a framed packet once the write buffer has drained; `packet` is what the viewer holds afterwards."""
-        self.last = packet or self.last
-        begin = time.monotonic()
-        await self._transport.binary(frame)
-        now = time.monotonic()
-        self.blocked_seconds += now - begin
-        self.free_at = now + self._throttle.spend(self._account(frame), now)
+    async def send(
+        self, message: BinaryMessage, packet: StreamPacket | None = None, interval_seconds: float | None = None
+    ) -> None:
+        """Send a packet once the write buffer has drained; `packet` is what the viewer holds afterwards.
 
-    async def send_in_pieces(self, packet: StreamPacket, pieces: tuple[bytes, ...], interval_seconds: float) -> None:
-        """Send a large packet as one message in `pieces`, one per interval; the old picture stays meanwhile."""
-        for number, frame in enumerate(pieces):
-            if number:
-                await asyncio.sleep(interval_seconds)
-            await self.send(frame)
-        self.last = packet
+        With an interval it goes out in pieces, one per interval; the old picture stays meanwhile.
+        """
+        begin, size = time.monotonic(), len(message.data)
+        await self._transport.binary(message, interval_seconds)
+        now = time.monotonic()
+        self.last = packet or self.last
+        self.blocked_seconds += now - begin
+        self.receiver.sent += size
+        self.counters.sent_bytes += size
+        self.free_at = now + self._throttle.spend(size, now)
 
     async def send_event(self, message: dict[str, Any]) -> None:
         """Send a control message."""
         await self._transport.text(json.dumps(message))
-
-    def _account(self, frame: bytes) -> int:
-        """Count a frame that was sent; returns the size of its packet."""
-        size = payload_bytes(frame)
-        self.receiver.sent += size
-        self.counters.sent_bytes += size
-        return size

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from streamlod.server.protocol.messages import event
-from streamlod.server.protocol.packets import StreamPacket
+from streamlod.server.protocol.packets import PIECE_BYTES, BinaryMessage, StreamPacket
 from streamlod.server.settings import Limits
 from streamlod.server.stream.stream import Stream
 from streamlod.server.viewer.delivery import Delivery
@@ -79,7 +79,7 @@ class Follower:
             return True
         if following is not None and now - following.arrived <= self._limits.viewer_lag_seconds:
             self._sequence = following.sequence
-            await self._delivery.send(following.framed(self._levels.levels), following)
+            await self._delivery.send(following.message(self._levels.levels), following)
             return True
         await self._skip_ahead(now)
         return True
@@ -113,9 +113,10 @@ class Follower:
         """
         scene = self._hub.scene
         assert scene is not None
-        pieces = keyframe.pieces(self.shown_levels)
-        fast = max(_REFRESH_SHARE * self._limits.viewer_lag_seconds / len(pieces), _MIN_INTERVAL)
-        await self._delivery.send_in_pieces(keyframe, pieces, min(1 / scene.header.fps, fast))
+        message = keyframe.message(self.shown_levels)
+        pieces = -(-len(message.data) // PIECE_BYTES)
+        fast = max(_REFRESH_SHARE * self._limits.viewer_lag_seconds / pieces, _MIN_INTERVAL)
+        await self._delivery.send(message, keyframe, min(1 / scene.header.fps, fast))
         self._sequence, self._delivery.blocked_seconds = keyframe.sequence, 0.0
 
     async def _skip_ahead(self, now: float) -> None:
@@ -149,7 +150,7 @@ class Follower:
         await self._delivery.send_event(event("levels", levels=self.shown_levels, reason="recovered"))
         await self._send_parts(parts, residual)
 
-    async def _send_parts(self, parts: list[bytes], residual: bytes | None) -> None:
+    async def _send_parts(self, parts: list[BinaryMessage], residual: BinaryMessage | None) -> None:
         """Send parts of the keyframe, and the residual from it, if one is needed."""
-        for frame in parts if residual is None else [*parts, residual]:
-            await self._delivery.send(frame)
+        for message in parts if residual is None else [*parts, residual]:
+            await self._delivery.send(message)

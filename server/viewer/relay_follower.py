@@ -43,7 +43,7 @@ class RelayFollower(Follower):
             self._told_epoch = packet.position.epoch
             await self._delivery.send_event(event("epoch", epoch=packet.position.epoch))
         self._sequence = packet.sequence
-        await self._delivery.send(packet.framed(self._levels.levels), packet)
+        await self._delivery.send(packet.message(self._levels.levels), packet)
         return True
 
     async def _next(self) -> StreamPacket | None:

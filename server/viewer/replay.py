@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from streamlod.server.protocol.packets import Position, StreamPacket, binary_frame
+from streamlod.server.protocol.packets import BinaryMessage, Position, StreamPacket
 from streamlod.server.stream.bus import Bus
 from streamlod.server.viewer.delivery import Delivery
 from streamlod.server.viewer.pacing import LevelControl
@@ -111,4 +111,4 @@ class Replay:
         return self._clock + packet.info.time_ns / 1e9
 
     async def _send(self, packet: StreamPacket) -> None:
-        await self._delivery.send(binary_frame(packet.restricted(self._levels.levels)), packet)
+        await self._delivery.send(BinaryMessage(packet.restricted(self._levels.levels)), packet)

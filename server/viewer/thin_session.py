@@ -24,7 +24,7 @@ from streamlod.core.errors import SessionError
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
 from streamlod.server.protocol.messages import Control, Hello, Pause, Play, Seek, event
-from streamlod.server.protocol.packets import binary_frame
+from streamlod.server.protocol.packets import BinaryMessage
 from streamlod.server.protocol.thin_messages import Pick, Shown, ViewMessage
 from streamlod.server.settings import Limits
 from streamlod.server.stream.counters import Counters
@@ -46,8 +46,8 @@ class _DecodingTransport:
         self.scene: Scene | None = None
         self.levels = 0  # of the scene that are up to date, counted from the coarsest
 
-    async def binary(self, frame: bytes) -> None:
-        await asyncio.to_thread(self._decoder.push, _payload(frame))
+    async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None:
+        await asyncio.to_thread(self._decoder.push, message.data)
         scene, versions = self._decoder.scene, self._decoder.versions
         assert scene is not None
         lagging = (number for number, held in enumerate(versions) if held != scene.version)
@@ -249,7 +249,7 @@ class ThinSession:
         counters.pictures += 1
         counters.picture_bytes += len(data)
         counters.picture_seconds += rendered.seconds
-        await self._viewer.binary(binary_frame(data))
+        await self._viewer.binary(BinaryMessage(data))
         await self._acknowledged()
         seconds = time.monotonic() - begin
         self._grades.delivered(index, seconds)
@@ -298,8 +298,3 @@ class ThinSession:
         pose = np.concatenate([np.eye(3), -pick.origin[:, None]], axis=1)
         cloud = self._splatter.cloud(scene, pinhole("pick", (1, 1), (0, 0), (1, 1), pose), levels)
         return look_along(cloud, scene, pick.origin, pick.direction)
-
-
-def _payload(frame: bytes) -> bytes:
-    """What a websocket frame of `binary_frame` carries."""
-    return frame[{126: 4, 127: 10}.get(frame[1], 2) :]

@@ -257,28 +257,22 @@ def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
                 case "join":
                     decoder = SceneDecoder()
                     for part in hub.key_parts(0, 2):
-                        decoder.push(unframed(part))
-                    newest, frame = await hub.catch_up(0, 2)
-                    if frame:
-                        decoder.push(unframed(frame))
+                        decoder.push(part.data)
+                    newest, message = await hub.catch_up(0, 2)
+                    if message:
+                        decoder.push(message.data)
                     sequence = newest.sequence
                 case "next" if sequence is not None:
                     following = hub.window.after(sequence)
                     if following is not None:
-                        decoder.push(unframed(following.framed(3)))
+                        decoder.push(following.message(3).data)
                         sequence = following.sequence
                 case "skip" if sequence is not None and sequence < version:
-                    newest, frame = await hub.skip(sequence, 3)
-                    decoder.push(unframed(frame))
+                    newest, message = await hub.skip(sequence, 3)
+                    decoder.push(message.data)
                     sequence = newest.sequence
             if sequence is not None:
                 assert_same_state(states[sequence], decoder.scene)
 
     for seed in range(8):
         asyncio.run(run(seed))
-
-
-def unframed(frame: bytes) -> bytes:
-    """The payload of a websocket frame."""
-    size = frame[1]
-    return frame[2 if size < 126 else 4 if size == 126 else 10 :]

@@ -9,10 +9,10 @@ import pytest
 from streamlod.codec.encoder import encode_keyframe
 from streamlod.server.protocol.packets import (
     PIECE_BYTES,
+    BinaryMessage,
     Position,
     StreamPacket,
     binary_frame,
-    payload_bytes,
     stream_packet,
 )
 from streamlod.server.settings import Limits
@@ -58,7 +58,7 @@ def test_all_share_one_frame_a_level_count_and_one_that_blocks_does_not_keep_the
     assert blocking.frames == [binary_frame(packet.data)]
     assert [len(viewer.frames) for viewer in others] == [2, 2]
     assert others[0].frames[0] is blocking.frames[0]
-    assert payload_bytes(others[1].frames[0]) < len(packet.data)
+    assert others[1].frames == [binary_frame(packet.restricted(1))] * 2
     sizes = [viewer.receiver.sent for viewer in (blocking, *others)]
     assert sizes == [len(packet.data), 2 * len(packet.data), 2 * len(packet.restricted(1))]
     assert counters.sent_bytes == sum(sizes)
@@ -78,13 +78,14 @@ def test_a_receiver_leaves_above_its_send_limit_and_when_the_number_of_levels_ch
 
 
 def test_pieces_of_a_keyframe_are_made_once_and_make_up_one_message(packet: StreamPacket) -> None:
-    large = replace(packet, data=packet.data + bytes(2 * PIECE_BYTES), _framed={}, _pieces={})
-    pieces = large.pieces(3)
-    assert pieces is large.pieces(3)
+    large = replace(packet, data=packet.data + bytes(2 * PIECE_BYTES), _messages={})
+    pieces = large.message(3).pieces
+    assert pieces is large.message(3).pieces
     assert [piece[0] for piece in pieces] == [0x02, *[0x00] * (len(pieces) - 2), 0x80]
-    assert b"".join(piece[len(piece) - payload_bytes(piece) :] for piece in pieces) == large.data
-    large.forget_frames()
-    assert large.pieces(3) is not pieces
+    heads = [4] * (len(pieces) - 1) + [2 if len(pieces[-1]) < 128 else 4]
+    assert b"".join(piece[head:] for head, piece in zip(heads, pieces, strict=True)) == large.data
+    large.forget_messages()
+    assert large.message(3).pieces is not pieces
 
 
 class Nowhere:
@@ -94,7 +95,7 @@ class Nowhere:
     def is_clear(self) -> bool:
         return True
 
-    async def binary(self, frame: bytes) -> None: ...
+    async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None: ...
 
     async def text(self, message: str) -> None: ...
 

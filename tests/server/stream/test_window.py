@@ -18,7 +18,7 @@ def test_small_packets_take_no_more_memory_than_is_allowed(clip: Clip) -> None:
         before = tracemalloc.get_traced_memory()[0]
         for epoch in range(20):
             for packet in (key, *clip.packets[1:50]):
-                window.append(stream_packet(sequence, epoch, bytes(bytearray(packet))).without_frames())
+                window.append(stream_packet(sequence, epoch, bytes(bytearray(packet))).without_messages())
                 sequence += 1
         taken = tracemalloc.get_traced_memory()[0] - before
     finally:

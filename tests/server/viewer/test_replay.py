@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from streamlod.server.pipeline.spec import StreamSpec
-from streamlod.server.protocol.packets import Position, StreamPacket, binary_frame, stream_packet
+from streamlod.server.protocol.packets import BinaryMessage, Position, StreamPacket, stream_packet
 from streamlod.server.settings import Limits, Settings
 from streamlod.server.stream.bus import Bus
 from streamlod.server.stream.counters import Counters
@@ -52,10 +52,10 @@ class Screen:
     """A transport that takes everything."""
 
     def __init__(self) -> None:
-        self.frames: list[bytes] = []
+        self.packets: list[bytes] = []
 
-    async def binary(self, frame: bytes) -> None:
-        self.frames.append(frame)
+    async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None:
+        self.packets.append(message.data)
 
     async def text(self, message: str) -> None: ...
 
@@ -78,7 +78,7 @@ def test_the_way_to_a_place_is_read_in_portions(small: Clip) -> None:
     bus = ForgetfulBus(small)
     replay, delivery, screen = replaying(bus)
     asyncio.run(replay.load(Position(1, 45)))
-    assert screen.frames == [binary_frame(data) for data in small.packets[:46]]
+    assert screen.packets == small.packets[:46]
     assert delivery.position == Position(1, 45)
     assert max(bus.read_sizes) <= 16
 
@@ -86,11 +86,11 @@ def test_the_way_to_a_place_is_read_in_portions(small: Clip) -> None:
 def test_what_leaves_the_window_on_the_way_ends_it_where_it_still_decodes(small: Clip) -> None:
     replay, _, screen = replaying(ForgetfulBus(small, forget_after=2))
     asyncio.run(replay.load(Position(1, 45)))
-    assert screen.frames == [binary_frame(data) for data in small.packets[:32]]
+    assert screen.packets == small.packets[:32]
     asyncio.run(replay.step(time.monotonic()))
     assert not asyncio.run(replay.step(time.monotonic())), "what comes after a gap waits as long as the gap was"
     asyncio.run(replay.step(time.monotonic() + 60))
-    assert screen.frames[32:] == [binary_frame(small.packets[50])]
+    assert screen.packets[32:] == [small.packets[50]]
 
 
 def test_a_new_viewer_whose_past_is_gone_joins_at_the_live_edge(small: Clip) -> None:
@@ -98,7 +98,7 @@ def test_a_new_viewer_whose_past_is_gone_joins_at_the_live_edge(small: Clip) -> 
     asyncio.run(replay.load(Position(1, 5)))
     asyncio.run(replay.step(0.0))
     assert replay.is_over
-    assert screen.frames == []
+    assert screen.packets == []
     stream = WorkerStream(StreamSpec(play=Path("nothing.slod")), Settings())
     follower = Follower(stream, delivery, LevelControl(64, 64, quiet_since=0.0), Limits())
     follower.resume()
@@ -142,7 +142,7 @@ def test_frames_that_were_filmed_far_apart_are_replayed_far_apart(small: Clip) -
     assert 8.0 - (after - before) <= wait <= 8.0
     assert not asyncio.run(replay.step(after + wait - 0.1))
     assert asyncio.run(replay.step(after + wait + 0.001))
-    assert len(screen.frames) == 2
+    assert len(screen.packets) == 2
 
 
 def test_a_new_epoch_follows_at_once_whatever_its_times_say(small: Clip) -> None:
@@ -155,4 +155,4 @@ def test_a_new_epoch_follows_at_once_whatever_its_times_say(small: Clip) -> None
     asyncio.run(replay.step(time.monotonic()))
     assert replay.seconds_to_next(time.monotonic()) == 0.0
     assert asyncio.run(replay.step(time.monotonic()))
-    assert len(screen.frames) == 2
+    assert len(screen.packets) == 2

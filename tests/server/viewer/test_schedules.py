@@ -22,7 +22,7 @@ from streamlod.core.scene.anchors import AnchorLevel, Scene
 from streamlod.core.scene.residual import difference
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.messages import Ack, Hello, Pause, Play, Seek, Set
-from streamlod.server.protocol.packets import Position
+from streamlod.server.protocol.packets import BinaryMessage, Position
 from streamlod.server.settings import Limits, Retention, Settings
 from streamlod.server.stream.store import Store
 from streamlod.server.stream.worker_stream import WorkerStream
@@ -83,9 +83,9 @@ class Link:
         self.open.set()
         self.events: list[dict[str, Any]] = []
 
-    async def binary(self, frame: bytes) -> None:
+    async def binary(self, message: BinaryMessage, interval_seconds: float | None = None) -> None:
         await self.open.wait()
-        self._take(frame)
+        self._take(message.frame)
 
     async def text(self, message: str) -> None:
         await self.open.wait()
