@@ -36,7 +36,7 @@ def watch_large(server: Running, large: Clip) -> None:
     """A viewer that decodes and a thin one, over `REFRESHES` keyframes."""
     wait(lambda: "main" in server.registry.streams)
     camera = large.states[0].header.cameras[0].scaled(96, 54)
-    with viewing(server, max_queue=None) as viewer, viewing(server) as plain:
+    with viewing(server, max_queue=None) as viewer, viewing(server, max_queue=None) as plain:
         thin = ThinViewer(plain.connection)
         thin.hello()
         thin.look(camera)

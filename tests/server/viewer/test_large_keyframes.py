@@ -77,7 +77,7 @@ def test_the_python_client_gets_a_new_scene_with_each(server: Running, large: Cl
 
 def test_thin_viewers_get_pictures_over_all_of_them(server: Running, large: Clip) -> None:
     camera = large.states[0].header.cameras[0].scaled(96, 54)
-    with viewing(server) as one, viewing(server) as two:
+    with viewing(server, max_queue=None) as one, viewing(server, max_queue=None) as two:
         viewers = [ThinViewer(plain.connection) for plain in (one, two)]
         for viewer in viewers:
             viewer.hello()
