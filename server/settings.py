@@ -27,6 +27,9 @@ class Limits(BaseModel):
     viewers: int = Field(default=1000, ge=1, description="viewers of all streams together")
     viewers_per_address: int = Field(default=200, ge=1, description="viewers from one network address")
     connections: int = Field(default=2000, ge=1, description="connections of any kind; further ones get 503")
+    handshakes_per_address: int = Field(
+        default=64, ge=1, description="TLS handshakes from one network address at the same time"
+    )
     packet_bytes: int = Field(default=16 * 2**20, ge=1024, description="largest packet that is accepted from a worker")
     state_bytes: int = Field(
         default=64 * 2**20, ge=2**20, description="memory of a decoded scene; a stream that needs more is refused"
@@ -196,7 +199,8 @@ class Settings(BaseModel):
         default=(), description="addresses and networks (CIDR) of proxies whose X-Forwarded-For is believed"
     )
     roots: tuple[Path, ...] = Field(
-        default=(), description="folders that streams created over REST may read, besides the state folder"
+        default=(),
+        description="folders that streams created over REST may read, besides what their creator may watch",
     )
     networks: tuple[str, ...] = Field(
         default=(), description="networks (CIDR) and host names that their cameras may be at, besides public addresses"
@@ -244,11 +248,6 @@ class Settings(BaseModel):
     def has_tokens(self) -> bool:
         """Whether anything needs a token."""
         return not (self.tokens is None and self.jwt_key is None and self.jwks is None)
-
-    @property
-    def readable_folders(self) -> tuple[Path, ...]:
-        """Folders that streams created over REST may read."""
-        return self.roots if self.state is None else (*self.roots, self.state / "streams")
 
     @property
     def is_public(self) -> bool:

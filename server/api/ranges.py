@@ -83,9 +83,11 @@ def respond(request: Request, download: Download) -> Response:
 
 
 def caching(request: Request, rule: str) -> str:
-    """Cache-Control of an answer: shared caches may keep what needs no token."""
-    anybody = registry_of(request).gate.is_open or "signature" in request.query_params
-    return f"{'public' if anybody else 'private'}, {rule}"
+    """Cache-Control of an answer: shared caches may keep what needs neither a token nor a signature.
+
+    They would give what was signed for one, for a time, to all and for good.
+    """
+    return f"{'public' if registry_of(request).gate.is_open else 'private'}, {rule}"
 
 
 def _parse_range(header: str | None, size: int) -> tuple[int, int] | None:

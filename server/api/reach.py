@@ -1,5 +1,7 @@
 """Which files and networks a stream that is created over REST may reach: those of the settings, and nothing else.
 
+Of the state folder it may read the recordings of streams that its creator may watch.
+
 Whoever may control streams is not for that reason allowed to read every file of the server or to talk to its network.
 Streams of the command line and the settings file are not held to this: who writes those has the machine.
 """
@@ -12,6 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from streamlod.core.errors import InputError
+from streamlod.server.auth.gate import Grant, Right
 from streamlod.server.ingest.cameras.address import local_file
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
@@ -24,8 +27,8 @@ _HOLD_IPV4 = [ipaddress.ip_network(text) for text in ("::/96", "64:ff9b::/96")] 
 POINT_METHODS = {"auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "depth-anything", "random"}
 
 
-def check_reach(spec: StreamSpec, settings: Settings) -> None:
-    """Refuse a stream that leads to other files, networks or listening addresses than the settings allow.
+def check_reach(spec: StreamSpec, settings: Settings, grant: Grant) -> None:
+    """Refuse a stream that leads to other files, networks or listening addresses than settings and `grant` allow.
 
     Nothing is opened or looked up, so that a refusal does not tell what exists.
 
@@ -37,40 +40,51 @@ def check_reach(spec: StreamSpec, settings: Settings) -> None:
     if job is not None:
         paths |= {"data": job.data, "points": None if job.points in POINT_METHODS else job.points}
         if isinstance(job.live, dict):
-            _check_rig(job.live, settings)
+            _check_rig(job.live, settings, grant)
         else:
             paths["live"] = job.live
     for name, path in paths.items():
         if path is not None:
-            _check_path(name, path, settings)
+            _check_path(name, path, settings, grant)
 
 
-def _check_path(name: str, path: object, settings: Settings) -> None:
+def _check_path(name: str, path: object, settings: Settings, grant: Grant) -> None:
     try:
         found = Path(str(path)).resolve()
-        inside = any(found.is_relative_to(root.resolve()) for root in settings.readable_folders)
+        inside = _is_readable(found, settings, grant)
     except (OSError, ValueError, RuntimeError):  # a name that no file can have, or a circle of links
         inside = False
     if not inside:
         raise InputError(name, "is in none of the folders that streams may read; add its folder to the setting `roots`")
 
 
-def _check_rig(rig: dict[str, Any], settings: Settings) -> None:
+def _is_readable(path: Path, settings: Settings, grant: Grant) -> bool:
+    """Whether a resolved path may be read.
+
+    The state folder has a rule of its own, wherever it lies: what is in the folders of streams that may be watched.
+    """
+    if settings.state is not None and path.is_relative_to(settings.state.resolve()):
+        below = path.relative_to(settings.state.resolve()).parts
+        return len(below) > 2 and below[0] == "streams" and grant.allows(Right.READ, below[1])
+    return any(path.is_relative_to(root.resolve()) for root in settings.roots)
+
+
+def _check_rig(rig: dict[str, Any], settings: Settings, grant: Grant) -> None:
     if rig.get("calibration") is not None:
-        _check_path("live.calibration", rig["calibration"], settings)
+        _check_path("live.calibration", rig["calibration"], settings, grant)
     cameras = rig.get("cameras")
     for number, camera in enumerate(cameras if isinstance(cameras, list) else []):
         source = camera.get("source") if isinstance(camera, dict) else None
         if isinstance(source, str):
-            _check_source(f"live.cameras.{number}.source", source, settings)
+            _check_source(f"live.cameras.{number}.source", source, settings, grant)
 
 
-def _check_source(name: str, source: str, settings: Settings) -> None:
+def _check_source(name: str, source: str, settings: Settings, grant: Grant) -> None:
     if source == "push:" or source.startswith("push://"):
         return
     path = local_file(source)
     if path is not None:
-        _check_path(name, path, settings)
+        _check_path(name, path, settings, grant)
         return
     try:
         parts = urlsplit(source)
@@ -78,7 +92,7 @@ def _check_source(name: str, source: str, settings: Settings) -> None:
     except ValueError as error:
         raise InputError(name, "is not a URL") from error
     if parts.scheme == "v4l2":
-        _check_path(name, parts.path, settings)
+        _check_path(name, parts.path, settings, grant)
         return
     listens = parts.scheme.endswith("+listen") or parts.scheme == "udp"
     if parts.scheme.partition("+")[0] in _OPTIONS_IN_QUERY:

@@ -63,7 +63,7 @@ async def create_stream(body: NewStream, request: Request, response: Response) -
     problem = await refusal(registry.gate, request, Right.CONTROL, body.id)
     if problem is not None:
         raise problem
-    spec = await _checked(lambda: body.spec, registry)
+    spec = await _checked(lambda: body.spec, request)
     try:
         stream = await registry.create(spec, start=body.start is True)
     except StorageError as error:
@@ -123,7 +123,7 @@ async def change_stream(
     start. A stream that runs, or that the settings file defines, is not changed (409)."""
     registry = registry_of(request)
     check_match(stream, if_match)
-    spec = await _checked(lambda: body.apply_to(stream.spec), registry)
+    spec = await _checked(lambda: body.apply_to(stream.spec), request)
     try:
         registry.change(stream, spec)
     except StorageError as error:
@@ -244,11 +244,11 @@ async def get_manifest(
     )
 
 
-async def _checked(make: Callable[[], StreamSpec], registry: Registry) -> StreamSpec:
+async def _checked(make: Callable[[], StreamSpec], request: Request) -> StreamSpec:
     """What a stream is to be made from; 422 where that cannot be used, or must not be reached."""
     try:
         spec = make()
-        check_reach(spec, registry.settings)
+        check_reach(spec, registry_of(request).settings, grant_of(request))
         await asyncio.to_thread(_check_source, spec)
     except (InputError, BitstreamError) as error:
         raise Problem(422, masked(str(error))) from error

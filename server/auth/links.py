@@ -1,7 +1,7 @@
 """Signed links: whoever has one may download that path, and nothing else, until it expires.
 
 The signature covers the path, or a folder above it, the time, and the stream's incarnation, so that it opens no other
-stream that is made under the same id later. A cache in front can check and share it.
+stream that is made under the same id later.
 """
 
 from __future__ import annotations

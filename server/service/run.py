@@ -9,7 +9,7 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 from wsgiref.simple_server import WSGIRequestHandler, make_server
 
@@ -22,6 +22,7 @@ from streamlod.core.background_log import log_in_background
 from streamlod.core.errors import InputError, StreamlodError
 from streamlod.server.api.registry import Registry
 from streamlod.server.http.limits import http_class
+from streamlod.server.http.tls import Certificates, Handshakes, TlsListener
 from streamlod.server.http.websocket import websocket_class
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.pipeline.warming import warm_codec
@@ -37,13 +38,36 @@ _OTHER_DESCRIPTORS = 512  # of files, pipes and databases
 
 
 class Server(uvicorn.Server):
-    """uvicorn, which disconnects viewers before connections are closed."""
+    """uvicorn, which disconnects viewers before connections are closed.
 
-    def __init__(self, config: uvicorn.Config, registry: Registry) -> None:
+    Args:
+        config: of `server_config`.
+        registry: of its application.
+        certificates: with which it serves by TLS.
+    """
+
+    def __init__(self, config: uvicorn.Config, registry: Registry, certificates: Certificates | None = None) -> None:
         super().__init__(config)
-        self._registry = registry
+        self._registry, self._certificates = registry, certificates
+        self._accepting: list[asyncio.Task[None]] = []
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        if self._certificates is None:
+            await super().startup(sockets)
+            return
+        await super().startup([])
+        handshakes = Handshakes(self._registry.settings.limits, self._registry.turned_away)
+        listener = TlsListener(self._certificates, handshakes, self._protocol)
+        self._accepting = [asyncio.create_task(listener.accept(each)) for each in sockets or ()]
+
+    def _protocol(self) -> asyncio.Protocol:
+        """One HTTP connection, as uvicorn makes it."""
+        make: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
+        return make(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        for task in self._accepting:
+            task.cancel()
         await self._registry.drain()
         await super().shutdown(sockets)
 
@@ -61,24 +85,32 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
     settings.check()
     log_in_background()
     bound_arenas()
-    _allow_descriptors(2 * settings.limits.connections + _OTHER_DESCRIPTORS)
+    _allow_descriptors((3 if settings.certificate else 2) * settings.limits.connections + _OTHER_DESCRIPTORS)
     listener = _bind(settings.host, settings.port)
     try:
         app = create_app(settings, tuple(streams))
         registry: Registry = app.state.registry
+        certificates = certificates_of(settings)
         config = server_config(app, settings)
         if settings.metrics_port is not None:
             _start_metrics(settings, registry)
-        server = Server(config, registry)
+        server = Server(config, registry, certificates)
         logging.getLogger("uvicorn.error").addFilter(_is_no_cancellation)
         threading.Thread(target=_warm, name="warm", daemon=True).start()
-        with _reload_on_hangup(config, registry):
+        with _reload_on_hangup(certificates, registry):
             host, port = listener.getsockname()[:2]
             scheme = "https" if settings.certificate else "http"
             _LOG.info("listening at %s://%s:%d", scheme, f"[{host}]" if ":" in host else host, port)
             server.run(sockets=[listener])
     finally:
         listener.close()
+
+
+def certificates_of(settings: Settings) -> Certificates | None:
+    """The certificates of the settings, if they name some; InputError where these cannot be used."""
+    if settings.certificate is None or settings.certificate_key is None:
+        return None
+    return Certificates(settings.certificate, settings.certificate_key)
 
 
 def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
@@ -101,8 +133,6 @@ def server_config(app: FastAPI, settings: Settings) -> uvicorn.Config:
         server_header=False,
         proxy_headers=bool(settings.proxies),
         forwarded_allow_ips=list(settings.proxies),
-        ssl_certfile=settings.certificate,
-        ssl_keyfile=settings.certificate_key,
     )
 
 
@@ -172,15 +202,15 @@ def _start_metrics(settings: Settings, registry: Registry) -> None:
 
 
 @contextlib.contextmanager
-def _reload_on_hangup(config: uvicorn.Config, registry: Registry) -> Iterator[None]:
+def _reload_on_hangup(certificates: Certificates | None, registry: Registry) -> Iterator[None]:
     def reload(_: int, __: FrameType | None) -> None:
-        try:
-            registry.gate.reload()
-            if config.ssl is not None and config.ssl_certfile is not None:
-                config.ssl.load_cert_chain(config.ssl_certfile, config.ssl_keyfile)
-            _LOG.info("tokens and certificates were read again")
-        except (StreamlodError, OSError) as error:
-            _LOG.error("not reloaded, the earlier ones stay: %s", error)
+        for name, part in (("tokens", registry.gate), ("certificates", certificates)):
+            try:
+                if part is not None:
+                    part.reload()
+                    _LOG.info("%s were read again", name)
+            except StreamlodError as error:
+                _LOG.error("%s were not read again, the earlier ones stay: %s", name, error)
 
     if sys.platform == "win32":
         yield

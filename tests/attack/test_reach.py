@@ -10,6 +10,7 @@ import pytest
 
 from streamlod.core.errors import InputError
 from streamlod.server.api.reach import check_reach, is_reachable
+from streamlod.server.auth.gate import EVERYTHING, Grant, Right
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
@@ -134,7 +135,7 @@ def test_an_address_does_not_make_ffmpeg_listen_elsewhere(query: str) -> None:
     settings = Settings(networks=("127.0.0.0/8",), listen=("127.0.0.1:5000",))
     for source in (f"tcp://127.0.0.1:5000{query}", f"udp://127.0.0.1:5000{query}", f"srt://127.0.0.1:5000{query}"):
         with pytest.raises(InputError, match="has the option"):
-            check_reach(StreamSpec(job=TrainJob(live=rig(source))), settings)
+            check_reach(StreamSpec(job=TrainJob(live=rig(source))), settings, EVERYTHING)
 
 
 def test_public_addresses_and_harmless_options_are_taken() -> None:
@@ -144,4 +145,50 @@ def test_public_addresses_and_harmless_options_are_taken() -> None:
         "srt://9.9.9.9:9000?mode=caller&latency=200000",
         "tcp://9.9.9.9:80",
     ):
-        check_reach(StreamSpec(job=TrainJob(live=rig(source))), settings)
+        check_reach(StreamSpec(job=TrainJob(live=rig(source))), settings, EVERYTHING)
+
+
+@pytest.mark.parametrize("field", ["play", "data", "live", "points", "calibration", "source"])
+def test_of_the_state_folder_only_recordings_that_the_token_may_watch_are_read(tmp_path: Path, field: str) -> None:
+    """Also where a root holds the state folder, and whether or not a file is there."""
+    grant = Grant(frozenset({Right.CONTROL, Right.READ}), "stage-*")
+    state = tmp_path / "state"
+    for name in ("main", "stage-1"):
+        (state / "streams" / name).mkdir(parents=True)
+        (state / "streams" / name / "000001-0000000000.slod").write_bytes(b"")
+    (tmp_path / "link").symlink_to(state / "streams" / "main")
+
+    def spec(path: object) -> StreamSpec:
+        match field:
+            case "play":
+                return StreamSpec(id="stage-x", play=Path(str(path)))
+            case "calibration":
+                return StreamSpec(job=TrainJob(live=rig("push:", calibration=str(path))))
+            case "source":
+                return StreamSpec(job=TrainJob(live=rig(f"file://{path}")))
+            case "points":
+                return StreamSpec(job=TrainJob(live=rig("push:"), points=str(path)))
+        return StreamSpec(job=TrainJob(**{field: Path(str(path))}))
+
+    for roots in ((), (tmp_path,)):
+        settings = Settings(roots=roots, state=state)
+        check_reach(spec(state / "streams" / "stage-1" / "000001-0000000000.slod"), settings, grant)
+        refusals = set()
+        for path in (
+            state / "streams" / "main" / "000001-0000000000.slod",
+            state / "streams" / "main" / "none.slod",
+            state / "streams" / "stage-1" / ".." / "main" / "000001-0000000000.slod",
+            state / "streams" / "other" / "none.slod",
+            state / "streams" / "stage-1",
+            state / "streams",
+            state / "secret.key",
+            state,
+            tmp_path / "link" / "000001-0000000000.slod",
+        ):
+            with pytest.raises(InputError) as refused:
+                check_reach(spec(path), settings, grant)
+            refusals.add(str(refused.value))
+        assert len(refusals) == 1
+        with pytest.raises(InputError):
+            check_reach(spec(state / "streams" / "main" / "x"), settings, Grant(frozenset({Right.CONTROL})))
+        check_reach(spec(state / "streams" / "main" / "x"), settings, EVERYTHING)

@@ -26,7 +26,7 @@ from streamlod.server.api.registry import Registry
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.packets import PacketWindow, Position
 from streamlod.server.service.app import create_app
-from streamlod.server.service.run import Server, server_config
+from streamlod.server.service.run import Server, certificates_of, server_config
 from streamlod.server.settings import Settings
 from tests.codec.scenes import make_scene, move
 
@@ -121,7 +121,7 @@ def running(settings: Settings, *specs: StreamSpec, port: int = 0, confined: boo
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.bind(("127.0.0.1", port))
     listener.listen(256)
-    server = Server(server_config(app, settings), app.state.registry)
+    server = Server(server_config(app, settings), app.state.registry, certificates_of(settings))
     thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])))
     thread.start()
     try:

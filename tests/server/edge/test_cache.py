@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -18,6 +19,7 @@ import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed
 
+from streamlod.server.auth.gate import hash_token
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
 from tests.server.conftest import Clip, Running, Viewer, running, viewing
@@ -107,6 +109,29 @@ def test_a_recording_leaves_the_origin_once(clip: Clip, tmp_path: Path) -> None:
             assert play(proxy, [open_group]) == play(proxy, [open_group])
             assert "HIT" not in [status for path, status, *_ in proxy.entries(1) if path == open_group]
     assert counts["HIT"] / sum(counts.values()) > 0.9
+
+
+def test_what_was_fetched_with_a_token_or_a_signature_is_for_nobody_else(clip: Clip, tmp_path: Path) -> None:
+    entry = {"name": "reader", "sha256": hash_token("reader"), "rights": ["read"]}
+    (tmp_path / "tokens.json").write_text(json.dumps([entry]))
+    settings = Settings(tokens=tmp_path / "tokens.json")
+    bearer = {"Authorization": "Bearer reader"}
+    with running(settings, StreamSpec(play=clip.path, loop=False)) as origin:
+        with origin.client(headers=bearer) as client:
+            wait(lambda: client.get("/v1/streams/main").json()["state"] == "ended")
+            paths = [group["path"] for group in client.get("/v1/streams/main/manifest").json()["gops"]]
+            query = client.post("/v1/streams/main/links", json={"seconds": 60}).json()["query"]
+        with (
+            nginx(tmp_path, origin.port, (origin.port, origin.port)) as proxy,
+            httpx.Client(base_url=f"http://127.0.0.1:{proxy.port}", trust_env=False) as client,
+        ):
+            for path in paths:
+                for _ in range(2):
+                    assert client.get(path, headers=bearer).status_code == 200
+                    assert client.get(f"{path}?{query}").status_code == 200
+                assert client.get(path).status_code == 401
+                assert client.get(f"{path}?signature=no").status_code == 401
+            assert {status for _, status, *_ in proxy.entries(6 * len(paths))} <= {"BYPASS", "MISS"}
 
 
 def test_viewers_of_an_edge_that_drains_go_on_at_the_other_one(long_clip: Clip, tmp_path: Path) -> None:
