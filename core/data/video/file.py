@@ -14,7 +14,7 @@ import av.video.stream
 
 from streamlod.core.data.files import blaming
 from streamlod.core.data.pictures import MAX_SIDE
-from streamlod.core.data.video.grid import rate_of
+from streamlod.core.data.video.grid import MAX_RATE, MIN_RATE, rate_of
 from streamlod.core.data.video.times import PictureTimes, pictures_of, timed_pictures
 from streamlod.core.data.video.upright import upright_size
 from streamlod.core.errors import InputError
@@ -69,7 +69,10 @@ def probe_video(path: Path) -> VideoInfo:
     if not found:
         raise InputError(path, "holds no picture with a time")
     found.sort()
-    return VideoInfo(width, height, rate_of(found, rate), tuple(found))
+    fps = rate_of(found, rate)
+    if not MIN_RATE <= fps <= MAX_RATE:
+        raise InputError(path, f"has {fps:g} pictures a second; rates of {MIN_RATE:g} to {MAX_RATE:g} can be used")
+    return VideoInfo(width, height, fps, tuple(found))
 
 
 def read_video(path: Path) -> Generator[tuple[int, av.VideoFrame], None, None]:
@@ -103,10 +106,10 @@ def _first_picture(path: Path) -> tuple[tuple[int, int], int]:
 
 
 def _declared_rate(stream: av.video.stream.VideoStream, path: Path) -> Fraction:
-    rate = stream.guessed_rate or stream.average_rate
-    if not rate or rate < 0:
-        raise InputError(path, "does not say its frame rate; write it again with ffmpeg -r FPS")
-    return rate
+    for rate in (stream.guessed_rate, stream.average_rate):
+        if rate is not None and MIN_RATE <= rate <= MAX_RATE:
+            return rate
+    raise InputError(path, "does not say its frame rate; write it again with ffmpeg -r FPS")
 
 
 @contextlib.contextmanager

@@ -11,6 +11,7 @@ from itertools import pairwise
 from statistics import median
 
 _SECOND_NS = 1_000_000_000
+MIN_RATE, MAX_RATE = 0.01, 1000.0  # instants a second of a rig
 _STEADY = 0.25  # of a period
 _USUAL = 0.01  # how far a usual rate may be from the measured one
 
@@ -87,6 +88,8 @@ def rate_of(times_ns: Sequence[int], declared: Fraction) -> float:
     for _ in range(3):
         period = sum(steps) / sum(max(1, round(step / period)) for step in steps)
     measured = _SECOND_NS / period
+    if not MIN_RATE <= measured <= MAX_RATE:
+        return measured
     usual = [float(declared), round(measured), round(measured * 1.001) / 1.001]
     periods = (times_ns[-1] - times_ns[0]) / period
     near = [rate for rate in usual if abs(rate / measured - 1) < max(_USUAL, _STEADY / periods)]

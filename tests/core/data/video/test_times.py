@@ -128,6 +128,17 @@ def test_a_file_without_times_is_counted_at_the_rate_given(tmp_path: Path) -> No
     assert [read_back(upright(frame))[1] for _, frame in pictures] == list(range(24))
 
 
+@pytest.mark.parametrize("apart", [10**9, 10**12, 1])
+def test_times_that_no_camera_has_are_refused(tmp_path: Path, apart: int) -> None:
+    path = tmp_path / "cam.mkv"
+    write_video(path, PICTURES[:3], times=[0, apart, 2 * apart], time_base=Fraction(1, 1000))
+    if apart == 1:
+        assert probe_video(path).fps == 1000
+        return
+    with pytest.raises(InputError, match=r"cam\.mkv: (has .* pictures a second|does not say its frame rate)"):
+        probe_video(path)
+
+
 def test_a_file_without_any_keyframe_is_refused(tmp_path: Path) -> None:
     write_video(tmp_path / "whole.mp4", PICTURES[:6], options={"g": "30"})
     copy_video(tmp_path / "whole.mp4", tmp_path / "joined.mkv", skip=2)
