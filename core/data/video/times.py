@@ -26,9 +26,12 @@ _OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
 
 
 def pictures_of(container: av.container.InputContainer) -> av.video.stream.VideoStream | None:
-    """The video in a file; None where it holds none, or only a still picture that goes with its sound."""
-    moving = [s for s in container.streams.video if not s.disposition & av.stream.Disposition.attached_pic]
-    return moving[0] if moving else None
+    """The video in a file; None where it holds none that can be decoded but a still picture beside its sound."""
+    for stream in container.streams.video:
+        unknown = getattr(stream, "codec_context", None) is None  # a codec that FFmpeg does not have
+        if not unknown and not stream.disposition & av.stream.Disposition.attached_pic:
+            return stream
+    return None
 
 
 class PictureTimes:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import av
+import numpy as np
 import pytest
 
 from streamlod.core.data.video import probe_video, read_video
+from streamlod.core.data.video.pairing import paired
 from streamlod.core.data.video.upright import upright
-from tests.core.data.writers import picture, read_back, write_video
+from streamlod.core.errors import InputError
+from tests.core.data.writers import picture, put_display_matrix, read_back, write_video
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
@@ -39,3 +42,35 @@ def test_colours_follow_the_files_matrix(tmp_path: Path, tag: object, expected: 
         container.mux(stream.encode(None))
     ((_, frame),) = read_video(path)
     assert abs(upright(frame)[0, 0].astype(int) - expected).max() <= 2
+
+
+def test_a_codec_that_nobody_knows_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cam.mkv"
+    write_video(path, [picture(0, t) for t in range(3)])
+    path.write_bytes(path.read_bytes().replace(b"V_MPEG4/ISO/AVC", b"V_MPEG4/ISO/XXX"))
+    with pytest.raises(InputError, match=r"cam\.mkv: holds no pictures"):
+        probe_video(path)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+def test_damaged_bytes_are_read_or_refused(tmp_path: Path, suffix: str) -> None:
+    """Above all those of headers and index, at either end of the file."""
+    path, rng = tmp_path / f"cam{suffix}", np.random.default_rng(2)
+    write_video(path, [picture(0, t) for t in range(6)], options={"bf": "2", "g": "3"})
+    if suffix == ".mp4":
+        put_display_matrix(path, 0, 1, -1, 0)
+    whole = probe_video(path)
+    data = path.read_bytes()
+    read = 0
+    for _ in range(60):
+        damaged = bytearray(data)
+        for _ in range(int(rng.integers(1, 5))):
+            at = int(rng.choice([rng.integers(len(data)), rng.integers(600), len(data) - 1 - rng.integers(600)]))
+            damaged[at] = int(rng.choice([0, 127, 128, 255, rng.integers(256)]))
+        path.write_bytes(damaged)
+        try:
+            paired([path, path], [whole, probe_video(path)])
+            read += sum(1 for _, frame in read_video(path) if upright(frame).size)
+        except InputError as error:
+            assert "\n" not in str(error)  # noqa: PT017 - the sentence is one line, whatever is wrong
+    assert read > 0
