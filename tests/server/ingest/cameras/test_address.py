@@ -8,6 +8,7 @@ import pytest
 
 from streamlod.core.errors import InputError
 from streamlod.server.api.reach import check_reach
+from streamlod.server.auth.gate import EVERYTHING
 from streamlod.server.ingest.cameras.address import local_file, parse_address
 from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.pipeline.job import TrainJob
@@ -69,7 +70,7 @@ def test_an_escaped_path_does_not_lead_out_of_the_folders_that_streams_may_read(
         rig = {"fps": 30, "cameras": [{"name": "cam0", "source": place}]}
         spec = StreamSpec("clip", job=TrainJob(live=rig))
         if allowed:
-            check_reach(spec, settings)
+            check_reach(spec, settings, EVERYTHING)
         else:
             with pytest.raises(InputError, match=r"live\.cameras\.0\.source"):
-                check_reach(spec, settings)
+                check_reach(spec, settings, EVERYTHING)
