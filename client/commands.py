@@ -20,7 +20,8 @@ from streamlod.client.inspection import describe_file
 from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
 from streamlod.client.viewpoints import CameraPath, camera_named, orbit, read_poses
-from streamlod.codec.export import FORMATS, bake, write_snapshot
+from streamlod.codec.export import bake, write_snapshot
+from streamlod.codec.snapshots import FORMATS
 from streamlod.core.arrays import Float64
 from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
@@ -117,8 +118,9 @@ def export(
     """
     if file_format not in FORMATS:
         raise InputError("--format", f"{file_format} is not one of {', '.join(FORMATS)}")
+    suffix = FORMATS[file_format].suffix
     if not sequence:
-        path = out or scene.with_name(f"{scene.stem}-{frame:05d}.{file_format}")
+        path = out or scene.with_name(f"{scene.stem}-{frame:05d}{suffix}")
         state = decode_version(scene, _existing(scene, frame))
         path.parent.mkdir(parents=True, exist_ok=True)
         return _snapshot(path, state, viewpoint, file_format)
@@ -129,9 +131,19 @@ def export(
     for decoded in tqdm(decode_frames(scene), unit="frame", desc="export"):
         version = decoded.scene.version
         if version >= frame:
-            _snapshot(folder / f"frame_{version:05d}.{file_format}", decoded.scene, viewpoint, file_format)
+            _snapshot(folder / f"frame_{version:05d}{suffix}", decoded.scene, viewpoint, file_format)
             count += 1
     return f"{count} snapshots in {folder}, colours {_origin(viewpoint)}"
+
+
+def import_scene(source: Path, out: Path | None, fps: float, gaussians: int) -> str:
+    """Write plain Gaussians, a file or a folder with one for each frame, as a `.slod` file; says what was kept."""
+    from streamlod.codec.imported import import_files
+
+    with tqdm(unit="file", desc="import", delay=0.5) as bar:
+        return import_files(
+            source, out or source.with_name(f"{source.stem}.slod"), fps, gaussians, lambda _: bar.update()
+        )
 
 
 def _existing(scene: Path, frame: int) -> int:

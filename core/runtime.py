@@ -48,8 +48,12 @@ def kernel_cache_folder() -> Path:
     digest = hashlib.blake2b(digest_size=6)
     for source in kernel_sources(_ROOT).values():
         digest.update(source)
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "streamlod" / "numba" / digest.hexdigest()
+    return cache_folder() / "numba" / digest.hexdigest()
+
+
+def cache_folder() -> Path:
+    """Where streamlod keeps what it can make again: below ``XDG_CACHE_HOME`` (``~/.cache``)."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "streamlod"
 
 
 def kernel_sources(root: Path) -> dict[str, bytes]:

@@ -66,11 +66,23 @@ def read_points(path: Path) -> PointCloud:
     return PointCloud(np.ascontiguousarray(positions), np.clip(colours, 0, 1).astype(np.float32))
 
 
+def read_vertices(path: Path) -> NDArray[Any]:
+    """The vertices of a PLY file, a field for each of their properties.
+
+    Raises:
+        InputError: the file cannot be read, is damaged or too large.
+    """
+    try:
+        with path.open("rb") as file:
+            header = _ply_header(path, file)
+            size_bytes = path.stat().st_size - file.tell()
+            return (_binary_table if header.binary else _ascii_table)(path, file, header, size_bytes)
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+
+
 def _read_ply(path: Path) -> tuple[NDArray[Any], Float32]:
-    with path.open("rb") as file:
-        header = _ply_header(path, file)
-        size_bytes = path.stat().st_size - file.tell()
-        table = (_binary_table if header.binary else _ascii_table)(path, file, header, size_bytes)
+    table = read_vertices(path)
     if not {"x", "y", "z"} <= set(table.dtype.names or ()):
         raise InputError(path, "its vertices lack x, y or z")
     return np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float64), _ply_colours(table)

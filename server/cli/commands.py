@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
+import logging
 import os
 import pkgutil
 import re
@@ -18,6 +20,7 @@ from tqdm import tqdm
 
 from streamlod.core.errors import BackendUnavailable, InputError, TrainingCutShort
 from streamlod.core.files import write_text
+from streamlod.core.runtime import cache_folder
 from streamlod.server.pipeline.trace import chrome_trace
 
 if TYPE_CHECKING:
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
 
 _BENCHES = "tests.bench"
 _SUFFIX = "_bench"
+_LOG = logging.getLogger(__name__)
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -112,6 +116,28 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
     spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
     spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""
     return f"{out}: {len(encoded)} frames, {out.stat().st_size / 1000:.1f} KB, {spent}"
+
+
+def playable(path: Path) -> Path:
+    """The `.slod` file to play for `path`: itself, or one made of the Gaussians of a file or folder, kept in the cache.
+
+    Raises:
+        InputError: no file of Gaussians can be read there, or the cache cannot be written.
+    """
+    from streamlod.codec.imported import import_files, is_importable
+
+    if not path.exists() or not is_importable(path):
+        return path
+    newest = max(each.stat().st_mtime_ns for each in (path, *(path.iterdir() if path.is_dir() else ())))
+    name = hashlib.blake2b(f"{path.resolve()} {newest}".encode(), digest_size=8).hexdigest()
+    made = cache_folder() / "imported" / f"{name}.slod"
+    if not made.exists():
+        try:
+            made.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(made.parent, f"cannot be made ({error.strerror}); use streamlod import") from error
+        _LOG.info("%s", import_files(path, made))
+    return made
 
 
 def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
+from streamlod.codec.snapshots import FORMATS
 from streamlod.core.background_log import LOG_FORMAT
 from streamlod.core.errors import InputError
 from streamlod.core.version import streamlod_version
@@ -34,7 +35,6 @@ from streamlod.server.cli.options import (
     Preset,
     Seed,
     SlodFile,
-    SnapshotFormat,
     SplitFile,
     Test,
     Tokens,
@@ -147,6 +147,8 @@ def serve(
     )  # fmt: skip
     streams = tuple(stream.spec for stream in settings.streams)
     if any(options[name] is not None for name in (*SOURCES, "play")):
+        if options["play"] is not None:
+            options["play"] = _load("streamlod.server.cli.commands:playable")(options["play"])
         for name in ("data", "live"):
             if options[name] is not None:
                 _require_folder(options[name])
@@ -249,12 +251,23 @@ def export(
     view: Annotated[
         str, typer.Option(metavar="cam00|average", help="Where view-dependent colour is frozen.")
     ] = "average",
-    format: Annotated[SnapshotFormat, typer.Option(help="File format.")] = SnapshotFormat.ply,
+    format: Annotated[str, typer.Option(metavar="|".join(FORMATS), help="File format.")] = "ply",
     out: Annotated[Path | None, typer.Option(help="File, or folder of a sequence.")] = None,
     sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,
 ) -> None:
     """Write a snapshot as plain 3D Gaussians that other viewers and editors read."""
-    _call("streamlod.client.commands:export", scene, frame, view, format.value, out, sequence)
+    _call("streamlod.client.commands:export", scene, frame, view, format, out, sequence)
+
+
+@app.command("import")
+def import_scene(
+    source: Annotated[Path, typer.Argument(metavar="FILE|DIR", help="Gaussians (.ply, .spz), or a folder of frames.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Beside the source by default.")] = None,
+    fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Of a folder's frames.")] = 30.0,
+    gaussians: Annotated[int, typer.Option(min=1, help="Keep so many at most, those that show most.")] = 262_144,
+) -> None:
+    """Make a file that can be served and viewed of Gaussians that other programs wrote."""
+    _call("streamlod.client.commands:import_scene", source, out, fps, gaussians)
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -17,13 +16,6 @@ from streamlod.server.pipeline.options import Option
 
 # As in JSON, but bounded, and the sign of an exponent is needed: 123456e12 is the id of a viewer.
 _NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,17})?([eE][-+][0-9]{1,2})?")
-
-
-class SnapshotFormat(StrEnum):
-    """Of exported snapshots."""
-
-    ply = "ply"
-    spz = "spz"
 
 
 def names_in(text: str) -> tuple[str, ...]:

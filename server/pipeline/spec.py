@@ -24,7 +24,12 @@ class StreamSpec:
 
     id: str = option("main", "Name in addresses: 1 to 64 lower-case letters, digits, - or _.", pattern=_ID)
     job: TrainJob | None = None
-    play: Path | None = option(None, "Stream a recorded file in real time.", metavar="FILE.slod", max_length=MAX_PATH)
+    play: Path | None = option(
+        None,
+        "Stream a recorded file in real time (by hand also .ply, .spz).",
+        metavar="FILE.slod",
+        max_length=MAX_PATH,
+    )
     loop: bool = option(True, "Begin a played file again at its end.")
     on_demand: bool = option(False, "Start with the first viewer, and stop some time after the last one.")
 

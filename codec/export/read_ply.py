@@ -1,0 +1,42 @@
+"""PLY files of Gaussians, in the layout of the original 3D Gaussian splatting code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from streamlod.codec.export.ply import SH_C0
+from streamlod.core.errors import InputError
+from streamlod.core.initialise.points_file import read_vertices
+from streamlod.core.scene.gaussians import GaussianCloud
+
+_NAMES = (
+    *("x", "y", "z", "rot_0", "rot_1", "rot_2", "rot_3", "scale_0", "scale_1", "scale_2"),
+    *("opacity", "f_dc_0", "f_dc_1", "f_dc_2"),
+)
+_MAX_LOG = 20.0  # of scales, and of opacities
+
+
+def decode_ply(path: Path) -> GaussianCloud:
+    """The Gaussians of a file; colour of the view's direction is dropped, as are rows that hold no finite number.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, or is one of points or of another layout.
+    """
+    table = read_vertices(path)
+    missing = [name for name in _NAMES if name not in (table.dtype.names or ())]
+    if missing:
+        raise InputError(path, f"is no PLY of Gaussians: its vertices lack {', '.join(missing)}")
+    with np.errstate(over="ignore"):
+        columns = np.stack([table[name].astype(np.float32) for name in _NAMES], axis=1)
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    means, quaternions, scales, opacity, colours = np.split(columns, [3, 7, 10, 11], axis=1)
+    parts = (
+        means,
+        quaternions,
+        np.exp(np.clip(scales, -_MAX_LOG, _MAX_LOG)),
+        1 / (1 + np.exp(-np.clip(opacity[:, 0], -_MAX_LOG, _MAX_LOG))),
+        np.clip(0.5 + SH_C0 * colours, 0, 1),
+    )
+    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))

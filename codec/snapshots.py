@@ -1,0 +1,67 @@
+"""The table of snapshot formats: the one place that names them for the command line, the exporter and the importer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # the command line reads the table, and loads no arrays for it
+    from streamlod.core.scene.gaussians import GaussianCloud
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotFormat:
+    """One format of files of plain Gaussians.
+
+    Attributes:
+        name: as users write it. suffix: of its files, with the dot.
+        encode: the bytes of a cloud, with a comment of one line where the format has room for it.
+        decode: the cloud of a file; None where only writing is known. Both raise: ValueError on what the format cannot
+            hold, InputError on a file that cannot be read.
+    """
+
+    name: str
+    suffix: str
+    encode: Callable[[GaussianCloud, str], bytes]
+    decode: Callable[[Path], GaussianCloud] | None
+
+
+def _encode_ply(cloud: GaussianCloud, comment: str) -> bytes:
+    from streamlod.codec.export.ply import encode_ply
+
+    return encode_ply(cloud, comment)
+
+
+def _decode_ply(path: Path) -> GaussianCloud:
+    from streamlod.codec.export.read_ply import decode_ply
+
+    return decode_ply(path)
+
+
+def _encode_spz(cloud: GaussianCloud, comment: str) -> bytes:
+    from streamlod.codec.export.spz import encode_spz
+
+    return encode_spz(cloud)
+
+
+def _decode_spz(path: Path) -> GaussianCloud:
+    from streamlod.codec.export.read_spz import decode_spz
+
+    return decode_spz(path)
+
+
+FORMATS = {
+    each.name: each
+    for each in (
+        SnapshotFormat("ply", ".ply", _encode_ply, _decode_ply),
+        SnapshotFormat("spz", ".spz", _encode_spz, _decode_spz),
+    )
+}
+
+
+def format_of(path: Path) -> SnapshotFormat | None:
+    """The format that can read a file of this name; None where none can."""
+    known = (each for each in FORMATS.values() if each.decode is not None)
+    return next((each for each in known if path.name.lower().endswith(each.suffix)), None)

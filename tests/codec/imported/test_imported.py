@@ -1,0 +1,202 @@
+"""Gaussians of other programs as streams: what is shown is what was in the files, and frames become changes."""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import struct
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import gsply
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from streamlod.client.inspection import describe_file
+from streamlod.client.recording import decode_frames, decode_version
+from streamlod.codec.container import SlodReader
+from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.imported import import_files, is_importable
+from streamlod.codec.packet.packet import PacketKind
+from streamlod.codec.snapshots import FORMATS, format_of
+from streamlod.core.errors import InputError
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import expand
+from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.server.cli.commands import playable
+
+FAR = np.array([0.0, 0.0, -100.0])
+
+
+def _cloud(frame: int = 0, count: int = 400, growth: float = 0.05) -> GaussianCloud:
+    """Gaussians that sway, turn, and grow by a share with each frame."""
+    rng = np.random.default_rng(1)
+    means, quaternions = rng.normal(0, 1, (count, 3)), rng.normal(0, 1, (count, 4))
+    means[:, 0] += 0.1 * frame * np.sin(means[:, 1])
+    quaternions[:, 1] += 0.2 * frame
+    scales = np.exp(rng.normal(-4, 1, (count, 3))) * (1 + growth * frame)
+    parts = (means, quaternions, scales, rng.uniform(0.05, 0.99, count), rng.uniform(0.02, 0.98, (count, 3)))
+    return GaussianCloud(*(part.astype(np.float32) for part in parts))
+
+
+def _write(folder: Path, clouds: list[GaussianCloud], name: str = "ply") -> Path:
+    folder.mkdir(exist_ok=True)
+    for number, cloud in enumerate(clouds):
+        (folder / f"frame_{number}{FORMATS[name].suffix}").write_bytes(FORMATS[name].encode(cloud, "a test"))
+    return folder
+
+
+def _assert_shows(scene: Scene, cloud: GaussianCloud, scale: float) -> None:
+    shown = expand(scene, FAR)
+    distance, row = cKDTree(cloud.means).query(shown.means)
+    assert sorted(row) == list(range(len(cloud)))
+    assert distance.max() < np.ptp(cloud.means, axis=0).max() / 2**16
+    np.testing.assert_allclose(shown.opacities, cloud.opacities[row], atol=0.012)
+    np.testing.assert_allclose(shown.colours, cloud.colours[row], atol=0.012)
+    np.testing.assert_allclose(np.log(shown.scales), np.log(cloud.scales[row]), atol=scale)
+    turned, wanted = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (shown.quaternions, cloud.quaternions[row]))
+    assert (1 - np.abs((turned * wanted).sum(axis=1))).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", [each.name for each in FORMATS.values() if each.decode is not None])
+def test_a_file_shows_its_gaussians_and_stays_alive(tmp_path: Path, name: str) -> None:
+    path = _write(tmp_path, [_cloud()], name) / f"frame_0{FORMATS[name].suffix}"
+    assert import_files(path, tmp_path / "a.slod") == f"{tmp_path / 'a.slod'}: 1 frame of 400 Gaussians, 1 keyframes"
+    _assert_shows(decode_version(tmp_path / "a.slod", 0), _cloud(), 0.04)
+    with SlodReader(tmp_path / "a.slod") as reader:
+        assert [entry.time_ns for entry in reader.entries[:3]] == [0, 10**9, 2 * 10**9]
+        assert sum(entry.size_bytes for entry in reader.entries[1:]) < 10_000
+    assert "title: frame_0" in describe_file(tmp_path / "a.slod")
+
+
+def test_a_sequence_becomes_changes_in_natural_order(tmp_path: Path) -> None:
+    clouds = [_cloud(frame) for frame in range(12)]
+    folder = _write(tmp_path / "take", clouds)
+    (folder / "notes.txt").write_text("not a frame")
+    (folder / ".hidden.ply").write_text("not a frame")
+    assert "12 frames of 400 Gaussians, 1 keyframes" in import_files(folder, tmp_path / "a.slod", fps=24)
+    frames = list(decode_frames(tmp_path / "a.slod"))
+    for cloud, frame in zip(clouds, frames, strict=True):
+        _assert_shows(frame.scene, cloud, 0.02)
+    assert [round(frame.time_ns * 24 / 1e9) for frame in frames] == list(range(12))
+
+
+def test_another_number_of_gaussians_or_too_much_growth_makes_a_keyframe(tmp_path: Path) -> None:
+    clouds = [_cloud(), _cloud(count=300), _cloud(1, 300), _cloud(2, 300, growth=0.6)]
+    import_files(_write(tmp_path / "take", clouds), tmp_path / "a.slod")
+    with SlodReader(tmp_path / "a.slod") as reader:
+        kinds = [entry.kind for entry in reader.entries]
+    assert kinds == [PacketKind.KEY, PacketKind.KEY, PacketKind.CHANGE, PacketKind.KEY]
+    for cloud, frame in zip(clouds, decode_frames(tmp_path / "a.slod"), strict=True):
+        _assert_shows(frame.scene, cloud, 0.02)
+
+
+def test_those_that_show_most_are_kept_and_the_rest_told(tmp_path: Path) -> None:
+    cloud = _cloud()
+    path = _write(tmp_path, [cloud]) / "frame_0.ply"
+    assert "of 100 Gaussians, of 400 the 100 that show most" in import_files(path, tmp_path / "a.slod", most=100)
+    shown = expand(decode_version(tmp_path / "a.slod", 0), FAR)
+    sizes = np.sort(cloud.scales, axis=1)
+    least = np.sort(cloud.opacities * sizes[:, 1] * sizes[:, 2])[-100]
+    sizes = np.sort(shown.scales, axis=1)
+    assert (shown.opacities * sizes[:, 1] * sizes[:, 2]).min() > 0.9 * least
+
+
+def test_levels_hold_what_shows_most_first(tmp_path: Path) -> None:
+    import_files(_write(tmp_path, [_cloud()]) / "frame_0.ply", tmp_path / "a.slod")
+    scene = decode_version(tmp_path / "a.slod", 0)
+    assert [len(level) for level in scene.levels] == [25, 75, 300]
+    areas = [np.median(np.sort(level.scaling[:, 3:], axis=1)[:, 1:].sum(axis=1)) for level in scene.levels]
+    assert all(coarse > fine for coarse, fine in itertools.pairwise(areas))
+
+
+def test_files_of_another_program_are_read(tmp_path: Path) -> None:
+    """With spherical harmonics of degree 3, whose higher bands are left out; both versions of SPZ packing."""
+    cloud, rng = _cloud(), np.random.default_rng(0)
+    data = gsply.GSData(
+        means=cloud.means, scales=np.log(cloud.scales), quats=cloud.quaternions,
+        opacities=np.log(cloud.opacities / (1 - cloud.opacities)),
+        sh0=(cloud.colours - 0.5) / 0.28209479177387814, shN=rng.normal(0, 0.1, (400, 15, 3)).astype(np.float32),
+    )  # fmt: skip
+    gsply.plywrite(str(tmp_path / "a.ply"), data)
+    import_files(tmp_path / "a.ply", tmp_path / "a.slod")
+    _assert_shows(decode_version(tmp_path / "a.slod", 0), cloud, 0.02)
+    gsply.write_spz(tmp_path / "b.spz", data, version=3)
+    import_files(tmp_path / "b.spz", tmp_path / "b.slod")
+    assert len(expand(decode_version(tmp_path / "b.slod", 0), FAR)) == 400
+
+
+def test_files_that_are_damaged_or_something_else_are_refused_by_name(tmp_path: Path) -> None:
+    ply, spz = FORMATS["ply"].encode(_cloud(), "x"), FORMATS["spz"].encode(_cloud(), "")
+    head = struct.pack("<IIIBBBB", 0x5053474E, 3, 4_000_000_000, 0, 12, 0, 0)
+    points = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"
+    wrong = {
+        "cut.ply": ply[:-1], "points.ply": points, "empty.ply": b"", "text.ply": b"hello\n",
+        "cut.spz": spz[: len(spz) // 2], "none.spz": b"", "huge.spz": gzip.compress(head), "plain.spz": head,
+        "none.ply": ply.replace(b"vertex 400", b"vertex 0").partition(b"end_header\n")[0] + b"end_header\n",
+    }  # fmt: skip
+    for name, content in wrong.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=name):
+            import_files(tmp_path / name, tmp_path / "out.slod")
+    assert not (tmp_path / "out.slod").exists()
+    with pytest.raises(InputError, match="no file of Gaussians"):
+        import_files(tmp_path / "absent.obj", tmp_path / "out.slod")
+
+
+def test_a_bomb_of_zeros_is_not_unpacked(tmp_path: Path) -> None:
+    head = struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 0)
+    (tmp_path / "bomb.spz").write_bytes(gzip.compress(head + bytes(200 << 20)))
+    begin = time.process_time()
+    import_files(tmp_path / "bomb.spz", tmp_path / "a.slod")
+    assert time.process_time() - begin < 10
+
+
+def test_numbers_that_are_none_and_strays_far_away_spoil_nothing(tmp_path: Path) -> None:
+    cloud = _cloud()
+    means = cloud.means.copy()
+    means[3], means[7] = np.nan, (1e30, 0, 0)
+    strange = replace(cloud, means=means)
+    import_files(_write(tmp_path, [strange]) / "frame_0.ply", tmp_path / "a.slod")
+    shown = expand(decode_version(tmp_path / "a.slod", 0), FAR)
+    assert len(shown) == 398
+    assert cKDTree(cloud.means).query(shown.means)[0].max() < 1e-3
+
+
+def test_a_file_that_is_served_is_made_once_and_again_when_it_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = _write(tmp_path / "take", [_cloud()]) / "frame_0.ply"
+    made = playable(path)
+    decoder = SceneDecoder()
+    with SlodReader(made) as reader:
+        decoder.push(reader.read(0))
+    assert decoder.scene is not None
+    assert decoder.scene.anchor_count == 400
+    assert playable(path) == made
+    assert playable(tmp_path / "take") != made
+    path.write_bytes(FORMATS["ply"].encode(_cloud(count=90), "x"))
+    assert playable(path) != made
+    assert playable(made) == made
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_any_unit_will_do(tmp_path: Path, unit: float) -> None:
+    cloud = _cloud()
+    other = replace(cloud, means=cloud.means * np.float32(unit), scales=cloud.scales * np.float32(unit))
+    import_files(_write(tmp_path, [other]) / "frame_0.ply", tmp_path / "a.slod")
+    shown = expand(decode_version(tmp_path / "a.slod", 0), FAR * unit)
+    assert len(shown) == 400
+    assert cKDTree(other.means).query(shown.means)[0].max() < max(1e-4 * unit, 3e-7)
+    far = replace(cloud, means=cloud.means * np.float32(1e10))
+    with pytest.raises(InputError, match="cannot be made a stream"):
+        import_files(_write(tmp_path, [far]) / "frame_0.ply", tmp_path / "b.slod")
+
+
+def test_names_are_told_apart_by_their_suffix(tmp_path: Path) -> None:
+    assert format_of(Path("A.PLY")) is FORMATS["ply"]
+    assert format_of(Path("a.slod")) is None
+    assert not is_importable(tmp_path)
