@@ -97,7 +97,10 @@ def train(
     trace: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the stages as a Chrome trace.")] = None,
     **options: Any,
 ) -> None:
-    """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json."""
+    """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json.
+
+    A fault after the first frame, such as a damaged picture, ends the file there, whole, with exit code 2.
+    """
     _require_folder(data)
     job = TrainJob(data=data, **options)
     _call("streamlod.server.cli.commands:check_outputs", out, json, trace)

@@ -38,6 +38,7 @@ def train_recording(
     Raises:
         InputError: the recording, the choice of cameras or the place of the file cannot be used.
         BackendUnavailable: the device that the job asks for is not there.
+        TrainingCutShort: a fault after the first frame; the file is whole and holds the frames before it.
     """
     begin, count = time.perf_counter(), 0
 
