@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
 from streamlod.client.viewpoints import CameraPath, camera_named, orbit, read_poses
 from streamlod.codec.export import bake, write_snapshot
-from streamlod.codec.snapshots import FORMATS
+from streamlod.codec.snapshots import CLIP_FORMAT, CLIP_SUFFIX, FORMATS
 from streamlod.core.arrays import Float64
 from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
@@ -116,8 +116,10 @@ def export(
         viewpoint: a camera's name, at which view-dependent colour is frozen, or "average" over the rig.
         out: the file, or the folder of a sequence; beside the scene by default.
     """
+    if file_format == CLIP_FORMAT:
+        return _export_clip(scene, frame, viewpoint, out or scene.with_name(f"{scene.stem}{CLIP_SUFFIX}"))
     if file_format not in FORMATS:
-        raise InputError("--format", f"{file_format} is not one of {', '.join(FORMATS)}")
+        raise InputError("--format", f"{file_format} is not one of {', '.join((*FORMATS, CLIP_FORMAT))}")
     suffix = FORMATS[file_format].suffix
     if not sequence:
         path = out or scene.with_name(f"{scene.stem}-{frame:05d}{suffix}")
@@ -134,6 +136,26 @@ def export(
             _snapshot(folder / f"frame_{version:05d}{suffix}", decoded.scene, viewpoint, file_format)
             count += 1
     return f"{count} snapshots in {folder}, colours {_origin(viewpoint)}"
+
+
+def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
+    """Write the frames from `frame` on as one `.4dgs` file."""
+    from streamlod.codec.export.fourdgs_file import write_clip
+
+    first = decode_version(scene, _existing(scene, frame))
+    places = _viewpoints(first, viewpoint)
+    begin: int | None = None
+
+    def states() -> Iterator[tuple[float, Scene]]:
+        nonlocal begin
+        for decoded in tqdm(decode_frames(scene), unit="frame", desc="export"):
+            if decoded.scene.version >= frame:
+                begin = decoded.time_ns if begin is None else begin
+                yield (decoded.time_ns - begin) / 1e9, decoded.scene
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    count = write_clip(out, states(), places, first.metadata.title or scene.stem)
+    return f"{out}: {count} Gaussians over time, {out.stat().st_size / 1000:.1f} KB, colours {_origin(viewpoint)}"
 
 
 def import_scene(source: Path, out: Path | None, fps: float, gaussians: int) -> str:

@@ -61,6 +61,10 @@ FORMATS = {
 }
 
 
+CLIP_SUFFIX = ".4dgs"  # of files that hold a whole clip (`codec.export.fourdgs_file`)
+CLIP_FORMAT = "4dgs"
+
+
 def format_of(path: Path) -> SnapshotFormat | None:
     """The format that can read a file of this name; None where none can."""
     known = (each for each in FORMATS.values() if each.decode is not None)

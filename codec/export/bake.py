@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from streamlod.core.arrays import Float32, Float64
+from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand_slots, visible
 from streamlod.core.scene.gaussians import GaussianCloud, concatenate
@@ -25,13 +25,15 @@ def bake(scene: Scene, viewpoints: Float64) -> GaussianCloud:
     """
     if len(viewpoints) == 0:
         raise ValueError("baking needs at least one viewpoint")
-    points = viewpoints if scene.header.view_dependent else viewpoints[:1]
-    clouds = []
-    for number, level in enumerate(scene.levels):
-        rows = np.flatnonzero(level.alive)
-        views = [expand_slots(scene.header, scene.weights, number, level, rows, point) for point in points]
-        clouds.append(visible(_mean(views)))
-    return concatenate(clouds)
+    levels = enumerate(scene.levels)
+    return concatenate([baked_rows(scene, n, np.flatnonzero(level.alive), viewpoints) for n, level in levels])
+
+
+def baked_rows(scene: Scene, number: int, rows: Int64, viewpoints: Float64) -> GaussianCloud:
+    """The same for `rows` of level `number`, at one viewpoint or more."""
+    points, level = viewpoints if scene.header.view_dependent else viewpoints[:1], scene.levels[number]
+    views = [expand_slots(scene.header, scene.weights, number, level, rows, point) for point in points]
+    return visible(_mean(views))
 
 
 def _mean(views: list[GaussianCloud]) -> GaussianCloud:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.imported.field import Order, later, order_of, scene_of
 from streamlod.codec.packet.limits import DEFAULT_LIMITS
-from streamlod.codec.snapshots import FORMATS, format_of
+from streamlod.codec.snapshots import CLIP_SUFFIX, FORMATS, format_of
 from streamlod.core.errors import InputError
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.gaussians import GaussianCloud
@@ -25,14 +25,20 @@ _MAX_TITLE = 200  # characters
 
 
 def is_importable(path: Path) -> bool:
-    """Whether the path is a file of plain Gaussians, or a folder that holds some."""
-    return format_of(path) is not None or (path.is_dir() and any(format_of(child) for child in path.iterdir()))
+    """Whether the path is a file of plain Gaussians, one of a clip of them, or a folder that holds some."""
+    return (
+        _is_clip(path)
+        or format_of(path) is not None
+        or (path.is_dir() and any(format_of(child) for child in path.iterdir()))
+    )
 
 
 def import_files(
     source: Path, out: Path, fps: float = 30.0, most: int = MAX_GAUSSIANS, tell: Callable[[str], None] = lambda _: None
 ) -> str:
-    """Write the Gaussians of `source`, a file or a folder with one for each frame, as a stream; says what was kept.
+    """Write the Gaussians of `source`, a file, a clip or a folder with a file for each frame, as a stream.
+
+    Returns one line that says what was kept.
 
     Frames of as many Gaussians as the first, in one order, become changes; where the number differs, or a Gaussian
     grows by more than 1.9 since the keyframe, a new keyframe comes. View-dependent colour is dropped.
@@ -44,21 +50,22 @@ def import_files(
     Raises:
         InputError: no file of Gaussians, one that is damaged or holds none, or a place that cannot be written.
     """
-    files = _files(source)
+    clouds = _clip(source, fps) if _is_clip(source) else _read_all(_files(source), tell)
     title = "".join(c for c in source.stem if c.isprintable())[:_MAX_TITLE] or None
     writer = _Frames(fps, min(most, MAX_GAUSSIANS), title)
+    count = 0
     with SlodWriter(out) as slod:
-        for number, path in enumerate(files):
-            tell(path.name)
+        for path, cloud in clouds:
             try:
-                slod.append(writer.packet(number, _read(path)))
+                slod.append(writer.packet(count, cloud))
             except ValueError as error:  # numbers beyond the bounds of a scene header
                 raise InputError(path, f"cannot be made a stream: {error}") from error
-        for second in range(1, STILL_SECONDS + 1) if len(files) == 1 else ():
+            count += 1
+        for second in range(1, STILL_SECONDS + 1) if count == 1 else ():
             slod.append(writer.still(second))
     lost = f", of {writer.seen} the {writer.kept} that show most" if writer.kept < writer.seen else ""
-    count = f"{len(files)} frames" if len(files) > 1 else "1 frame"
-    return f"{out}: {count} of {writer.kept} Gaussians{lost}, {writer.keyframes} keyframes"
+    frames = f"{count} frames" if count > 1 else "1 frame"
+    return f"{out}: {frames} of {writer.kept} Gaussians{lost}, {writer.keyframes} keyframes"
 
 
 class _Frames:
@@ -118,11 +125,28 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
-def _read(path: Path) -> GaussianCloud:
-    known = format_of(path)
-    assert known is not None
-    assert known.decode is not None
-    cloud = known.decode(path)
+def _is_clip(path: Path) -> bool:
+    return path.name.lower().endswith(CLIP_SUFFIX) and path.is_file()
+
+
+def _clip(path: Path, fps: float) -> Iterator[tuple[Path, GaussianCloud]]:
+    """The frames of a `.4dgs` file."""
+    from streamlod.codec.export.fourdgs_file import read_clip
+
+    for cloud in read_clip(path, fps):
+        yield path, _some(path, cloud)
+
+
+def _read_all(files: list[Path], tell: Callable[[str], None]) -> Iterator[tuple[Path, GaussianCloud]]:
+    for path in files:
+        tell(path.name)
+        known = format_of(path)
+        assert known is not None
+        assert known.decode is not None
+        yield path, _some(path, known.decode(path))
+
+
+def _some(path: Path, cloud: GaussianCloud) -> GaussianCloud:
     if len(cloud) == 0:
         raise InputError(path, "holds no Gaussians")
     return cloud

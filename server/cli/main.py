@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
-from streamlod.codec.snapshots import FORMATS
+from streamlod.codec.snapshots import CLIP_FORMAT, FORMATS
 from streamlod.core.background_log import LOG_FORMAT
 from streamlod.core.errors import InputError
 from streamlod.core.version import streamlod_version
@@ -254,7 +254,9 @@ def export(
     view: Annotated[
         str, typer.Option(metavar="cam00|average", help="Where view-dependent colour is frozen.")
     ] = "average",
-    format: Annotated[str, typer.Option(metavar="|".join(FORMATS), help="File format.")] = "ply",
+    format: Annotated[
+        str, typer.Option(metavar="|".join((*FORMATS, CLIP_FORMAT)), help="File format; 4dgs holds all frames.")
+    ] = "ply",
     out: Annotated[Path | None, typer.Option(help="File, or folder of a sequence.")] = None,
     sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,
 ) -> None:
@@ -264,7 +266,7 @@ def export(
 
 @app.command("import")
 def import_scene(
-    source: Annotated[Path, typer.Argument(metavar="FILE|DIR", help="Gaussians (.ply, .spz), or a folder of frames.")],
+    source: Annotated[Path, typer.Argument(metavar="FILE|DIR", help=".ply, .spz, .4dgs, or a folder of frames.")],
     out: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Beside the source by default.")] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Of a folder's frames.")] = 30.0,
     gaussians: Annotated[int, typer.Option(min=1, help="Keep so many at most, those that show most.")] = 262_144,

@@ -1,0 +1,145 @@
+"""`.4dgs` files, a whole clip in one, by the package `fourdgs` (the optional part `interchange`).
+
+Each Gaussian is written for as long as its anchor stays as it is, so that what does not move is there once. Axes in
+such a file are right-up-back; those of a scene are right-down-forward.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from streamlod.codec.export.bake import baked_rows
+from streamlod.codec.export.ply import unit_quaternions
+from streamlod.codec.snapshots import CLIP_SUFFIX
+from streamlod.core.arrays import Float32, Float64, Int64
+from streamlod.core.errors import InputError
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.gaussians import GaussianCloud, concatenate
+
+MAX_BYTES = 1 << 30  # of a file that is read
+_AXES = np.array([1, -1, -1], np.float32)
+_HALF_TURN = {"y-up-right-handed": True, "": False}  # by the file's coordinate system; "" is one that says none
+_Span = tuple[GaussianCloud, float, float]  # Gaussians, and the seconds from which to which they are shown
+
+
+def library() -> ModuleType:
+    """The package; InputError says how to get it."""
+    try:
+        return importlib.import_module("fourdgs")
+    except ImportError as error:
+        raise InputError(CLIP_SUFFIX, "files need the package fourdgs: pip install 'streamlod[interchange]'") from error
+
+
+def write_clip(path: Path, frames: Iterable[tuple[float, Scene]], viewpoints: Float64, title: str) -> int:
+    """Write the states, each with the second at which it begins, as one file; the number of Gaussians written.
+
+    Args:
+        viewpoints: [V,3] over which view-dependent colour is averaged.
+
+    Raises:
+        InputError: no frame, no package, or numbers that the format cannot hold.
+    """
+    fourdgs, spans, end = library(), [], 0.0
+    for cloud, begin, end in _spans(frames, viewpoints):
+        spans.append((cloud, np.full(len(cloud), begin), np.full(len(cloud), end)))
+    if not spans:
+        raise InputError(path, "there is nothing to write")
+    cloud = concatenate([span[0] for span in spans])
+    count = len(cloud)
+    gaussians = fourdgs.GaussianSet(
+        positions=cloud.means * _AXES,
+        scales=cloud.scales,
+        rotations=_xyzw(unit_quaternions(cloud.quaternions) * np.append(np.float32(1), _AXES)),
+        colors=np.concatenate([cloud.colours, cloud.opacities[:, None]], axis=1),
+        motions=np.zeros((count, 3), np.float32),
+        mu_t=np.zeros(count, np.float32),
+        sigma_t=np.full(count, np.inf, np.float32),
+        win_lo=np.concatenate([span[1] for span in spans]),
+        win_hi=np.concatenate([span[2] for span in spans]),
+    )
+    facts = {"coordinate_system": "y-up-right-handed", "color_space": "srgb-rec709-display", "title": title}
+    options = fourdgs.WriteOptions(metadata=facts, library="streamlod")
+    try:
+        fourdgs.write(str(path), gaussians, end, options=options)
+    except fourdgs.FourdgsError as error:
+        raise InputError(path, str(error)) from error
+    return count
+
+
+def _spans(frames: Iterable[tuple[float, Scene]], viewpoints: Float64) -> Iterator[_Span]:
+    """Gaussians for as long as their anchors stay as they are."""
+    before: Scene | None = None
+    begins: list[Float64] = []
+    now, last, step = 0.0, 0.0, 1.0
+    for now, scene in frames:
+        step = now - last if before is not None else step
+        same = before is not None and (before.keyframe, before.identifier) == (scene.keyframe, scene.identifier)
+        for n in range(len(before.levels) if before is not None else 0):
+            assert before is not None
+            changed = _changed(before, scene, n) if same else np.flatnonzero(before.levels[n].alive)
+            yield from _shown(before, n, changed, begins[n], now, viewpoints)
+            begins[n][changed] = now
+        begins = [
+            np.concatenate([begins[n] if same else np.zeros(0), np.full(len(level), now)])[: len(level)]
+            for n, level in enumerate(scene.levels)
+        ]
+        before, last = scene, now
+    for n in range(len(before.levels) if before is not None else 0):
+        assert before is not None
+        yield from _shown(before, n, np.flatnonzero(before.levels[n].alive), begins[n], now + step, viewpoints)
+
+
+def _changed(before: Scene, after: Scene, number: int) -> Int64:
+    """Living rows of a level that are no longer what they were."""
+    old, new = before.levels[number], after.levels[number]
+    count = len(old)
+    differs = (old.position != new.position[:count]).any(axis=1) | (old.latent != new.latent[:count]).any(axis=1)
+    return np.flatnonzero(old.alive & (differs | ~new.alive[:count]))
+
+
+def _shown(scene: Scene, number: int, rows: Int64, begins: Float64, end: float, viewpoints: Float64) -> Iterator[_Span]:
+    for begin in np.unique(begins[rows]):
+        cloud = baked_rows(scene, number, rows[begins[rows] == begin], viewpoints)
+        if len(cloud) and end > begin:
+            yield cloud, float(begin), end
+
+
+def read_clip(path: Path, fps: float) -> Iterator[GaussianCloud]:
+    """The clip's Gaussians `fps` times a second; all of them each time, those that are not shown with opacity 0.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, too large, or has axes that are not known here.
+    """
+    fourdgs = library()
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(path, f"is larger than {MAX_BYTES} bytes")
+        clip = fourdgs.read(path.read_bytes(), recover_truncated=False)
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    except (fourdgs.FourdgsError, ValueError) as error:
+        raise InputError(path, f"is no .4dgs file that can be read: {error}") from error
+    system = clip.header.attributes.get("coordinate_system", "")
+    if system not in _HALF_TURN:
+        raise InputError(path, f"has the axes {system[:40]!r}; known are {', '.join(filter(None, _HALF_TURN))}")
+    axes = _AXES if _HALF_TURN[system] else np.ones(3, np.float32)
+    every = clip.gaussians
+    for number in range(max(1, round(clip.duration_sec * fps))):
+        state = clip.state_at(number / fps)
+        means, rotations = every.positions.astype(np.float32), every.rotations.astype(np.float32)
+        opacities, shown = np.zeros(len(means), np.float32), state["indices"]
+        means[shown], rotations[shown] = state["centers"], state["orientations"]
+        opacities[shown] = state["opacity"]
+        wxyz = np.roll(rotations, 1, axis=1) * np.append(np.float32(1), axes)
+        colours = np.clip(every.colors[:, :3], 0, 1)
+        parts = (means * axes, wxyz, every.scales, np.clip(opacities, 0, 1), colours)
+        yield GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+
+
+def _xyzw(quaternions: Float32) -> Float32:
+    return np.roll(quaternions, -1, axis=1)
