@@ -48,6 +48,10 @@ class StorageError(InputError):
     """The disk is full, or does not take what is to be stored; nothing was stored."""
 
 
+class StreamGoneError(InputError):
+    """What was asked for is of a stream that was deleted; another one may have its id."""
+
+
 class BitstreamError(StreamlodError):
     """Bytes are refused.
 

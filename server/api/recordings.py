@@ -80,8 +80,7 @@ async def delete_recording(
     """Delete what was recorded, or of it one encoder run or what lies between two times, in whole groups of pictures.
     The group that is being recorded stays."""
     registry = registry_of(request)
-    if stream_id in registry.kept and epoch is None and clock.is_open:
-        await registry.kept.pop(stream_id).erase()
+    if epoch is None and clock.is_open and await registry.erase_kept(stream_id):
         return
     chosen = {s.first for s in clock.choose(recording.segments) if epoch in (None, s.first.epoch)}
     if not chosen:

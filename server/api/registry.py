@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from streamlod.core.close_codes import CloseCode
-from streamlod.core.errors import InputError, SessionError, StorageError
+from streamlod.core.errors import InputError, SessionError, StorageError, StreamGoneError
 from streamlod.server.auth.gate import Gate
 from streamlod.server.ingest.push.socket_folder import SocketFolder
 from streamlod.server.pipeline.spec import StreamSpec, spec_from_json
@@ -56,6 +57,7 @@ class Registry:
         self.configured = frozenset(spec.id for spec in specs)  # which only the settings can change
         self.store = Store(settings.state, settings.retention) if settings.state else None
         self.streams: dict[str, Stream] = {}
+        self._locks: dict[str, tuple[asyncio.Lock, int]] = {}  # of ids, with how many use each
         self.sessions: dict[ViewerSession | ThinSession, str] = {}  # with the viewer's address
         self.renderer = PictureRenderer(settings.limits.thin_viewers, settings.limits.thin_pixels)
         self.turned_away: Counter[str] = Counter()  # connections, by close code or fault
@@ -90,6 +92,12 @@ class Registry:
             InputError: the id is taken, or there are too many streams.
             StorageError: the disk is full; nothing was added.
         """
+        async with self._changing(spec.id):
+            return await self._create(spec, start=start)
+
+    async def _create(self, spec: StreamSpec, *, start: bool) -> WorkerStream:
+        if self.draining:
+            raise InputError(f"stream {spec.id}", "cannot be created while the server stops; try again later")
         if spec.id in self.streams:
             raise InputError(f"stream {spec.id}", "the id is taken; choose another")
         if len(self.streams) >= self.settings.limits.streams:
@@ -116,25 +124,87 @@ class Registry:
     async def delete(self, stream: WorkerStream, *, erase: bool) -> None:
         """Remove a stream, with its recording if that is to be erased.
 
+        Its id is free when this is done, and not before.
+
         Raises:
+            StreamGoneError: somebody else has deleted it.
             StorageError: this cannot be remembered, as the disk is full; the stream is as it was.
         """
-        recording = stream.bus.recording
-        if recording is not None and not erase:
-            recording.note(definition=None, running=False)
-        del self.streams[stream.id]
-        await stream.delete(erase=erase)
-        if recording is not None and not erase:
-            self.kept[stream.id] = recording
-        self.feed.tell("stream.deleted", stream.id, erased=erase)
+        async with self._changing(stream.id):
+            self._check_present(stream)
+            recording = stream.bus.recording
+            if recording is not None and not erase:
+                recording.note(definition=None, running=False)
+            try:
+                await stream.delete(erase=erase)
+            finally:  # it has stopped for good, whatever of it cannot be erased
+                del self.streams[stream.id]
+            if recording is not None and not erase:
+                self.kept[stream.id] = recording
+            self.feed.tell("stream.deleted", stream.id, erased=erase)
 
-    def change(self, stream: WorkerStream, spec: StreamSpec) -> None:
+    async def start_stream(self, stream: WorkerStream) -> None:
+        """Start a stream's worker; one that runs goes on.
+
+        Raises:
+            StreamGoneError: it was deleted.
+            InputError: the server stops.
+        """
+        async with self._changing(stream.id):
+            self._check_present(stream)
+            if self.draining:
+                raise InputError(f"stream {stream.id}", "cannot be started while the server stops; try again later")
+            stream.start()
+
+    async def stop_stream(self, stream: WorkerStream) -> None:
+        """Stop a stream's worker.
+
+        Raises:
+            StreamGoneError: it was deleted.
+        """
+        async with self._changing(stream.id):
+            self._check_present(stream)
+            await stream.stop()
+
+    async def erase_kept(self, name: str) -> bool:
+        """Erase the recording of a stream that was deleted; returns whether there was one."""
+        async with self._changing(name):
+            recording = self.kept.pop(name, None)
+            if recording is not None:
+                await recording.erase()
+            return recording is not None
+
+    @contextlib.asynccontextmanager
+    async def _changing(self, name: str) -> AsyncIterator[None]:
+        """Wait until nobody else creates, starts, stops, changes or deletes the stream of this id."""
+        lock, waiting = self._locks.get(name, (asyncio.Lock(), 0))
+        self._locks[name] = lock, waiting + 1
+        try:
+            async with lock:
+                yield
+        finally:
+            lock, waiting = self._locks.pop(name)
+            if waiting > 1:
+                self._locks[name] = lock, waiting - 1
+
+    def _check_present(self, stream: WorkerStream) -> None:
+        """Refuse what is meant for a stream that is gone, whatever has its id now."""
+        if self.streams.get(stream.id) is not stream:
+            raise StreamGoneError(f"stream {stream.id}", "was deleted by somebody else")
+
+    async def change(self, stream: WorkerStream, spec: StreamSpec) -> None:
         """Make a stream from something else, from its next start on.
 
         Raises:
             InputError: it runs, or belongs to the settings.
+            StreamGoneError: it was deleted.
             StorageError: this cannot be remembered, as the disk is full; the stream is as it was.
         """
+        async with self._changing(stream.id):
+            self._check_present(stream)
+            self._change(stream, spec)
+
+    def _change(self, stream: WorkerStream, spec: StreamSpec) -> None:
         if stream.id in self.configured:
             raise InputError(f"stream {stream.id}", "is of the settings; change it there")
         if stream.is_running:
@@ -165,12 +235,16 @@ class Registry:
         self.renderer.close()
         for task in self._tasks:
             task.cancel()
-        stops = (stream.close() for stream in self.streams.values())
+        stops = (self._close(stream) for stream in list(self.streams.values()))
         await asyncio.gather(*self._tasks, *stops, return_exceptions=True)
         if self.store is not None:
             await asyncio.to_thread(self.store.close)
         if self._sockets is not None:
             self._sockets.close()
+
+    async def _close(self, stream: Stream) -> None:
+        async with self._changing(stream.id):
+            await stream.close()
 
     async def _wait_for_leaving(self, seconds: float) -> None:
         """Wait until all viewers have gone, for so long at most."""
@@ -207,8 +281,9 @@ class Registry:
     async def _begin(self, stream: WorkerStream, *, start: bool) -> None:
         restoring = asyncio.create_task(stream.restore())
         await asyncio.sleep(0)  # it has begun; the worker loads its code meanwhile, and continues from what is restored
-        if start and not self.draining:
-            stream.start()
+        if start:
+            with contextlib.suppress(InputError):  # deleted already, or the server stops
+                await self.start_stream(stream)
         await restoring
 
     async def _retain(self, store: Store) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 
 from streamlod.codec.container import SlodReader
-from streamlod.core.errors import BitstreamError, InputError, StorageError
+from streamlod.core.errors import BitstreamError, InputError, StorageError, StreamGoneError
 from streamlod.server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
 from streamlod.server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
 from streamlod.server.api.reach import check_reach
@@ -125,9 +125,11 @@ async def change_stream(
     check_match(stream, if_match)
     spec = await _checked(lambda: body.apply_to(stream.spec), request)
     try:
-        registry.change(stream, spec)
+        await registry.change(stream, spec)
     except StorageError as error:
         raise Problem(507, str(error)) from error
+    except StreamGoneError as error:
+        raise Problem(404, str(error)) from error
     except InputError as error:
         raise Problem(409, str(error)) from error
     response.headers.update(tag_headers(stream))
@@ -151,6 +153,8 @@ async def delete_stream(
         await registry_of(request).delete(stream, erase=erase)
     except StorageError as error:
         raise Problem(507, str(error)) from error
+    except StreamGoneError as error:
+        raise Problem(404, str(error)) from error
 
 
 async def _withdraw(registry: Registry, stream: WorkerStream) -> None:
@@ -160,6 +164,8 @@ async def _withdraw(registry: Registry, stream: WorkerStream) -> None:
         await registry.delete(stream, erase=recording is None or not recording.segments)
     except StorageError as error:
         raise Problem(507, str(error)) from error
+    except StreamGoneError:
+        return
 
 
 async def _until_placed(request: Request, stream: WorkerStream) -> str:
@@ -178,7 +184,12 @@ async def _until_placed(request: Request, stream: WorkerStream) -> str:
 async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Start the worker; one that runs goes on, an ended source begins again. Where the workers' cluster has no room for
     it the answer is 409, with what would have to stop."""
-    stream.start()
+    try:
+        await registry_of(request).start_stream(stream)
+    except StreamGoneError as error:
+        raise Problem(404, str(error)) from error
+    except InputError as error:
+        raise Problem(409, str(error)) from error
     if no_room := await _until_placed(request, stream):
         raise Problem(409, no_room)
     return StreamBody.model_validate(stream.describe())
@@ -191,9 +202,12 @@ async def start_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     dependencies=[need(Right.CONTROL), IfMatch],
     responses=_problems(412),
 )
-async def stop_stream(stream: WorkerStreamOf) -> StreamBody:
+async def stop_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
     """Stop the worker; viewers stay connected and the recording stays."""
-    await stream.stop()
+    try:
+        await registry_of(request).stop_stream(stream)
+    except StreamGoneError as error:
+        raise Problem(404, str(error)) from error
     return StreamBody.model_validate(stream.describe())
 
 

@@ -220,10 +220,11 @@ class WorkerStream(Stream):
             self._enter("idle")
 
     async def _end_worker(self) -> None:
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
-            self._task = None
+        if (task := self._task) is not None:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            if self._task is task:  # and not one that was started since
+                self._task = None
         self._placed.set()  # nobody waits for a worker that will not come
         self.worker_node = ""
         if self.bus.recording is not None:
