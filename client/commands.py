@@ -21,7 +21,7 @@ from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
 from streamlod.client.viewpoints import CameraPath, camera_named, orbit, read_poses
 from streamlod.codec.export import bake, write_snapshot
-from streamlod.codec.snapshots import CLIP_FORMAT, CLIP_SUFFIX, FORMATS
+from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS
 from streamlod.core.arrays import Float64
 from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
@@ -116,10 +116,12 @@ def export(
         viewpoint: a camera's name, at which view-dependent colour is frozen, or "average" over the rig.
         out: the file, or the folder of a sequence; beside the scene by default.
     """
-    if file_format == CLIP_FORMAT:
-        return _export_clip(scene, frame, viewpoint, out or scene.with_name(f"{scene.stem}{CLIP_SUFFIX}"))
+    if file_format in CLIP_SUFFIXES:
+        return _export_clip(
+            scene, frame, viewpoint, out or scene.with_name(f"{scene.stem}{CLIP_SUFFIXES[file_format]}")
+        )
     if file_format not in FORMATS:
-        raise InputError("--format", f"{file_format} is not one of {', '.join((*FORMATS, CLIP_FORMAT))}")
+        raise InputError("--format", f"{file_format} is not one of {', '.join((*FORMATS, *CLIP_SUFFIXES))}")
     suffix = FORMATS[file_format].suffix
     if not sequence:
         path = out or scene.with_name(f"{scene.stem}-{frame:05d}{suffix}")
@@ -139,7 +141,7 @@ def export(
 
 
 def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
-    """Write the frames from `frame` on as one `.4dgs` file."""
+    """Write the frames from `frame` on as one file, of the format that the suffix of `out` names."""
     from streamlod.codec.export.fourdgs_file import write_clip
 
     first = decode_version(scene, _existing(scene, frame))
@@ -154,7 +156,7 @@ def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
                 yield (decoded.time_ns - begin) / 1e9, decoded.scene
 
     out.parent.mkdir(parents=True, exist_ok=True)
-    count = write_clip(out, states(), places, first.metadata.title or scene.stem)
+    count = write_clip(out, states(), places, first.metadata, first.header.fps)
     return f"{out}: {count} Gaussians over time, {out.stat().st_size / 1000:.1f} KB, colours {_origin(viewpoint)}"
 
 

@@ -52,17 +52,29 @@ def _decode_spz(path: Path) -> GaussianCloud:
     return decode_spz(path)
 
 
+def _encode_glb(cloud: GaussianCloud, comment: str) -> bytes:
+    from streamlod.codec.export.fourdgs_file import encode_glb
+
+    return encode_glb(cloud)
+
+
+def _decode_glb(path: Path) -> GaussianCloud:
+    from streamlod.codec.export.fourdgs_file import decode_glb
+
+    return decode_glb(path)
+
+
 FORMATS = {
     each.name: each
     for each in (
         SnapshotFormat("ply", ".ply", _encode_ply, _decode_ply),
         SnapshotFormat("spz", ".spz", _encode_spz, _decode_spz),
+        SnapshotFormat("glb", ".glb", _encode_glb, _decode_glb),
     )
 }
 
 
-CLIP_SUFFIX = ".4dgs"  # of files that hold a whole clip (`codec.export.fourdgs_file`)
-CLIP_FORMAT = "4dgs"
+CLIP_SUFFIXES = {"4dgs": ".4dgs", "usd": ".usdc"}  # of files that hold a whole clip, by format
 
 
 def format_of(path: Path) -> SnapshotFormat | None:

@@ -1,4 +1,4 @@
-"""`.4dgs` files, a whole clip in one, by the package `fourdgs` (the optional part `interchange`).
+"""`.4dgs`, OpenUSD and glTF (KHR_gaussian_splatting) by the package `fourdgs`, the optional part `interchange`.
 
 Each Gaussian is written for as long as its anchor stays as it is, so that what does not move is there once. Axes in
 such a file are right-up-back; those of a scene are right-down-forward.
@@ -7,21 +7,25 @@ such a file are right-up-back; those of a scene are right-down-forward.
 from __future__ import annotations
 
 import importlib
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from streamlod.codec.export.bake import baked_rows
 from streamlod.codec.export.ply import unit_quaternions
-from streamlod.codec.snapshots import CLIP_SUFFIX
 from streamlod.core.arrays import Float32, Float64, Int64
 from streamlod.core.errors import InputError
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.gaussians import GaussianCloud, concatenate
+from streamlod.core.scene.metadata import Metadata
 
 MAX_BYTES = 1 << 30  # of a file that is read
+_SYSTEM, _COLOURS = "y-up-right-handed", "srgb-rec709-display"  # of the files that are written
+_CUTOFF = 0.05  # the format's own; nothing here fades
 _AXES = np.array([1, -1, -1], np.float32)
 _HALF_TURN = {"y-up-right-handed": True, "": False}  # by the file's coordinate system; "" is one that says none
 _Span = tuple[GaussianCloud, float, float]  # Gaussians, and the seconds from which to which they are shown
@@ -32,14 +36,20 @@ def library() -> ModuleType:
     try:
         return importlib.import_module("fourdgs")
     except ImportError as error:
-        raise InputError(CLIP_SUFFIX, "files need the package fourdgs: pip install 'streamlod[interchange]'") from error
+        raise InputError(
+            "--format", "such files need the package fourdgs: pip install 'streamlod[interchange]'"
+        ) from error
 
 
-def write_clip(path: Path, frames: Iterable[tuple[float, Scene]], viewpoints: Float64, title: str) -> int:
+def write_clip(
+    path: Path, frames: Iterable[tuple[float, Scene]], viewpoints: Float64, facts: Metadata, fps: float
+) -> int:
     """Write the states, each with the second at which it begins, as one file; the number of Gaussians written.
 
     Args:
+        path: `.4dgs`, or `.usdc`, `.usda` for OpenUSD with time samples.
         viewpoints: [V,3] over which view-dependent colour is averaged.
+        facts: title and unit are passed on. fps: time samples a second.
 
     Raises:
         InputError: no frame, no package, or numbers that the format cannot hold.
@@ -51,7 +61,56 @@ def write_clip(path: Path, frames: Iterable[tuple[float, Scene]], viewpoints: Fl
         raise InputError(path, "there is nothing to write")
     cloud = concatenate([span[0] for span in spans])
     count = len(cloud)
-    gaussians = fourdgs.GaussianSet(
+    times = (np.concatenate([span[1] for span in spans]), np.concatenate([span[2] for span in spans]))
+    gaussians = _set_of(cloud, *times)
+    try:
+        if path.suffix == ".4dgs":
+            about = {"coordinate_system": _SYSTEM, "color_space": _COLOURS, "title": facts.title or path.stem}
+            options = fourdgs.WriteOptions(metadata=about, library="streamlod")
+            fourdgs.write(str(path), gaussians, end, options=options)
+        else:
+            fourdgs.to_usd(
+                str(path), gaussians, 0.0, cutoff=_CUTOFF, coordinate_system=_SYSTEM, color_space=_COLOURS,
+                meters_per_unit=facts.metres_per_unit or 1.0, animated=True, fps=fps, duration_sec=end,
+            )  # fmt: skip
+    except (fourdgs.FourdgsError, ImportError) as error:
+        raise InputError(path, str(error)) from error
+    return count
+
+
+def encode_glb(cloud: GaussianCloud) -> bytes:
+    """One instant as glTF with KHR_gaussian_splatting; ValueError for numbers that it cannot hold."""
+    fourdgs, count = library(), len(cloud)
+    gaussians = _set_of(cloud, np.zeros(count), np.full(count, np.inf))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.glb"
+        try:
+            fourdgs.to_gltf(
+                str(path), gaussians, 0.0, cutoff=_CUTOFF, coordinate_system=_SYSTEM, color_space=_COLOURS
+            )  # fmt: skip
+        except fourdgs.FourdgsError as error:
+            raise ValueError(str(error)) from error
+        return path.read_bytes()
+
+
+def decode_glb(path: Path) -> GaussianCloud:
+    """The Gaussians of a glTF file; InputError where it cannot be read, is damaged or too large."""
+    fourdgs = library()
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(path, f"is larger than {MAX_BYTES} bytes")
+        every = fourdgs.from_gltf(str(path)).gaussians
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    except (fourdgs.FourdgsError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise InputError(path, f"is no glTF file of Gaussians that can be read: {error}") from error
+    return _cloud_of(every, every.positions, every.rotations, every.colors[:, 3], _AXES)
+
+
+def _set_of(cloud: GaussianCloud, begins: Float64, ends: Float64) -> Any:
+    """The package's own Gaussians, each shown from and to so many seconds."""
+    count = len(cloud)
+    return library().GaussianSet(
         positions=cloud.means * _AXES,
         scales=cloud.scales,
         rotations=_xyzw(unit_quaternions(cloud.quaternions) * np.append(np.float32(1), _AXES)),
@@ -59,16 +118,17 @@ def write_clip(path: Path, frames: Iterable[tuple[float, Scene]], viewpoints: Fl
         motions=np.zeros((count, 3), np.float32),
         mu_t=np.zeros(count, np.float32),
         sigma_t=np.full(count, np.inf, np.float32),
-        win_lo=np.concatenate([span[1] for span in spans]),
-        win_hi=np.concatenate([span[2] for span in spans]),
+        win_lo=begins,
+        win_hi=ends,
     )
-    facts = {"coordinate_system": "y-up-right-handed", "color_space": "srgb-rec709-display", "title": title}
-    options = fourdgs.WriteOptions(metadata=facts, library="streamlod")
-    try:
-        fourdgs.write(str(path), gaussians, end, options=options)
-    except fourdgs.FourdgsError as error:
-        raise InputError(path, str(error)) from error
-    return count
+
+
+def _cloud_of(every: Any, means: Float32, rotations: Float32, opacities: Float32, axes: Float32) -> GaussianCloud:
+    """The package's Gaussians, placed anew, as ours."""
+    wxyz = np.roll(rotations, 1, axis=1) * np.append(np.float32(1), axes)
+    colours = np.clip(every.colors[:, :3], 0, 1)
+    parts = (means * axes, wxyz, every.scales, np.clip(opacities, 0, 1), colours)
+    return GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
 
 
 def _spans(frames: Iterable[tuple[float, Scene]], viewpoints: Float64) -> Iterator[_Span]:
@@ -135,10 +195,7 @@ def read_clip(path: Path, fps: float) -> Iterator[GaussianCloud]:
         opacities, shown = np.zeros(len(means), np.float32), state["indices"]
         means[shown], rotations[shown] = state["centers"], state["orientations"]
         opacities[shown] = state["opacity"]
-        wxyz = np.roll(rotations, 1, axis=1) * np.append(np.float32(1), axes)
-        colours = np.clip(every.colors[:, :3], 0, 1)
-        parts = (means * axes, wxyz, every.scales, np.clip(opacities, 0, 1), colours)
-        yield GaussianCloud(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+        yield _cloud_of(every, means, rotations, opacities, axes)
 
 
 def _xyzw(quaternions: Float32) -> Float32:

@@ -11,7 +11,7 @@ from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.imported.field import Order, later, order_of, scene_of
 from streamlod.codec.packet.limits import DEFAULT_LIMITS
-from streamlod.codec.snapshots import CLIP_SUFFIX, FORMATS, format_of
+from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, format_of
 from streamlod.core.errors import InputError
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.gaussians import GaussianCloud
@@ -126,7 +126,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def _is_clip(path: Path) -> bool:
-    return path.name.lower().endswith(CLIP_SUFFIX) and path.is_file()
+    return path.name.lower().endswith(CLIP_SUFFIXES["4dgs"]) and path.is_file()
 
 
 def _clip(path: Path, fps: float) -> Iterator[tuple[Path, GaussianCloud]]:

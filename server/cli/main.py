@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
-from streamlod.codec.snapshots import CLIP_FORMAT, FORMATS
+from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS
 from streamlod.core.background_log import LOG_FORMAT
 from streamlod.core.errors import InputError
 from streamlod.core.version import streamlod_version
@@ -255,7 +255,8 @@ def export(
         str, typer.Option(metavar="cam00|average", help="Where view-dependent colour is frozen.")
     ] = "average",
     format: Annotated[
-        str, typer.Option(metavar="|".join((*FORMATS, CLIP_FORMAT)), help="File format; 4dgs holds all frames.")
+        str,
+        typer.Option(metavar="|".join((*FORMATS, *CLIP_SUFFIXES)), help="File format; 4dgs, usd: all frames."),
     ] = "ply",
     out: Annotated[Path | None, typer.Option(help="File, or folder of a sequence.")] = None,
     sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ from streamlod.codec.imported import import_files
 from streamlod.core.errors import InputError
 from streamlod.core.scene.expand import expand
 from streamlod.core.scene.gaussians import GaussianCloud
+from streamlod.core.scene.metadata import Metadata
 from tests.client.clips import FRAME_NS, states, write_clip
 
 fourdgs = pytest.importorskip("fourdgs", reason="reads and writes .4dgs files: pip install fourdgs")
@@ -79,6 +83,46 @@ def test_motion_and_lifetimes_of_a_foreign_clip_are_sampled(tmp_path: Path) -> N
     assert [len(cloud) for cloud in clouds] == [50] * 5 + [40] * 5
     moved = np.sort(clouds[4].means[:, 0]) - np.sort(clouds[0].means[:, 0])
     np.testing.assert_allclose(moved, 0.4, atol=0.01)
+
+
+def test_usd_has_time_samples_the_unit_and_the_upright_axis(tmp_path: Path) -> None:
+    usd = pytest.importorskip("pxr.Usd", reason="writes OpenUSD: pip install usd-core")
+    geometry = pytest.importorskip("pxr.UsdGeom")
+    scenes = [replace(state, metadata=Metadata(metres_per_unit=0.5)) for state in states(3)]
+    write_clip(tmp_path / "a.slod", scenes)
+    export(tmp_path / "a.slod", 0, "average", "usd")
+    stage = usd.Stage.Open(str(tmp_path / "a.usdc"))
+    assert geometry.GetStageMetersPerUnit(stage) == 0.5
+    assert geometry.GetStageUpAxis(stage) == "Y"
+    field = next(prim for prim in stage.Traverse() if prim.GetTypeName() == "ParticleField3DGaussianSplat")
+    positions = field.GetAttribute("positions")
+    times = positions.GetTimeSamples()
+    assert len(times) >= 3
+    for scene, at in zip(scenes, times, strict=False):
+        wanted = expand(scene, EYE)
+        found = np.array(positions.Get(at)) * [1, -1, -1]
+        assert len(found) == len(wanted)
+        assert cKDTree(wanted.means).query(found)[0].max() < 1e-3 * np.ptp(wanted.means, axis=0).max()
+
+
+def test_a_gltf_snapshot_says_what_it_is(tmp_path: Path) -> None:
+    write_clip(tmp_path / "a.slod", states(1))
+    export(tmp_path / "a.slod", 0, "average", "glb", tmp_path / "a.glb")
+    data = (tmp_path / "a.glb").read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)
+    content = json.loads(data[20 : 20 + length])
+    assert "KHR_gaussian_splatting" in content["extensionsUsed"]
+    assert "KHR_gaussian_splatting" in content["meshes"][0]["primitives"][0]["extensions"]
+    (tmp_path / "cut.glb").write_bytes(data[:-9])
+    for name in ("cut.glb", "none.glb"):
+        with pytest.raises(InputError, match=name):
+            import_files(_existing(tmp_path / name), tmp_path / "b.slod")
+
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        path.write_bytes(b"glTF")
+    return path
 
 
 def test_what_is_no_such_file_or_has_unknown_axes_is_refused_by_name(tmp_path: Path) -> None:
