@@ -33,7 +33,7 @@ from streamlod.server.stream.stored_stream import PRIVATE_FILE, PRIVATE_FOLDER, 
 _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _SEGMENT = re.compile(r"(\d{6,10})-(\d{10})\.slod")
-_OWN_NAMES = re.compile(r"stream\.(json|new)")
+_OWN_NAMES = re.compile(r"stream\.(json|new|damaged)")
 _STREAM = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS segments(
@@ -41,6 +41,7 @@ CREATE TABLE IF NOT EXISTS segments(
   packets INTEGER NOT NULL, bytes INTEGER NOT NULL, begun_ns INTEGER NOT NULL, file_bytes INTEGER NOT NULL,
   PRIMARY KEY(stream, epoch, first));
 """
+_COLUMNS = "stream, epoch, first, last, packets, bytes, begun_ns, file_bytes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +88,7 @@ class Store:
             catalogue = folder / "catalogue.sqlite3"
             os.close(os.open(catalogue, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
             catalogue.chmod(PRIVATE_FILE)  # what SQLite keeps beside it gets the same
-            self._catalogue = sqlite3.connect(catalogue, check_same_thread=False)
-            self._catalogue.execute("PRAGMA journal_mode=WAL")
-            self._catalogue.executescript(_SCHEMA)
+            self._catalogue = _open_catalogue(catalogue)
         except (OSError, sqlite3.Error) as error:
             raise InputError(folder, f"cannot hold recordings ({error}); choose another --state-dir") from error
         self._recordings: list[Recording] = []
@@ -160,8 +159,11 @@ class Recording:
         self._folder = store.folder / "streams" / stream
         try:
             self._folder.mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
-            self.stored = read_stored(self._folder) or StoredStream(created_ns=time.time_ns())
-            write_stored(self._folder, self.stored)
+            stored = read_stored(self._folder)
+            if stored is None:  # what is there already is not written again: the disk may be full
+                stored = StoredStream(created_ns=time.time_ns())
+                write_stored(self._folder, stored)
+            self.stored = stored
         except (OSError, StorageError) as error:
             with contextlib.suppress(OSError):
                 self._folder.rmdir()  # unless there are recordings
@@ -359,6 +361,36 @@ class Recording:
         self._enter(segment)
         os.utime(path, ns=(begun_ns, begun_ns))
         return segment
+
+
+def _open_catalogue(path: Path) -> sqlite3.Connection:
+    """The catalogue; one that is damaged or of another version is set aside, and made again from the files."""
+    try:
+        return _catalogue_at(path)
+    except sqlite3.OperationalError as error:
+        if "no such column" not in str(error) and "no column" not in str(error):
+            raise  # the disk is full, or cannot be read
+        fault: sqlite3.Error = error
+    except sqlite3.DatabaseError as error:
+        fault = error
+    _LOG.warning("%s cannot be used (%s); it is kept as %s.damaged and made again", path, fault, path.stem)
+    for suffix in ("-wal", "-shm"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+    path.replace(path.with_suffix(".damaged"))
+    os.close(os.open(path, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
+    return _catalogue_at(path)
+
+
+def _catalogue_at(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.executescript(_SCHEMA)
+        connection.execute(f"SELECT {_COLUMNS} FROM segments LIMIT 1").fetchall()
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
 
 
 def _lock(folder: Path) -> int:

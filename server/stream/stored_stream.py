@@ -11,11 +11,12 @@ import logging
 import os
 import secrets
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from streamlod.core.errors import StorageError
+from streamlod.core.files import put_in_place
 
 _LOG = logging.getLogger(__name__)
 _NAME = "stream.json"
@@ -35,6 +36,7 @@ class StoredStream:
         created_ns: Unix time of its creation.
         trained_from: tells what the highest epoch is trained from; empty where nothing of it is left to train.
         lead: version of that epoch which the source's first frame had or would have had; later frames follow it.
+        others: fields of another version of the program, which are kept for it.
     """
 
     incarnation: str = field(default_factory=lambda: secrets.token_hex(8))
@@ -44,16 +46,26 @@ class StoredStream:
     created_ns: int = 0
     trained_from: str = ""
     lead: int = 0
+    others: dict[str, Any] = field(default_factory=dict)
+
+
+_FIELDS = {each.name for each in fields(StoredStream)} - {"others"}
 
 
 def read_stored(folder: Path) -> StoredStream | None:
-    """What `write_stored` wrote; None, and a warning, where the file is missing or damaged."""
+    """What `write_stored` wrote; None where the file is missing or damaged, which is then kept as `stream.damaged`."""
     path = folder / _NAME
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError("it is too large")
         values = json.loads(path.read_text(encoding="utf-8"))
-        stored = StoredStream(**values)
+        if not isinstance(values, dict):
+            raise ValueError("it is no JSON object")
+        known = {name: value for name, value in values.items() if name in _FIELDS}
+        others = {name: value for name, value in values.items() if name not in _FIELDS}
+        if others:
+            _LOG.info("%s has fields of another version, which are kept: %s", path, ", ".join(sorted(others)))
+        stored = StoredStream(**known, others=others)
         kinds = {"incarnation": str, "epoch": int, "definition": dict | None, "running": bool, "created_ns": int,
                  "trained_from": str, "lead": int}  # fmt: skip
         if not all(isinstance(getattr(stored, name), kind) for name, kind in kinds.items()):
@@ -61,7 +73,9 @@ def read_stored(folder: Path) -> StoredStream | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, TypeError, RecursionError) as error:
-        _LOG.warning("%s cannot be used (%s); its stream begins anew", path, error)
+        _LOG.warning("%s cannot be used (%s); it is kept as stream.damaged, and its stream begins anew", path, error)
+        with suppress(OSError):
+            path.replace(path.with_suffix(".damaged"))
         return None
     return stored
 
@@ -76,8 +90,9 @@ def write_stored(folder: Path, stored: StoredStream) -> None:
     new = path.with_suffix(".new")
     try:
         with os.fdopen(os.open(new, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, PRIVATE_FILE), "w") as file:
-            json.dump(asdict(stored), file)
-        new.replace(path)
+            values = asdict(stored)
+            json.dump(values.pop("others") | values, file)
+        put_in_place(new, path)
     except OSError as error:
         with suppress(OSError):
             new.unlink(missing_ok=True)

@@ -104,6 +104,22 @@ def test_key_files_are_secrets_or_ed25519_keys(tmp_path: Path) -> None:
         gate.reload()
 
 
+def test_a_withdrawn_web_token_stays_withdrawn_in_every_spelling(tmp_path: Path) -> None:
+    (tmp_path / "key").write_text("s" * 40)
+    offered = token("s" * 40, "HS256")
+    (tmp_path / "revoked").write_text(hash_token(offered))
+    gate = Gate(Settings(jwt_key=tmp_path / "key", revoked=tmp_path / "revoked"))
+    head, claims, signature = offered.split(".")
+    assert rights(gate, token("s" * 40, "HS256", jti="other")) == {Right.READ}
+    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
+    last = [signature[:-1] + letter for letter in letters]  # of its bits, the lowest two mean nothing
+    for spelling in (
+        offered, offered + "=", offered + "==", f" {offered}", f"{offered}\n", f"{head}=.{claims}.{signature}",
+        f"{head}.{claims}==.{signature}", *(f"{head}.{claims}.{each}" for each in last), f"{offered} ",
+    ):  # fmt: skip
+        assert rights(gate, spelling) is None, spelling
+
+
 @pytest.mark.parametrize(
     "text",
     [

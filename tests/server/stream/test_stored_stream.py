@@ -1,0 +1,66 @@
+"""What a state folder keeps over versions of the program, damage and a full disk."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from streamlod.server.settings import Retention
+from streamlod.server.stream.store import Store
+from streamlod.server.stream.stored_stream import StoredStream, read_stored, write_stored
+
+
+def test_fields_of_another_version_are_kept_for_it(tmp_path: Path) -> None:
+    write_stored(tmp_path, StoredStream(epoch=3, definition={"play": "x"}))
+    path = tmp_path / "stream.json"
+    values = json.loads(path.read_text()) | {"new_field": {"a": [1]}, "others": 7}
+    path.write_text(json.dumps(values))
+    stored = read_stored(tmp_path)
+    assert stored is not None
+    assert (stored.epoch, stored.definition) == (3, {"play": "x"})
+    write_stored(tmp_path, stored)
+    assert json.loads(path.read_text()) == values
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"epoch": "3"}', "null", "[" * 5000], ids=len)
+def test_a_damaged_file_is_set_aside_and_not_overwritten(tmp_path: Path, text: str) -> None:
+    (tmp_path / "stream.json").write_text(text)
+    assert read_stored(tmp_path) is None
+    write_stored(tmp_path, StoredStream())
+    assert (tmp_path / "stream.damaged").read_text() == text
+
+
+def test_a_stream_that_is_known_writes_nothing_at_the_start(tmp_path: Path) -> None:
+    store = Store(tmp_path, Retention())
+    store.recording("a").note(epoch=4)
+    store.close()
+    path = tmp_path / "streams" / "a" / "stream.json"
+    before = path.stat()
+    store = Store(tmp_path, Retention())
+    assert store.recording("a").stored.epoch == 4
+    store.close()
+    after = path.stat()
+    assert (before.st_mtime_ns, before.st_ino) == (after.st_mtime_ns, after.st_ino)
+
+
+@pytest.mark.parametrize("kind", ["garbage", "other columns"])
+def test_a_strange_catalogue_is_set_aside_and_made_again(tmp_path: Path, kind: str) -> None:
+    Store(tmp_path, Retention()).close()
+    path = tmp_path / "catalogue.sqlite3"
+    path.unlink()
+    if kind == "garbage":
+        path.write_bytes(b"no database" * 1000)
+    else:
+        connection = sqlite3.connect(path)
+        connection.execute("CREATE TABLE segments(stream TEXT)")
+        connection.commit()
+        connection.close()
+    content = path.read_bytes()
+    store = Store(tmp_path, Retention())
+    assert store.recording("a").segments == []
+    store.close()
+    kept = (tmp_path / "catalogue.damaged").read_bytes()
+    assert kept == content or (kind == "other columns" and b"segments(stream TEXT)" in kept)
