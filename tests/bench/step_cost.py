@@ -4,7 +4,7 @@ One step of a frame of ordinary size is taken on the CPU, and what it does is co
 pixel and Gaussian that are blended (as though no pixel ended early), Gaussians, anchors. Bytes and operations of each
 are counted by reading the kernels; every array is taken to be read once from memory and from caches afterwards. The
 times are what such a device needs at best: the larger of bytes over bandwidth and operations over peak for each
-kernel, and 1.3 us a node, about what an empty node of a CUDA graph takes.
+kernel, and 1.3 us that are assumed for every node.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def costs_of(sizes: Sizes, done: dict[str, int]) -> dict[str, Cost]:
     drawn, moving = views * gaussians, done["pairs of moving"]
     dirty, near = 256 * done["dirty tiles"], 256 * done["dirty tiles"] * 1.7  # and five pixels around
     pairs = moving + done["pairs of still in dirty tiles"]
-    capacity = views * sizes.moving * sizes.slots * 8
+    capacity = done["room for pairs of moving"]
     sort_passes = 2 + -(-(32 + done["tiles"].bit_length()) // SORT_PASSES_BITS)
     hidden = 32 * (2 * 12 + 2 * 4 + 2 * 11)
     return {

@@ -11,6 +11,8 @@ from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.scene.anchors import HIDDEN, OUTPUTS, SCALINGS
 from streamlod.core.scene.octree import Octree
 from streamlod.core.train.engine.warp.frame import begin, load_anchors, load_cameras, load_pictures, load_still
+from streamlod.core.train.engine.warp.frame_steps import StepSettings
+from streamlod.core.train.engine.warp.frame_steps import told as told_step
 from streamlod.core.train.engine.warp.room import Capacity, StepRoom, step_room, view_of
 from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.field.decode import Network
@@ -35,9 +37,8 @@ class Sizes:
 
 
 def told(number: int, pixels: int) -> tuple[float, ...]:
-    """What step `number` from 0 is told (`core.train.engine.warp.kernels.layout`)."""
-    rates = [rate / (1 - MEMORY ** (number + 1)) for rate in RATES]
-    return (*rates, 1 / (1 - 0.999 ** (number + 1)), 1 - MEMORY, 0.001, 0.0, PRICE / (3 * pixels), DSSIM, 0.0)
+    """What step `number` from 0 is told, on pictures of so many pixels."""
+    return told_step(number, StepSettings(*RATES, MEMORY, PRICE / (3 * pixels), DSSIM))
 
 
 def make_step(sizes: Sizes, device: str, seed: int = 0) -> TrainingStep:
@@ -75,6 +76,7 @@ def work(room: StepRoom) -> dict[str, int]:
         "tiles": dirty.numel(),
         "dirty tiles": int(dirty.sum()),
         "moving Gaussians": int(view_of(room.moving_count)[0]),
+        "room for pairs of moving": capacity.moving_pairs,
         "pairs of moving": int(view_of(room.moving.wanted)[0]),
         "pairs of still in dirty tiles": int(reached.sum()),
     }

@@ -1,8 +1,13 @@
-"""What the 32 lanes of a GPU's warp do together. On the CPU a kernel has one lane, and these are no work."""
+"""What the 32 lanes of a GPU's warp do together. On the CPU a kernel has one lane, and these are no work.
+
+A kernel that uses them is launched for whole warps: what a lane gets from one that is not there is undefined.
+"""
 
 from __future__ import annotations
 
 import warp as wp
+
+LANES = 32
 
 
 @wp.func_native("""

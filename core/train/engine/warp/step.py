@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from streamlod.core.render.warp.kernels.lanes import LANES
 from streamlod.core.render.warp.listing import list_gaussians
 from streamlod.core.render.warp.pictures import differentiate, draw
-from streamlod.core.scene.anchors import LATENTS
 from streamlod.core.train.engine.warp.kernels.adam import adam
 from streamlod.core.train.engine.warp.kernels.decode import decode, differentiate_decode
 from streamlod.core.train.engine.warp.kernels.layout import TOLD
@@ -75,14 +75,18 @@ class TrainingStep:
 
     def show(self) -> None:
         """From numbers to pictures."""
+        self.decode()
+        r, sight = self.room, self.room.sight
+        seen = (sight.chosen, sight.cameras, sight.grid, sight.dirty)
+        list_gaussians(r.moving, r.moving_count, r.cloud, *seen, r.device)
+        draw(r.moving, r.still, sight, r.drawn, r.device)
+
+    def decode(self) -> None:
+        """From numbers to Gaussians."""
         r, t = self.room, self.room.trained
         c = r.capacity
         given = [t.values, r.base, r.decoders, r.sight.chosen, r.cloud, t.steps, t.rows, t.totals]
         wp.launch(decode, dim=(r.cloud.means.shape[0], c.anchors, c.slots), inputs=given, device=r.device)
-        sight = r.sight
-        seen = (sight.chosen, sight.cameras, sight.grid, sight.dirty)
-        list_gaussians(r.moving, r.moving_count, r.cloud, *seen, r.device)
-        draw(r.moving, r.still, sight, r.drawn, r.device)
 
     def judge(self) -> None:
         """From pictures to the loss and its gradient by their pixels."""
@@ -91,7 +95,7 @@ class TrainingStep:
         image, filmed = r.drawn.image, r.filmed
         wp.launch(blur_moments, dim=shape, inputs=[image, filmed, *seen, r.lines], device=r.device)
         judged = [image, filmed, *seen, r.lines, r.told, r.slopes, r.trained.totals]
-        wp.launch(compare, dim=shape, inputs=judged, device=r.device)
+        wp.launch(compare, dim=(*shape[:2], -(-shape[2] // LANES) * LANES), inputs=judged, device=r.device)
         wp.launch(blur_slopes, dim=shape, inputs=[r.slopes, *seen, r.lines], device=r.device)
         pulled = [image, filmed, *seen, r.lines, r.told, r.drawn.by_image]
         wp.launch(differentiate_loss, dim=shape, inputs=pulled, device=r.device)
@@ -104,7 +108,7 @@ class TrainingStep:
         given = [t.values, r.base, r.decoders, r.sight.chosen, r.cloud, r.by_cloud, t.pulls]
         wp.launch(differentiate_decode, dim=(c.anchors, c.slots), inputs=given, device=r.device)
         gathered = [t.values, r.base, t.steps, t.rows, r.table, t.pulls, r.told, t.totals, t.gradient]
-        wp.launch(gather, dim=(c.anchors, LATENTS + 3), inputs=gathered, device=r.device)
+        wp.launch(gather, dim=(c.anchors, LANES), inputs=gathered, device=r.device)
 
     def update(self) -> None:
         """Adam, the mean of the last steps, and the loss put down."""

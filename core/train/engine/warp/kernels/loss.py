@@ -115,7 +115,9 @@ def compare(
     slopes: Planes,
     totals: wp.array[float],
 ) -> None:
-    """Grid (V, H, W): SSIM (Wang et al. 2004, equation 13), its derivatives by the moments, and the loss.
+    """SSIM (Wang et al. 2004, equation 13), its derivatives by the moments, and the loss.
+
+    Grid (V, H, W rounded up to whole warps): a lane that is not there has no number to add.
 
     Args:
         slopes: out, by the blurred image, its blurred square and the blurred product.
@@ -125,7 +127,10 @@ def compare(
     c = chosen[v]
     share = told[DSSIM_WEIGHT]
     lost = float(0.0)
-    if is_near(dirty, c, x, y, REACH, REACH, grid):
+    near = bool(False)
+    if x < grid.width:
+        near = is_near(dirty, c, x, y, REACH, REACH, grid)
+    if near:
         sums = down_column(lines, window, v, y, x, grid.height)
         mean = filmed.mean[c, y, x]
         square = filmed.square[c, y, x]

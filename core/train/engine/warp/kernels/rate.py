@@ -70,7 +70,7 @@ def gather(
     totals: wp.array[float],
     gradient: wp.array[float],
 ) -> None:
-    """Grid (N, 27): add up what the Gaussians and the bits ask, and hand it to the neighbourhoods.
+    """Grid (N, 32), a warp an anchor: add up what Gaussians and bits ask, and hand it to the neighbourhoods.
 
     Args:
         values, steps, rows, pulls: of `decode` and its derivative. table: [BINS,65] bits of each magnitude.
@@ -79,7 +79,7 @@ def gather(
     """
     a, n = wp.tid()
     bits = float(0.0)
-    if a < base.count[0]:
+    if a < base.count[0] and n < NUMBERS:
         value = number_of(values, steps, a, n)
         channels = float(LATENT_COUNT)
         whole = rows[a][0]

@@ -64,8 +64,8 @@ class SmallFrame:
         usual = Capacity(
             views=views,
             cameras=3,
-            width=SIZE[0],
-            height=SIZE[1],
+            width=self.cameras[0].width,
+            height=self.cameras[0].height,
             anchors=ANCHORS + 3,
             slots=SLOTS,
             groups=GROUPS + 1,
@@ -139,12 +139,12 @@ class SmallFrame:
         return float(loss.detach()), torch.cat([latent, position], dim=1), groups
 
 
-def small_frame(*, view_dependent: bool = False, seed: int = 0) -> SmallFrame:
+def small_frame(*, view_dependent: bool = False, seed: int = 0, size: tuple[int, int] = SIZE) -> SmallFrame:
     """Anchors about the origin; some move, others stand still."""
     g = torch.Generator().manual_seed(seed)
     field = random_field(60, SLOTS, view_dependent=view_dependent, seed=seed)
     trained, still = (field.with_rows(rows) for rows in torch.arange(60).split([ANCHORS, 36]))
-    cameras = tuple(_camera(angle) for angle in (-0.5, 0.1, 0.6))
+    cameras = tuple(_camera(angle, size) for angle in (-0.5, 0.1, 0.6))
     position = trained.position
     group = torch.arange(ANCHORS) % GROUPS
     middle = torch.stack([position[group == k].mean(dim=0) for k in range(GROUPS)])
@@ -161,15 +161,15 @@ def small_frame(*, view_dependent: bool = False, seed: int = 0) -> SmallFrame:
         latent=2 * torch.randn(ANCHORS, 24, generator=g) * (torch.rand(ANCHORS, 24, generator=g) < 0.4),
         position=3 * torch.randn(ANCHORS, 3, generator=g),
         groups=2 * torch.randn(GROUPS, 6, generator=g),
-        targets=torch.rand(3, *SIZE[::-1], 3, generator=g),
-        weights=1 + torch.rand(3, *SIZE[::-1], generator=g),
+        targets=torch.rand(3, *size[::-1], 3, generator=g),
+        weights=1 + torch.rand(3, *size[::-1], generator=g),
     )
 
 
-def _camera(angle: float) -> Camera:
+def _camera(angle: float, size: tuple[int, int]) -> Camera:
     eye = 3.2 * np.array([np.sin(angle), -0.2, -np.cos(angle)])
     pose = look_at(eye, np.zeros(3), np.array([0.0, -1.0, 0.0]))
-    return pinhole(f"at {angle}", (80.0, 82.0), (47.0, 28.0), SIZE, pose)
+    return pinhole(f"at {angle}", (80.0, 82.0), (0.49 * size[0], 0.52 * size[1]), size, pose)
 
 
 def relative(found: Tensor, wanted: Tensor) -> float:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -13,7 +16,9 @@ import warp as wp
 from torch import Tensor
 
 from streamlod.core.errors import ModelError
+from streamlod.core.render.warp.kernels import blend_adjoint
 from streamlod.core.train.engine.warp.frame import begin, load_pictures
+from streamlod.core.train.engine.warp.kernels import loss, rate
 from streamlod.core.train.engine.warp.room import StepRoom, view_of
 from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.optimise.adam import update_reference
@@ -73,9 +78,9 @@ def test_a_step_is_adams_and_counts_into_the_mean(frame: SmallFrame) -> None:
     after, mean = numbers(room, room.trained.values), numbers(room, room.trained.mean)
     parts = ((before[0][:, :24], gradients[0][:, :24]), (before[0][:, 24:], gradients[0][:, 24:]))
     wanted = []
-    for (value, gradient), rate in zip((*parts, (before[1], gradients[1])), RATES, strict=True):
+    for (value, gradient), own in zip((*parts, (before[1], gradients[1])), RATES, strict=True):
         new = value.clone()
-        update_reference(new, gradient, *torch.zeros(2, *new.shape), rate, 1 - 0.999, 0.6)
+        update_reference(new, gradient, *torch.zeros(2, *new.shape), own, 1 - 0.999, 0.6)
         wanted.append(new)
     assert torch.allclose(after[0], torch.cat(wanted[:2], dim=1), rtol=2e-6, atol=1e-6)
     assert torch.allclose(after[1], wanted[2], rtol=2e-6, atol=1e-6)
@@ -156,6 +161,32 @@ def test_the_guard_notices(what: str, frame: SmallFrame, monkeypatch: pytest.Mon
     monkeypatch.setattr(step, "judge", offending)
     with nothing_but_kernels(monkeypatch), pytest.raises(AssertionError, match="while a step is recorded"):
         step.recorded()
+
+
+@pytest.mark.parametrize("size", [(96, 54), (75, 41), (33, 17)])
+def test_kernels_whose_lanes_add_up_are_launched_for_whole_warps(
+    size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame, launched = small_frame(size=size), dict[str, tuple[int, ...]]()
+    step, launch = TrainingStep(frame.loaded(1)), wp.launch
+    step.tell(0, TOLD, (1,))
+
+    def noting(kernel: Any, dim: Any, **named: Any) -> None:
+        launched[kernel.key] = dim if isinstance(dim, tuple) else (dim,)
+        launch(kernel, dim=dim, **named)
+
+    monkeypatch.setattr(wp, "launch", noting)
+    step.launch()
+    using = {name for module in (loss, rate, blend_adjoint) for name in kernels_with_lanes(module)}
+    assert using == {"compare", "gather", "differentiate_blend"}
+    assert {name: math.prod(launched[name]) % 32 for name in using} == dict.fromkeys(using, 0)
+    assert all(part.isfinite().all() for part in numbers(step.room, step.room.trained.values))
+
+
+def kernels_with_lanes(module: ModuleType) -> list[str]:
+    """Kernels of a module whose source adds up over lanes."""
+    kernels = (value for value in vars(module).values() if isinstance(value, wp.Kernel))
+    return [kernel.key for kernel in kernels if "lanes_sum(" in inspect.getsource(kernel.func)]
 
 
 def test_steps_make_the_loss_fall(frame: SmallFrame) -> None:
