@@ -89,7 +89,7 @@ def read_poses(path: Path, header: SceneHeader) -> CameraPath:
     try:
         if path.stat().st_size > _MAX_POSE_FILE_BYTES:
             raise InputError(path, f"is larger than {_MAX_POSE_FILE_BYTES // 1_000_000} MB")
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(path, f"cannot be read ({error.strerror})") from error
     except (ValueError, RecursionError) as error:

@@ -30,6 +30,7 @@ from streamlod.client.recording import RecordedFrame, decode_frames
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet
+from streamlod.core.rig import space_of
 from streamlod.core.scene.anchors import Scene, SceneHeader
 from streamlod.core.synthetic import SyntheticSpec, read_spec
 
@@ -85,7 +86,7 @@ def evaluate_file(
             if not scores:
                 draw(decoded.scene, cameras[0])  # so that compiling is not timed
             picture, drawn = score(decoded.scene, cameras, truth, perception)
-            movers = movers or MovingPixels(cameras, spec)
+            movers = movers or MovingPixels(dataset.calibrated[: len(test)], spec)
             moving = moving_score(drawn, truth, movers.masks(index, truth), perception.alex)
             stood = _at_cameras(decoded.scene, frame, dataset, None if scores else spec)
             scores.append(DecodedScore(index, picture, decoded.key_bytes, decoded.predicted_bytes, moving, stood))
@@ -104,7 +105,7 @@ def _at_cameras(scene: Scene, frame: FrameSet, dataset: Dataset, spec: Synthetic
     rows = {c.name: row for row, c in enumerate(dataset.cameras) if c.name in trained and frame.present[row]}
     chosen = list(rows.values())
     cameras = [dataset.cameras[row] for row in chosen]
-    return places(lambda camera: draw(scene, camera), cameras, frame.images[chosen], spec, frame.index)
+    return places(lambda camera: draw(scene, camera), cameras, frame.images[chosen], spec, frame.index, dataset.space)
 
 
 def _pairs(
@@ -136,7 +137,11 @@ def _dataset(
     full = full.select(names)
     widths = {camera.width for camera in header.cameras}
     scale = full.cameras[0].width / widths.pop() if downscale is None and len(widths) == 1 else 1.0
-    return full if scale < 1 + 1e-3 else open_dataset(data, layout=layout, downscale=scale).select(names)
+    if scale >= 1 + 1e-3:
+        full = open_dataset(data, layout=layout, downscale=scale).select(names)
+    # Files of other versions, or of a part of this rig, have a space of their own: their cameras tell which.
+    space = space_of(full.calibrated, header.cameras)
+    return full.normalised() if space is None else full.placed(space)
 
 
 def _training_figures(scene: Path) -> dict[str, Any]:

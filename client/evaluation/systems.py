@@ -169,7 +169,7 @@ def run_system(
     """
     by_distance = config.model.selection == "distance"
     perceived = perceived_frames(footage.frames)
-    movers = MovingPixels(footage.testing.cameras, spec)
+    movers = MovingPixels(footage.testing.calibrated, spec)
     scores: list[TrainedScore] = []
     peak, scene, truth = 0, None, None
     stood: dict[str, Any] = {}
@@ -193,7 +193,8 @@ def run_system(
             shannon = shannon_residual_bytes(before, trained.residual)
             if spec is not None:
                 dynamic = np.zeros(_rows(before), np.bool_) if trained.dynamic is None else trained.dynamic
-                motion = dynamic_precision_recall(spec, before, dynamic, index, footage.training.cameras)
+                rig = footage.training
+                motion = dynamic_precision_recall(spec, before, dynamic, index, rig.cameras, rig.calibrated)
         scores.append(TrainedScore(index, picture, size, shannon, trained.report, seconds, motion, moving))
     if scene is None or truth is None:
         raise ModelError("no frame could be measured: the held-out cameras delivered nothing")
@@ -216,7 +217,7 @@ def _at_cameras(
     def drawn(camera: Camera) -> UInt8:
         return draw(scene, camera, by_distance=by_distance)
 
-    return places(drawn, cameras, training.images[present], spec, training.index)
+    return places(drawn, cameras, training.images[present], spec, training.index, footage.training.space)
 
 
 def _trained_frames(

@@ -8,6 +8,7 @@ size, are left out of what is decoded.
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 
@@ -16,12 +17,16 @@ MAX_CHUNKS = 65536  # of a PNG
 MAX_SCANS = 64  # of a JPEG; usual progressive ones have 10, and each costs a decoder the time of a whole picture
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_PIXELS = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
+_PNG_PIXELS = {b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"}
+_WITH_ALPHA = {4, 6}  # colour types
 _JPEG = b"\xff\xd8"
-_END_OF_IMAGE = b"\xff\xd9"
-_START_OF_SCAN = b"\xff\xda"
+_END_OF_IMAGE, _START_OF_SCAN = 0xD9, 0xDA
+_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)  # among entropy-coded data
 _FRAME_HEADERS = {0xC0, 0xC1, 0xC2}  # baseline, extended sequential, progressive; Huffman-coded
 _TABLES = {0xC4, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)}  # Huffman, quantisation, restart interval, comment, application
+
+
+_BETWEEN_SCANS = _TABLES | {_START_OF_SCAN, 0xDC}  # and the number of lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +36,12 @@ class AnnouncedPicture:
     Attributes:
         size: (width, height) in pixels, each at least 1.
         data: what to decode.
+        transparent: whether pixels may be transparent.
     """
 
     size: tuple[int, int]
     data: bytes
+    transparent: bool = False
 
 
 def announced_picture(data: bytes) -> AnnouncedPicture | None:
@@ -44,7 +51,10 @@ def announced_picture(data: bytes) -> AnnouncedPicture | None:
 
 
 def _jpeg(data: bytes) -> AnnouncedPicture | None:
-    """Walk the marker segments up to the first scan."""
+    """Walk the marker segments up to the first scan, and the scans up to the end; what lies behind is cut off.
+
+    Behind may lie anything: a phone's film of the moment, a depth map, another picture.
+    """
     at, size = 2, None
     for _ in range(MAX_SEGMENTS):
         while data[at : at + 2] == b"\xff\xff":  # fill bytes
@@ -52,9 +62,9 @@ def _jpeg(data: bytes) -> AnnouncedPicture | None:
         if at + 4 > len(data) or data[at] != 0xFF:
             return None
         marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
-        if marker == _START_OF_SCAN[1]:
-            usable = data.find(_END_OF_IMAGE, at) >= 0 and data.count(_START_OF_SCAN, at) <= MAX_SCANS
-            return AnnouncedPicture(size, data) if size is not None and usable else None
+        if marker == _START_OF_SCAN:
+            end = _end_of_scans(data, at)
+            return AnnouncedPicture(size, data[:end]) if size is not None and end is not None else None
         if length < 2 or at + 2 + length > len(data):
             return None
         if marker in _FRAME_HEADERS and size is None and length >= 8:
@@ -66,9 +76,26 @@ def _jpeg(data: bytes) -> AnnouncedPicture | None:
     return None
 
 
+def _end_of_scans(data: bytes, at: int) -> int | None:
+    """Where the picture ends whose first scan begins at `at`; None if it does not, or has too many scans."""
+    scans = 0
+    for _ in range(MAX_SEGMENTS):
+        found = _MARKER.search(data, at)
+        if found is None:
+            return None
+        marker = found.group(1)[0]
+        scans += marker == _START_OF_SCAN
+        if marker == _END_OF_IMAGE:
+            return found.end()
+        if scans > MAX_SCANS or marker not in _BETWEEN_SCANS or found.end() + 2 > len(data):
+            return None
+        at = found.end() + struct.unpack_from(">H", data, found.end())[0]
+    return None
+
+
 def _png(data: bytes) -> AnnouncedPicture | None:
     """Walk the chunks, and keep those that hold pixels."""
-    at, kept, size = len(_PNG), [_PNG], None
+    at, kept, size, transparent = len(_PNG), [_PNG], None, False
     for _ in range(MAX_CHUNKS):
         if at + 12 > len(data):
             return None
@@ -78,9 +105,11 @@ def _png(data: bytes) -> AnnouncedPicture | None:
             return None
         if kind == b"IHDR":
             size = struct.unpack_from(">II", data, at + 8)
+            transparent = data[at + 17] in _WITH_ALPHA
+        transparent = transparent or kind == b"tRNS"
         if kind in _PNG_PIXELS:
             kept.append(data[at:end])
         if kind == b"IEND":
-            return AnnouncedPicture((size[0], size[1]), b"".join(kept)) if size is not None else None
+            return AnnouncedPicture((size[0], size[1]), b"".join(kept), transparent) if size is not None else None
         at = end
     return None

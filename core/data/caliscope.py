@@ -10,6 +10,7 @@ timestamps.csv      sync_index, cam_id, frame_time in seconds: the n-th row of a
 from __future__ import annotations
 
 import csv
+import logging
 import tomllib
 from collections import defaultdict
 from collections.abc import Generator
@@ -27,13 +28,14 @@ from streamlod.core.data.colmap.reader import fitted
 from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming, numbers, read_text
 from streamlod.core.data.lens import opencv_camera
-from streamlod.core.data.names import in_numeric_order
+from streamlod.core.data.names import in_numeric_order, listed
 from streamlod.core.data.sources import shown
 from streamlod.core.data.video import VideoInfo, probe_video, read_video
 from streamlod.core.errors import InputError
 
 FILE = "camera_array.toml"
 TIMES = "timestamps.csv"
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,11 @@ def read_caliscope(path: Path) -> RawRecording:
     if not all(key.isascii() and key.isdecimal() for key in tables):
         raise InputError(file, "calls its cameras by other than numbers; tables must be [cameras.0], [cameras.1], ...")
     used = in_numeric_order(key for key, table in tables.items() if not table.get("ignore"))
+    unposed = [key for key in used if tables[key].get("rotation") is None or tables[key].get("translation") is None]
+    if unposed:
+        which = listed(f"cam_{key}" for key in unposed)
+        _log.warning("%s: left out, as the calibration did not place them: %s", file, which)
+        used = [key for key in used if key not in unposed]
     files = [path / f"cam_{key}.mp4" for key in used]
     with blaming(file):
         cameras = [_camera(f"cam_{key}", tables[key], file) for key in used]

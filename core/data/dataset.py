@@ -15,9 +15,10 @@ import numpy as np
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import Development, development
-from streamlod.core.data.names import listed
+from streamlod.core.data.names import camera_names, listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.rig import UNCHANGED, Similarity, training_space
 
 MAX_DOWNSCALE = 64
 FPS_OF_PICTURES = 30.0  # folders of pictures do not say their rate
@@ -47,10 +48,11 @@ class RawRecording:
 
     Attributes:
         path: folder. layout: name of its layout.
-        cameras: as calibrated, distortion included; intrinsics in pixels of the raw pictures.
+        cameras: as calibrated, distortion included; intrinsics in pixels of the raw pictures. Their names are made fit
+            to be sent (`names.camera_names`).
         source: the raw pictures, in the order of `cameras`.
-        read_points: reads the points that came with the calibration, or none.
-        depth_bounds: nearest and farthest depth of the scene in world units, if the layout says.
+        read_points: reads the points that came with the calibration into a space, or none.
+        depth_bounds: nearest and farthest depth of the scene in the calibration's units, if the layout says.
         skipped: names of pictures that the calibration lists and the folder lacks.
 
     Raises:
@@ -61,19 +63,22 @@ class RawRecording:
     layout: str
     cameras: tuple[Camera, ...]
     source: Source
-    read_points: Callable[[], PointCloud] | None = None
+    read_points: Callable[[Similarity], PointCloud] | None = None
     depth_bounds: tuple[float, float] | None = None
     skipped: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.cameras:
             raise InputError(self.path, f"holds no camera with pictures in the {self.layout} layout")
+        names = camera_names([camera.name for camera in self.cameras])
+        named = (replace(camera, name=name) for camera, name in zip(self.cameras, names, strict=True))
+        object.__setattr__(self, "cameras", tuple(named))
         first = self.cameras[0]
-        names = set()
+        known = set()
         for camera in self.cameras:
-            if camera.name in names:
+            if camera.name in known:
                 raise InputError(self.path, f"holds two cameras called {camera.name}")
-            names.add(camera.name)
+            known.add(camera.name)
             if (camera.width, camera.height) != (first.width, first.height):
                 raise InputError(
                     self.path,
@@ -90,16 +95,23 @@ class Dataset:
         recording: where the pictures come from.
         rows: number in the recording of each camera used here.
         developments: what makes a raw picture fit the camera, for each camera used here.
+        space: leads from the calibration's coordinates to those of `cameras`, points and depth bounds.
         cameras: pinholes that match the pictures of `frames`.
     """
 
     recording: RawRecording
     rows: tuple[int, ...]
     developments: tuple[Development, ...]
+    space: Similarity = UNCHANGED
     cameras: tuple[Camera, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cameras", tuple(plan.camera for plan in self.developments))
+        object.__setattr__(self, "cameras", tuple(self.space.camera(camera) for camera in self.calibrated))
+
+    @property
+    def calibrated(self) -> tuple[Camera, ...]:
+        """The cameras in the calibration's own coordinates."""
+        return tuple(plan.camera for plan in self.developments)
 
     @property
     def layout(self) -> str:
@@ -123,8 +135,8 @@ class Dataset:
 
     @property
     def depth_bounds(self) -> tuple[float, float] | None:
-        """Nearest and farthest depth of the scene in world units, if the layout says."""
-        return self.recording.depth_bounds
+        """Nearest and farthest depth of the scene in units of the space, if the layout says."""
+        return scaled_bounds(self.recording.depth_bounds, self.space)
 
     @property
     def skipped(self) -> tuple[str, ...]:
@@ -133,7 +145,15 @@ class Dataset:
 
     def points(self) -> PointCloud | None:
         """The points that came with the calibration, or none; InputError if their file is damaged."""
-        return None if self.recording.read_points is None else self.recording.read_points()
+        return None if self.recording.read_points is None else self.recording.read_points(self.space)
+
+    def normalised(self) -> Dataset:
+        """The same data set in the space of training (`core.rig`), where unit and origin are the rig's."""
+        return self.placed(training_space(self.recording.cameras, self.recording.depth_bounds))
+
+    def placed(self, space: Similarity) -> Dataset:
+        """The same data set in another space, to which `space` leads from the calibration's coordinates."""
+        return replace(self, space=space)
 
     def select(self, names: Sequence[str]) -> Dataset:
         """The same data set with the cameras `names` only, in that order.
@@ -176,6 +196,11 @@ class Dataset:
                 images = np.zeros((count, height, width, 3), np.uint8)
                 present = pool.map(_develop, streams, self.developments, images, [index] * count)
                 yield FrameSet(index, source.time_ns(index), images, np.array(list(present), np.bool_))
+
+
+def scaled_bounds(bounds: tuple[float, float] | None, space: Similarity) -> tuple[float, float] | None:
+    """(near, far) in the units of `space`, None for None."""
+    return None if bounds is None else (space.scale * bounds[0], space.scale * bounds[1])
 
 
 def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str] | None = None) -> Dataset:

@@ -20,10 +20,12 @@ MAX_TEXT_BYTES = 256 << 20
 
 @contextmanager
 def blaming(path: Path) -> Iterator[None]:
-    """Put the file's name before every `InputError` raised inside, such as that of a camera built from its numbers."""
+    """Put the file's name before every `InputError` raised inside that lacks it, such as that of a camera's numbers."""
     try:
         yield
     except InputError as error:
+        if error.subject == str(path):
+            raise
         raise InputError(path, str(error)) from error
 
 
@@ -37,12 +39,19 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
         raise InputError(path, f"cannot be read: {error.strerror}") from error
 
 
-def read_text(path: Path) -> str:
-    """The file's text; InputError if it is missing, very large or not UTF-8."""
+def read_text(path: Path, undecodable: str = "strict") -> str:
+    """The file's text, without the byte order mark that Windows editors put before it.
+
+    Args:
+        undecodable: ``surrogateescape`` keeps bytes that are not UTF-8, as Python's file names do.
+
+    Raises:
+        InputError: missing, very large or not UTF-8.
+    """
     try:
-        return read_bytes(path, MAX_TEXT_BYTES).decode()
+        return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig", undecodable)
     except UnicodeDecodeError as error:
-        raise InputError(path, f"is not a text file: byte {error.start} is not UTF-8") from error
+        raise InputError(path, f"is not UTF-8 text (see byte {error.start}); save it as UTF-8") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -1,10 +1,13 @@
-"""Names of cameras and files in the order of their numbers: cam_2 before cam_10."""
+"""Names of cameras and files: in the order of their numbers (cam_2 before cam_10), and fit to be shown and sent."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+MAX_NAME_BYTES = 64  # of a camera's name in the bitstream
 
 
 def numeric_key(name: str) -> tuple[tuple[int, int, str], ...]:
@@ -20,7 +23,7 @@ def in_numeric_order(names: Iterable[str]) -> list[str]:
 
 def listed(names: Iterable[str], at_most: int = 40) -> str:
     """`names` joined for a message, cut when there are very many."""
-    names = list(names)
+    names = [_printable(name) for name in names]
     rest = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(names[:at_most]) + rest
 
@@ -29,3 +32,41 @@ def files_in(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of `folder` with one of the lower-case `suffixes`, in numeric order; hidden files left out."""
     found = (p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".") and p.is_file())
     return sorted(found, key=lambda path: numeric_key(path.name))
+
+
+def folders_in(folder: Path) -> list[Path]:
+    """Folders of `folder` in numeric order, without hidden ones and those that archives of macOS leave behind."""
+    found = (p for p in folder.iterdir() if not p.name.startswith((".", "__MACOSX")) and p.is_dir())
+    return sorted(found, key=lambda path: numeric_key(path.name))
+
+
+def like_most(folders: Sequence[Path]) -> list[Path]:
+    """Those of `folders` whose names differ only in their digits, if that is more than half of them; else all."""
+    shapes = [re.sub(r"\d+", "0", folder.name) for folder in folders]
+    common = Counter(shapes).most_common(1)
+    if not common or 2 * common[0][1] <= len(folders):
+        return list(folders)
+    return [folder for folder, shape in zip(folders, shapes, strict=True) if shape == common[0][0]]
+
+
+def camera_names(names: Sequence[str]) -> list[str]:
+    """`names` as UTF-8 text of at most `MAX_NAME_BYTES`, of which long ones keep their end; equal ones stay equal.
+
+    Bytes that were no UTF-8 become U+FFFD. What would become equal by this gets its number in front.
+    """
+    short = [_end(_printable(name), MAX_NAME_BYTES) for name in names]
+    if len(set(short)) == len(set(names)):
+        return short
+    digits = len(str(len(names)))
+    return [
+        name if name == before else f"{number:0{digits}}-{_end(name, MAX_NAME_BYTES - digits - 1)}"
+        for number, (before, name) in enumerate(zip(names, short, strict=True))
+    ]
+
+
+def _printable(name: str) -> str:
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def _end(name: str, max_bytes: int) -> str:
+    return name.encode()[-max_bytes:].decode(errors="ignore")

@@ -21,7 +21,7 @@ from streamlod.core.data.dataset import RawRecording, Source
 from streamlod.core.data.files import blaming, number, numbers, read_json
 from streamlod.core.data.names import listed, numeric_key
 from streamlod.core.data.pictures import SUFFIXES as PICTURE_SUFFIXES
-from streamlod.core.data.pictures import picture_size
+from streamlod.core.data.pictures import find_pictures, picture_size
 from streamlod.core.data.sources import Pictures, videos
 from streamlod.core.data.video import SUFFIXES as VIDEO_SUFFIXES
 from streamlod.core.errors import InputError
@@ -29,8 +29,10 @@ from streamlod.core.errors import InputError
 FILE = "transforms.json"
 MAX_FRAMES = 4096
 _log = logging.getLogger(__name__)
-_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
+# of fisheye, rational, thin prism and tilted models
+_UNSUPPORTED = ("k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
 
 
 def read_transforms(path: Path) -> RawRecording:
@@ -48,17 +50,14 @@ def read_transforms(path: Path) -> RawRecording:
         raise InputError(file, f"lists {len(frames)} frames; the limit is {MAX_FRAMES}")
     if len({frame.get("time") for frame in frames if not isinstance(frame.get("time"), dict | list)}) > 1:
         raise InputError(file, "lists several instants ('time'); list each camera once, with a video")
-    entries, skipped = [], []
-    for frame in frames:
-        found = _picture_file(path, frame.get("file_path"), file)
-        if found is None:
-            skipped.append(str(frame.get("file_path")))
-        else:
-            entries.append((found, {**value, **frame}))
+    wanted = {number: _spellings(path, frame.get("file_path"), file) for number, frame in enumerate(frames)}
+    found = find_pictures(wanted, PICTURE_SUFFIXES + VIDEO_SUFFIXES)
+    entries = [(known, {**value, **frames[number]}) for number, known in found.items() if known is not None]
+    skipped = [str(frames[number]["file_path"]) for number, known in found.items() if known is None]
     if skipped:
         _log.warning("%s: %d of %d listed files are missing: %s", file, len(skipped), len(frames), listed(skipped, 5))
     if not entries:
-        raise InputError(file, f"lists {len(frames)} files, none of which is there")
+        raise InputError(file, f"lists {len(frames)} files, none of which is there: {listed(skipped, 3)}")
     entries.sort(key=lambda entry: numeric_key(entry[0].as_posix()))
     files = [entry[0] for entry in entries]
     source, sizes = _source(files, file)
@@ -81,15 +80,13 @@ def opengl_pose(matrix: Float64) -> Float64:
     return pose
 
 
-def _picture_file(folder: Path, name: object, file: Path) -> Path | None:
+def _spellings(folder: Path, name: object, file: Path) -> list[Path]:
     if not isinstance(name, str) or not name or "\0" in name:
         raise InputError(file, "each frame needs a 'file_path'")
-    relative = Path(name)
-    if relative.is_absolute() or ".." in relative.parts:
+    spellings = [Path(name), Path(name.replace("\\", "/"))]  # Windows writes it otherwise
+    if any(spelling.is_absolute() or ".." in spelling.parts for spelling in spellings):
         raise InputError(file, f"file_path {name!r} leads out of the folder")
-    # Blender's synthetic scenes leave the suffix out
-    candidates = [relative, *(relative.with_name(relative.name + suffix) for suffix in PICTURE_SUFFIXES)]
-    return next((folder / candidate for candidate in candidates if (folder / candidate).is_file()), None)
+    return [folder / spelling for spelling in spellings]
 
 
 def _source(files: list[Path], file: Path) -> tuple[Source, list[tuple[int, int]]]:
@@ -103,10 +100,14 @@ def _source(files: list[Path], file: Path) -> tuple[Source, list[tuple[int, int]
 
 
 def _camera(name: str, settings: dict[str, Any], size: tuple[int, int], picture: Path, file: Path) -> Camera:
-    if settings.get("camera_model", "OPENCV") not in _MODELS or settings.get("is_fisheye"):
-        raise InputError(f"camera {name}", f"lens model {settings.get('camera_model')} is not supported")
-    if number(settings.get("k4", 0), "k4", file) != 0:
-        raise InputError(f"camera {name}", "the coefficient k4 is not supported")
+    if settings.get("is_fisheye"):
+        raise InputError(f"camera {name}", "a fisheye lens (is_fisheye) is not supported; undistort the pictures first")
+    if settings.get("camera_model", "OPENCV") not in _MODELS:
+        model = settings["camera_model"]
+        raise InputError(f"camera {name}", f"lens model {model!s:.40} is not supported ({', '.join(_MODELS)} are)")
+    for key in _UNSUPPORTED:
+        if number(settings.get(key, 0), key, file) != 0:
+            raise InputError(f"camera {name}", f"the coefficient {key} is not supported; undistort the pictures first")
     width = number(settings.get("w", size[0]), "w", file)
     height = number(settings.get("h", size[1]), "h", file)
     if not (1 <= width < 1e6 and 1 <= height < 1e6):

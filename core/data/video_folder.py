@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def read_video_folder(path: Path, layout: str) -> RawRecording:
     source, infos = videos(files)
     sizes = [(info.width, info.height) for info in infos]
     cameras = [fitted(camera, size, file) for camera, size, file in zip(cameras, sizes, files, strict=True)]
-    points = None if poses.is_file() or model is None else lambda: read_points(model)
+    points = None if poses.is_file() or model is None else lambda space: read_points(model, space)
     return RawRecording(path, layout, tuple(cameras), source, points, depth_bounds)
 
 
@@ -125,7 +125,11 @@ def _camera(name: str, lens: Float64, pose: Float64, file: Path) -> Camera:
 
 def _colmap_cameras(folder: Path, names: Sequence[str]) -> list[Camera]:
     model = read_model(folder)
-    by_stem = {Path(image.name).stem: image for image in model.images}
+    stems = [PurePosixPath(image.name.replace("\\", "/")).stem for image in model.images]
+    double = [name for name in names if stems.count(name) > 1]
+    if double:
+        raise InputError("its images", f"hold several called {listed(double)}; which belongs to the video is not known")
+    by_stem = dict(zip(stems, model.images, strict=True))
     missing = [name for name in names if name not in by_stem]
     if missing:
         raise InputError("its images", f"do not include {listed(missing)}, for which there are videos; remove these")

@@ -15,6 +15,7 @@ from streamlod.core.initialise.method import Method, PointSources
 from streamlod.core.initialise.methods import known_methods
 from streamlod.core.initialise.plugins import PLUGINS, load
 from streamlod.core.initialise.points_file import SUFFIXES, read_points
+from streamlod.core.rig import UNCHANGED, Similarity
 
 _KNOWN = known_methods()
 METHODS = (*_KNOWN, *PLUGINS)
@@ -30,6 +31,7 @@ def first_points(
     dataset_points: PointCloud | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    space: Similarity = UNCHANGED,
 ) -> PointCloud:
     """Points to start the first frame from.
 
@@ -42,6 +44,7 @@ def first_points(
         dataset_points: what the data set itself has, for ``colmap`` and ``auto``.
         seed: of random points.
         progress: called with the fraction done, from 0 to 1.
+        space: of the cameras, as seen from the coordinates of a file of points.
 
     Raises:
         InputError: unknown method, unusable file, bounds or cameras, or points that the data set does not have.
@@ -55,7 +58,7 @@ def first_points(
         if Path(method).suffix.lower() not in SUFFIXES:
             names = ", ".join(METHODS)
             raise InputError("first points", f"{method!r} is neither one of {names} nor a .ply or .npz file")
-        points = read_points(Path(method))
+        points = read_points(Path(method), space)
     else:
         finder = method
         if isinstance(finder, str):

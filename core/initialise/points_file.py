@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from streamlod.core.arrays import Float32
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
+from streamlod.core.rig import UNCHANGED, Similarity
 
 SUFFIXES = (".ply", ".npz")
 MAX_POINTS = 20_000_000
@@ -40,8 +41,8 @@ class _Header:
     more: bool
 
 
-def read_points(path: Path) -> PointCloud:
-    """Positions and colours of a file of points.
+def read_points(path: Path, space: Similarity = UNCHANGED) -> PointCloud:
+    """Positions and colours of a file of points, brought from the file's coordinates into `space`.
 
     A PLY needs ``x y z``; colours are ``red green blue`` (integers of 255, or floats in [0, 1]) or ``f_dc_0..2``. An
     NPZ needs ``positions`` [N,3] (or ``points``, ``xyz``); colours are ``colours`` (or ``colors``, ``rgb``) [N,3],
@@ -59,10 +60,12 @@ def read_points(path: Path) -> PointCloud:
         raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     if len(positions) == 0:
         raise InputError(path, "holds no points")
-    with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused as such
-        positions = positions.astype(np.float32)
     if not np.isfinite(positions).all() or not np.isfinite(colours).all():
         raise InputError(path, "holds positions or colours that are not finite")
+    with np.errstate(over="ignore"):  # too large for float32 becomes infinite, and is refused as such
+        positions = space.positions(positions.astype(np.float64)).astype(np.float32)
+    if not np.isfinite(positions).all():
+        raise InputError(path, "holds positions that are not finite as 32-bit numbers")
     return PointCloud(np.ascontiguousarray(positions), np.clip(colours, 0, 1).astype(np.float32))
 
 

@@ -17,10 +17,12 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.camera import Camera
+from streamlod.core.data.dataset import scaled_bounds
 from streamlod.core.data.lens import Development, development
 from streamlod.core.data.video.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
+from streamlod.core.rig import UNCHANGED, Similarity
 from streamlod.server.ingest.ahead import just_in_time
 from streamlod.server.ingest.cameras.definition import RigDefinition, read_definition
 from streamlod.server.ingest.push.intake import Intake
@@ -41,18 +43,20 @@ class LiveDataset:
         definition: of the rig.
         developments: for each camera used, undistorts and scales its raw pictures.
         push_socket: where to take pictures that the serving process relays, while frames are read; or none.
+        space: leads from the calibration's coordinates to those of `cameras`, points and depth bounds.
         cameras: pinholes that match the pictures of `frames`.
     """
 
     definition: RigDefinition
     developments: tuple[Development, ...]
     push_socket: Path | None = None
+    space: Similarity = UNCHANGED
     cameras: tuple[Camera, ...] = field(init=False)
     frame_count: None = field(init=False, default=None)  # endless
     _rig: Rig | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self.cameras = tuple(plan.camera for plan in self.developments)
+        self.cameras = tuple(self.space.camera(plan.camera) for plan in self.developments)
         first = self.cameras[0]
         for camera in self.cameras:
             if (camera.width, camera.height) != (first.width, first.height):
@@ -73,12 +77,20 @@ class LiveDataset:
 
     @property
     def depth_bounds(self) -> tuple[float, float] | None:
-        """Nearest and farthest depth of the scene in world units, if known."""
-        return self.definition.depth_bounds
+        """Nearest and farthest depth of the scene in units of the space, if known."""
+        return scaled_bounds(self.definition.depth_bounds, self.space)
 
     def points(self) -> PointCloud | None:
         """The points that came with the calibration, or none."""
-        return self.definition.points
+        return None if self.definition.read_points is None else self.definition.read_points(self.space)
+
+    def normalised(self) -> LiveDataset:
+        """The same rig in the space of training, see `Dataset.normalised`."""
+        return self.placed(self.definition.space)
+
+    def placed(self, space: Similarity) -> LiveDataset:
+        """The same rig in another space, to which `space` leads from the calibration's coordinates."""
+        return LiveDataset(self.definition, self.developments, self.push_socket, space)
 
     def select(self, names: Sequence[str]) -> LiveDataset:
         """The same rig with the cameras `names` only, in that order; others are not read.
@@ -94,7 +106,7 @@ class LiveDataset:
             raise InputError(self.definition.path, f"has no camera {unknown[0]!r:.80}; it has {', '.join(plans)}")
         if not names or len(set(names)) < len(names):
             raise InputError(self.definition.path, "needs at least one camera selected, and each only once")
-        return LiveDataset(self.definition, tuple(plans[name] for name in names), self.push_socket)
+        return LiveDataset(self.definition, tuple(plans[name] for name in names), self.push_socket, self.space)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[FrameSet]:
         """Frame sets as they come, numbered from `start` without gaps, up to `stop` or until the sources end.

@@ -26,6 +26,7 @@ from streamlod.core.errors import InputError, StreamlodError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
+from streamlod.core.rig import space_of
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.residual import Residual
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
@@ -38,6 +39,7 @@ from streamlod.server.pipeline.rehearsal import rehearse
 from streamlod.server.pipeline.trace import Span, timed, timing
 
 _LOG = logging.getLogger(__name__)
+MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)
 _PREFETCHED = 2  # frames decoded ahead
 _PREVIEWS_AT = (0.1, 0.3, 0.6, 2.0)  # fractions of the first frame's run; the last one is never reached
 
@@ -91,6 +93,14 @@ class OpenJob:
         announced = _announced(self.dataset.frames(start, self.stop), self.on_read, announce)
         frames = timed(announced, "read")
         return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
+
+    def continuing(self, scene: Scene) -> OpenJob:
+        """The same job with its cameras where `scene` has them, which may come from another calibration's space."""
+        space = space_of(self.rig, scene.header.cameras)
+        if space is None:
+            return self
+        dataset = self.dataset.placed(space.after(self.dataset.space))
+        return replace(self, dataset=dataset, rig=tuple(space.camera(camera) for camera in self.rig))
 
     def statistics(self) -> Statistics | None:
         """Figures of live cameras; None for files, and while nothing is read."""
@@ -149,7 +159,15 @@ def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
     else:
         dataset = open_synthetic(_synthetic(job.synthetic or {}))
     names = job.train or linspace_split(dataset.names, job.views, job.test).train
-    return OpenJob(job, dataset.select(names), dataset.cameras)
+    dataset = dataset.normalised()
+    chosen = dataset.select(names)
+    if len(chosen.cameras) > MAX_CAMERAS:
+        raise InputError(
+            "--views", f"{len(chosen.cameras)} cameras are too many to train on; the most is {MAX_CAMERAS}"
+        )
+    # a scene's header has room for so many: of a larger rig, viewers are offered the places that trained
+    rig = dataset.cameras if len(dataset.cameras) <= MAX_CAMERAS else chosen.cameras
+    return OpenJob(job, chosen, rig)
 
 
 def _synthetic(values: dict[str, Any]) -> SyntheticSpec:
@@ -179,6 +197,8 @@ def train_stream(
         on_progress: called on the training thread.
     """
     size = _KeyframeSize()
+    if resume is not None:
+        opened = opened.continuing(resume)
 
     def train(outlet: Outlet[_Trained]) -> None:
         _Training(opened, previews, on_progress, size, outlet).run(resume, start)
@@ -221,6 +241,7 @@ def train_clip(
     figures = {
         "train_seconds": float(np.mean(seconds)) if seconds else None,
         "first_frame_seconds": first_seconds,
+        "space": opened.dataset.space.to_json(),
         "job": {name: str(value) for name, value in opened.job.to_json().items()},
         "cut_short": None if cut is None else str(cut),
         "per_frame": reports,
@@ -314,6 +335,7 @@ class _Training:
                 method=self._job.points,
                 dataset_points=dataset.points(),
                 seed=self._job.seed,
+                space=dataset.space,
             ),
         )
 

@@ -76,6 +76,11 @@ def test_poses_take_the_rest_from_the_rig(tmp_path: Path) -> None:
     np.testing.assert_array_equal(camera.intrinsics, [[50, 0, 1], [0, 51, 2], [0, 0, 1]])
 
 
+def test_a_byte_order_mark_before_poses_is_passed_over(tmp_path: Path) -> None:
+    path = write(tmp_path, "\ufeff" + json.dumps({"world_to_camera": POSE}))
+    np.testing.assert_array_equal(read_poses(path, HEADER)(0).world_to_camera, POSE)
+
+
 @pytest.mark.parametrize(
     ("value", "fault"),
     [

@@ -18,7 +18,7 @@ class Footage:
 
     Attributes:
         split: names of the cameras.
-        training, testing: the same frames of the training and of the held-out cameras.
+        training, testing: the same frames of the training and of the held-out cameras, in the space of training.
         frames: how many to use.
         points: first points, the same for all systems.
     """
@@ -86,7 +86,8 @@ def footage_of(
     Args:
         testing: the held-out cameras at another size. points: the way to first points.
     """
-    training, testing = whole.select(split.train), testing or whole.select(split.test)
+    whole = whole.normalised()
+    training, testing = whole.select(split.train), testing.normalised() if testing else whole.select(split.test)
     count = whole.frame_count if frames is None else min(frames, whole.frame_count)
     first = next(iter(training.frames(0, 1)))
     found = first_points(
@@ -95,5 +96,6 @@ def footage_of(
         depth_bounds=training.depth_bounds,
         method=points,
         dataset_points=training.points(),
+        space=training.space,
     )
     return Footage(split, training, testing, count, found)

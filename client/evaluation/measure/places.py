@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from streamlod.client.evaluation.measure.scores import Perception, PictureScore, mean_score, score_picture
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
+from streamlod.core.rig import UNCHANGED, Similarity
 from streamlod.core.synthetic import SyntheticSpec, render_view
 
 BESIDE = (0.05, 0.1, 0.5)  # shares of the way from a camera to its nearest neighbour; the last lies between the two
@@ -35,6 +36,7 @@ def places(
     filmed: UInt8,
     spec: SyntheticSpec | None = None,
     index: int = 0,
+    space: Similarity = UNCHANGED,
 ) -> dict[str, Any]:
     """PSNR, SSIM, and PSNR at the best exposure, by place.
 
@@ -43,6 +45,7 @@ def places(
         cameras: C that trained; filmed: [C,H,W,3] their pictures.
         spec: of a synthetic clip, of which it is known what is seen beside the cameras; None for a recording.
         index: frame of the clip.
+        space: leads from the clip's coordinates to those of the cameras.
 
     Returns:
         ``at``: the figures of each camera by name; ``beside``: their means over the cameras by share of the way to the
@@ -53,7 +56,8 @@ def places(
     if spec is not None and len(cameras) > 1:
         for share in BESIDE:
             views = views_beside(cameras, share)
-            scores = [score_picture(draw(view), render_view(spec, index, view), _NO_NETWORKS) for view in views]
+            seen = [render_view(spec, index, space.inverse().camera(view)) for view in views]
+            scores = [score_picture(draw(view), truth, _NO_NETWORKS) for view, truth in zip(views, seen, strict=True)]
             beside[f"{share:g}"] = _figures(mean_score(scores))
     return {
         "at": {camera.name: _figures(score) for camera, score in zip(cameras, at, strict=True)},

@@ -55,7 +55,12 @@ class MotionScore:
 
 
 def dynamic_precision_recall(
-    spec: SyntheticSpec, before: Scene, dynamic: Bool, index: int, cameras: tuple[Camera, ...]
+    spec: SyntheticSpec,
+    before: Scene,
+    dynamic: Bool,
+    index: int,
+    cameras: tuple[Camera, ...],
+    filmed: tuple[Camera, ...] | None = None,
 ) -> MotionScore:
     """Compare a dynamic set with the true motion of the step to frame `index`.
 
@@ -65,11 +70,12 @@ def dynamic_precision_recall(
         dynamic: [N] bool over the anchors of all its levels.
         index: frame of the clip.
         cameras: the training cameras.
+        filmed: the same in the clip's own coordinates, where these are not those of the state.
 
     Raises:
         ValueError: `dynamic` has another length, or `index` lies outside the clip.
     """
-    seen, moves, visibly = shown_motion(spec, before, index, cameras)
+    seen, moves, visibly = shown_motion(spec, before, index, cameras, filmed)
     if len(dynamic) != len(seen):
         raise ValueError(f"{len(dynamic)} flags do not fit {len(seen)} anchors")
     right = dynamic & (moves >= _PARTLY * np.maximum(seen, 1e-6))
@@ -78,14 +84,22 @@ def dynamic_precision_recall(
 
 
 def shown_motion(
-    spec: SyntheticSpec, before: Scene, index: int, cameras: tuple[Camera, ...]
+    spec: SyntheticSpec,
+    before: Scene,
+    index: int,
+    cameras: tuple[Camera, ...],
+    filmed: tuple[Camera, ...] | None = None,
 ) -> tuple[Float64, Float64, Float64]:
-    """What each anchor shows to `cameras`, in pixels: [N] in all, of surfaces that move, that visibly move."""
+    """What each anchor shows to `cameras`, in pixels: [N] in all, of surfaces that move, that visibly move.
+
+    Args:
+        filmed: as in `dynamic_precision_recall`.
+    """
     field = field_of(before)
     rows = torch.from_numpy(np.flatnonzero(np.concatenate([level.alive for level in before.levels])))
     sums = torch.zeros(len(rows), 3)
-    for camera in cameras:
-        motion = torch.from_numpy(surface_motion(spec, index, camera))
+    for camera, truly in zip(cameras, filmed or cameras, strict=True):
+        motion = torch.from_numpy(surface_motion(spec, index, truly))
         maps = torch.stack([torch.ones_like(motion), motion > _ANY, motion >= VISIBLE], dim=2).float()
         sums += coverage(field, rows, rows[:0], camera, maps, "cpu")
     shown = np.zeros((len(field), 3))

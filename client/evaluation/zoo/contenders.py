@@ -62,7 +62,7 @@ class Contest:
     def plain(self, cpu_seconds: list[float], seed: int) -> Measured:
         """Plain Gaussians with so many seconds for each frame, which is what ours took."""
         cameras = self.footage.testing.cameras
-        movers = MovingPixels(cameras, self.spec)
+        movers = MovingPixels(self.footage.testing.calibrated, self.spec)
         perceived = perceived_frames(self.footage.frames)
         model: PlainGaussians | None = None
         stood: dict[str, Any] = {}
@@ -81,7 +81,11 @@ class Contest:
             if not frames:
                 present = views.usable
                 stood = places(
-                    model.picture, [views.cameras[row] for row in present], training.images[present], self.spec
+                    model.picture,
+                    [views.cameras[row] for row in present],
+                    training.images[present],
+                    self.spec,
+                    space=self.footage.training.space,
                 )
             drawn, truth = [model.picture(camera) for camera in cameras], testing.images
             distance = self.perception.alex if testing.index in perceived else None

@@ -80,4 +80,4 @@ class _Cursor:
         if end < 0:
             raise InputError(self.path, "holds a name without an end; copy it again")
         text, self.at = self.data[self.at : end], end + 1
-        return text.decode(errors="replace")
+        return text.decode(errors="surrogateescape")  # as Python's file names: bytes of other encodings are kept

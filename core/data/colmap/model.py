@@ -5,6 +5,7 @@ Format: https://colmap.github.io/format.html. COLMAP's camera axes and pixel cen
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +14,12 @@ import numpy as np
 from streamlod.core.camera import Camera
 from streamlod.core.data.colmap import binary, text
 from streamlod.core.data.colmap.types import ColmapCamera, ColmapImage
+from streamlod.core.data.names import folders_in, listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
+from streamlod.core.rig import UNCHANGED, Similarity
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,12 +38,43 @@ class ColmapModel:
         return Camera(name, intrinsics, image.world_to_camera, lens.width, lens.height, distortion)
 
 
+def has_model(folder: Path) -> bool:
+    """Whether `find_model` finds one."""
+    return bool(_models(folder))
+
+
 def find_model(folder: Path) -> Path | None:
-    """The folder of the sparse model that belongs to a data set's `folder`: sparse/0, sparse or itself."""
-    for candidate in (folder / "sparse" / "0", folder / "sparse", folder):
-        if any((candidate / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
-            return candidate
-    return None
+    """The folder of the sparse model that belongs to a data set's `folder`: one in sparse, sparse itself or `folder`.
+
+    COLMAP writes one for each part of the pictures that it could not connect with the others: the largest counts.
+    """
+    models = _models(folder)
+    if len(models) < 2:
+        return models[0] if models else None
+    counts = [_image_count(model) for model in models]
+    best = models[counts.index(max(counts))]
+    _log.warning(
+        "%s: holds %d models, and %s is used, which has most pictures (%s)",
+        *(best.parent, len(models), best.name, listed(f"{m.name}: {n}" for m, n in zip(models, counts, strict=True))),
+    )
+    return best
+
+
+def _models(folder: Path) -> list[Path]:
+    sparse = folder / "sparse"
+    for candidates in (folders_in(sparse) if sparse.is_dir() else [], [sparse], [folder]):
+        found = [c for c in candidates if any((c / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))]
+        if found:
+            return found
+    return []
+
+
+def _image_count(folder: Path) -> int:
+    """Pictures of a model, 0 for one that cannot be read."""
+    try:
+        return len(read_model(folder).images)
+    except InputError:
+        return 0
 
 
 def read_model(folder: Path) -> ColmapModel:
@@ -53,8 +89,8 @@ def read_model(folder: Path) -> ColmapModel:
     return ColmapModel(lenses, tuple(pictures))
 
 
-def read_points(folder: Path) -> PointCloud:
-    """The points of a sparse model; those whose coordinates float32 cannot hold are left out.
+def read_points(folder: Path, space: Similarity = UNCHANGED) -> PointCloud:
+    """The points of a sparse model in `space`; those whose coordinates float32 cannot hold are left out.
 
     Raises:
         InputError: missing or damaged file.
@@ -62,6 +98,7 @@ def read_points(folder: Path) -> PointCloud:
     path = _file(folder, "points3D")
     rows = (binary if path.suffix == ".bin" else text).read_points(path)
     table = np.array(list(rows), np.float64).reshape(-1, 6)
+    table[:, :3] = space.positions(table[:, :3])
     table = table[(np.abs(table) < np.finfo(np.float32).max).all(axis=1)]
     return PointCloud(table[:, :3].astype(np.float32), np.clip(table[:, 3:] / 255, 0, 1).astype(np.float32))
 

@@ -1,6 +1,6 @@
 """COLMAP folders: a sparse model, and pictures of one instant or of many.
 
-    sparse/0 + images*/                      one instant
+    sparse/0 + images*/                      one instant (of several models in sparse/, the largest)
     sparse/0 + frames/NNNN/                  many instants, one folder each
     NAME0/{sparse/0, images*/}, NAME1/...    many instants; the first model found gives the cameras
 
@@ -10,14 +10,14 @@ An instant's pictures lie in images/, else in images_2/, images_4/ ..., else in 
 from __future__ import annotations
 
 import logging
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from streamlod.core.camera import Camera
-from streamlod.core.data.colmap.model import ColmapModel, find_model, read_model, read_points
+from streamlod.core.data.colmap.model import ColmapModel, find_model, has_model, read_model, read_points
 from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming
-from streamlod.core.data.names import listed, numeric_key
-from streamlod.core.data.pictures import SUFFIXES, picture_size
+from streamlod.core.data.names import files_in, folders_in, like_most, listed, numeric_key
+from streamlod.core.data.pictures import SUFFIXES, find_pictures, picture_size
 from streamlod.core.data.sources import Pictures
 from streamlod.core.errors import InputError
 
@@ -45,10 +45,13 @@ def read_colmap(path: Path) -> RawRecording:
     found = _registered_files(model, instants[0])
     skipped = tuple(name for name, file in found.items() if file is None)
     if skipped:
-        _log.warning("%s: %d pictures of the model are missing: %s", path, len(skipped), listed(skipped, 5))
+        hint = "" if all(map(_is_utf8, skipped)) else " (names that are not UTF-8: export the model as UTF-8)"
+        _log.warning("%s: %d pictures of the model are missing: %s%s", path, len(skipped), listed(skipped, 5), hint)
     files = {name: file for name, file in found.items() if file is not None}
     if not files:
-        raise InputError(instants[0], "holds none of the pictures that the COLMAP model names")
+        names = listed(skipped, 3)
+        raise InputError(instants[0], f"holds none of the pictures that the COLMAP model names: {names}")
+    _report_others(path, list(files.values()))
     cameras = []
     with blaming(model_folder):
         labels = _labels(list(files))
@@ -64,7 +67,7 @@ def read_colmap(path: Path) -> RawRecording:
         "colmap",
         tuple(camera for camera, _ in cameras),
         source,
-        read_points=lambda: read_points(model_folder),
+        read_points=lambda space: read_points(model_folder, space),
         skipped=skipped,
     )
 
@@ -80,43 +83,54 @@ def fitted(camera: Camera, size: tuple[int, int], file: Path) -> Camera:
 
 
 def _model_home(path: Path) -> Path | None:
-    if find_model(path) is not None:
-        return path
-    return next((folder for folder in _folders(path) if find_model(folder) is not None), None)
-
-
-def _folders(path: Path) -> list[Path]:
-    found = (entry for entry in path.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-    return sorted(found, key=lambda folder: numeric_key(folder.name))
+    return path if has_model(path) else next((folder for folder in folders_in(path) if has_model(folder)), None)
 
 
 def _instants(path: Path, home: Path) -> list[Path]:
-    """The folder of each instant, in order."""
+    """The folder of each instant, in order; folders that are called otherwise than most are none."""
+    frames = path if home != path else path / "frames"
+    folders = folders_in(frames) if frames.is_dir() else []
+    instants = like_most(folders)
+    if len(instants) < len(folders):
+        others = listed((folder.name for folder in folders if folder not in instants), 5)
+        _log.warning("%s: left out, as they are not called like an instant: %s", frames, others)
     if home != path:
-        return [folder for folder in _folders(path) if numeric_key(folder.name) >= numeric_key(home.name)]
-    frames = path / "frames"
-    return (_folders(frames) if frames.is_dir() else []) or [path]
+        return [home, *(folder for folder in instants if numeric_key(folder.name) > numeric_key(home.name))]
+    return instants or [path]
 
 
 def _pictures_folder(instant: Path) -> Path:
-    candidates = [folder for folder in _folders(instant) if folder.name.split("_")[0] == "images"]
+    candidates = [folder for folder in folders_in(instant) if folder.name.split("_")[0] == "images"]
     return candidates[0] if candidates else instant
 
 
 def _registered_files(model: ColmapModel, folder: Path) -> dict[str, Path | None]:
-    """The file of each image of the model: of that name, else of that stem."""
-    by_stem = {file.stem: file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES}
-    files: dict[str, Path | None] = {}
+    """The file of each image of the model, in the folder that it names or, where these were put together, in none."""
+    wanted = {}
     for image in model.images:
-        exact = folder / image.name
-        inside = folder.resolve() in exact.resolve().parents
-        files[image.name] = exact if inside and exact.is_file() else by_stem.get(Path(image.name).stem)
-    return files
+        posix = image.name.replace("\\", "/")  # Windows writes it otherwise
+        paths = [folder / spelling for spelling in (image.name, posix, PurePosixPath(posix).name)]
+        wanted[image.name] = [path for path in paths if folder.resolve() in path.resolve().parents]
+    return find_pictures(wanted)
+
+
+def _report_others(path: Path, used: list[Path]) -> None:
+    """Log pictures beside those used: COLMAP could not place them, or placed them in another model."""
+    beside = {file for folder in {file.parent for file in used} for file in files_in(folder, SUFFIXES)}
+    others = sorted((file.name for file in beside - set(used)), key=numeric_key)
+    if others:
+        names = listed(others, 5)
+        _log.warning("%s: %d pictures are left out, as the model does not place them: %s", path, len(others), names)
 
 
 def _labels(names: list[str]) -> dict[str, str]:
     """Camera names: the pictures' stems where these differ, otherwise their paths without suffix."""
-    stems = {name: Path(name).stem for name in names}
+    paths = {name: PurePosixPath(name.replace("\\", "/")) for name in names}
+    stems = {name: path.stem for name, path in paths.items()}
     if len(set(stems.values())) == len(names):
         return stems
-    return {name: Path(name).with_suffix("").as_posix() for name in names}
+    return {name: path.with_suffix("").as_posix() for name, path in paths.items()}
+
+
+def _is_utf8(name: str) -> bool:
+    return not any("\udc80" <= letter <= "\udcff" for letter in name)

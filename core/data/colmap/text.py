@@ -63,6 +63,6 @@ def _parsing(path: Path, line: int) -> Iterator[None]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    for number, text in enumerate(read_text(path).splitlines(), 1):
+    for number, text in enumerate(read_text(path, "surrogateescape").splitlines(), 1):
         if not text.startswith("#"):
             yield number, text.split()

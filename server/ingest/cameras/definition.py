@@ -12,6 +12,8 @@ cameras need a name and a source only.
 from __future__ import annotations
 
 import json
+from codecs import BOM_UTF8
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,9 +27,10 @@ from streamlod.core.data.files import read_bytes
 from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
+from streamlod.core.rig import Similarity, training_space
 from streamlod.server.ingest.cameras.address import Address, parse_address
 
-MAX_CAMERAS = 256
+MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)
 _MAX_BYTES = 1 << 20
 _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
@@ -71,8 +74,9 @@ class RigDefinition:
         fps: instants a second.
         quorum: cameras that an instant needs.
         realtime: whether files are played at their pace, as cameras would deliver.
-        depth_bounds: nearest and farthest depth of the scene in world units, or none.
-        points: first points that came with the calibration, or none.
+        space: from the calibration's coordinates to those of training.
+        depth_bounds: nearest and farthest depth of the scene in the calibration's units, or none.
+        read_points: reads the points that came with the calibration into a space, or none.
     """
 
     path: Path
@@ -80,9 +84,10 @@ class RigDefinition:
     addresses: tuple[Address, ...]
     fps: float
     quorum: int
+    space: Similarity
     realtime: bool = True
     depth_bounds: tuple[float, float] | None = None
-    points: PointCloud | None = None
+    read_points: Callable[[Similarity], PointCloud] | None = None
 
 
 def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
@@ -94,9 +99,9 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
         InputError: the file cannot be read, a field is wrong or missing, or the rig is not usable.
     """
     path = source if isinstance(source, Path) else Path("rig definition")
-    text = read_bytes(source, _MAX_BYTES) if isinstance(source, Path) else json.dumps(source)
+    text = read_bytes(source, _MAX_BYTES) if isinstance(source, Path) else json.dumps(source).encode()
     try:
-        file = _File.model_validate_json(text)
+        file = _File.model_validate_json(text.removeprefix(BOM_UTF8))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -115,13 +120,16 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
     if not file.realtime and any(address.is_live for address in addresses):
         raise InputError(path, "realtime can be false only where all sources are files")
     if file.calibration is None:
-        cameras, points = tuple(_camera(path, entry) for entry in file.cameras), None
+        cameras = calibrated = tuple(_camera(path, entry) for entry in file.cameras)
+        read_points = None
     else:
-        dataset = open_dataset(path.parent / file.calibration)
-        known = {camera.name: camera for camera in dataset.recording.cameras}
-        cameras, points = tuple(_known(path, entry, known) for entry in file.cameras), dataset.points()
-        bounds = bounds or dataset.depth_bounds
-    return RigDefinition(path, cameras, addresses, file.fps, quorum, file.realtime, bounds, points)
+        recording = open_dataset(path.parent / file.calibration).recording
+        calibrated, read_points = recording.cameras, recording.read_points
+        known = {camera.name: camera for camera in calibrated}
+        cameras = tuple(_known(path, entry, known) for entry in file.cameras)
+        bounds = bounds or recording.depth_bounds
+    space = training_space(calibrated, bounds)
+    return RigDefinition(path, cameras, addresses, file.fps, quorum, space, file.realtime, bounds, read_points)
 
 
 def _beside(path: Path, source: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,6 +62,19 @@ def test_report_holds_the_contract(clip: tuple[Path, Path, list[Scene], list[byt
     names = sorted(path.name for path in (tmp_path / "images").iterdir())
     assert names == [f"cam01_{index:05d}.png" for index in range(FRAMES)]
     assert cv2.imread(str(tmp_path / "images" / names[0])).shape == (48, 3 * 80, 3)
+
+
+def test_the_calibration_may_have_another_unit_and_origin_than_the_file(
+    clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path
+) -> None:
+    scene, data, _, _ = clip
+    shutil.copytree(data, tmp_path / "data")
+    table = np.load(data / "poses_bounds.npy")
+    poses = table[:, :15].reshape(-1, 3, 5)
+    poses[:, :, 3] = 1000 * poses[:, :, 3] + [4e6, -1e6, 3e6]
+    np.save(tmp_path / "data" / "poses_bounds.npy", np.hstack([poses.reshape(-1, 15), 1000 * table[:, 15:]]))
+    usual, moved = (evaluate_file(scene, folder, ("cam01",)) for folder in (data, tmp_path / "data"))
+    assert moved["mean"]["psnr"] == pytest.approx(usual["mean"]["psnr"], abs=0.01)
 
 
 def test_another_scene_scores_worse(clip: tuple[Path, Path, list[Scene], list[bytes]], tmp_path: Path) -> None:

@@ -127,3 +127,22 @@ def _triangulated(views: list[tuple[Camera, Float64]]) -> list[float]:
         projected = camera.intrinsics @ camera.world_to_camera[:3] @ point
         residuals.append(float(np.linalg.norm(projected[:2] / projected[2] - pixel)))
     return residuals
+
+
+def test_a_camera_that_was_not_placed_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_caliscope(tmp_path, _cameras(), PRESENT)
+    file = tmp_path / "camera_array.toml"
+    text = file.read_text()
+    lines = [line for line in text.split("[cameras.1]")[1].splitlines() if not line.startswith(("rotation", "transl"))]
+    file.write_bytes(b"\xef\xbb\xbf" + (text.split("[cameras.1]")[0] + "[cameras.1]" + "\n".join(lines)).encode())
+    assert open_dataset(tmp_path).names == ("cam_0",)
+    assert "left out, as the calibration did not place them: cam_1" in caplog.text
+
+
+def test_faults_name_the_file_once(tmp_path: Path) -> None:
+    write_caliscope(tmp_path, _cameras(), PRESENT)
+    file = tmp_path / "camera_array.toml"
+    file.write_text(file.read_text().replace("distortions", "d"))
+    with pytest.raises(InputError) as caught:
+        open_dataset(tmp_path)
+    assert str(caught.value).count("camera_array.toml") == 1

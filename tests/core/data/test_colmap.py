@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -236,3 +237,119 @@ def test_flame_steak_distorted_model(real_data: Path) -> None:
     for image in bent.images:
         np.testing.assert_allclose(image.world_to_camera, poses[image.name], atol=1e-9)
         assert bent.camera_of(image, "a").has_distortion
+
+
+@both_formats
+def test_of_several_models_the_largest_counts(tmp_path: Path, write: Writer, caplog: pytest.LogCaptureFixture) -> None:
+    _one_instant(tmp_path, write)
+    (tmp_path / "sparse" / "0").rename(tmp_path / "sparse" / "1")
+    write(tmp_path / "sparse" / "0", [("cam10.png", rig(NAMES)[0], "PINHOLE")], POINTS)
+    write(tmp_path / "sparse" / "2", [], POINTS)
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset(tmp_path)
+    assert dataset.names == NAMES
+    np.testing.assert_allclose(dataset.cameras[2].world_to_camera, rig(NAMES)[2].world_to_camera, atol=1e-12)
+    assert "holds 3 models, and 1 is used, which has most pictures (0: 1, 1: 3, 2: 0)" in caplog.text
+
+
+def test_one_file_never_serves_several_cameras(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Folders of cameras that were copied into one leave a single 0000.png."""
+    cameras = rig(NAMES)
+    entries = [(f"{camera.name}/0000.png", camera, "PINHOLE") for camera in cameras]
+    write_colmap_binary(tmp_path / "sparse" / "0", entries, POINTS)
+    write_picture(tmp_path / "images" / "0000.png", picture(0, 0))
+    with pytest.raises(InputError, match=r"holds none of the pictures .*: cam00/0000\.png, cam02/0000\.png"):
+        open_dataset(tmp_path)
+    write_picture(tmp_path / "images" / "cam02" / "0000.JPG", picture(1, 0))  # found in its folder, converted
+    write_picture(tmp_path / "images" / "cam10" / "0000.png", picture(2, 0))
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset(tmp_path)
+    assert dataset.names == ("cam00/0000", "cam02/0000", "cam10/0000")
+    (frame,) = dataset.frames()
+    assert [read_back(image) for image in frame.images] == [(0, 0), (1, 0), (2, 0)]
+
+
+def test_pictures_that_the_model_does_not_place_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _one_instant(tmp_path, write_colmap_binary)
+    write_picture(tmp_path / "images" / "cam11.png", picture(3, 0))
+    (tmp_path / "images" / "._cam00.png").write_bytes(b"of macOS")
+    with caplog.at_level(logging.WARNING):
+        assert open_dataset(tmp_path).names == NAMES
+    assert "1 pictures are left out, as the model does not place them: cam11.png" in caplog.text
+
+
+@both_formats
+def test_names_that_are_not_utf8_lead_to_their_files(tmp_path: Path, write: Writer) -> None:
+    _one_instant(tmp_path, write)
+    kind = "bin" if write is write_colmap_binary else "txt"
+    model = tmp_path / "sparse" / "0" / f"images.{kind}"
+    model.write_bytes(model.read_bytes().replace(b"cam02.png", b"c\xfcm2.png"))
+    (tmp_path / "images" / "cam02.png").rename(tmp_path / "images" / os.fsdecode(b"c\xfcm2.png"))
+    dataset = open_dataset(tmp_path)
+    assert sorted(dataset.names) == ["cam00", "cam10", "c\ufffdm2"]
+    (frame,) = dataset.frames()
+    assert {name: read_back(image)[0] for name, image in zip(dataset.names, frame.images, strict=True)} == {
+        "cam00": 0,
+        "cam10": 2,
+        "c\ufffdm2": 1,
+    }
+
+
+def test_a_missing_picture_whose_name_is_not_utf8_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _one_instant(tmp_path, write_colmap_binary)
+    model = tmp_path / "sparse" / "0" / "images.bin"
+    model.write_bytes(model.read_bytes().replace(b"cam02.png", b"c\xfcm2.png"))
+    with caplog.at_level(logging.WARNING):
+        assert open_dataset(tmp_path).names == ("cam00", "cam10")
+    assert "names that are not UTF-8" in caplog.text
+
+
+@both_formats
+def test_backslashes_of_windows_are_slashes(tmp_path: Path, write: Writer) -> None:
+    entries = [(rf"left\{camera.name}.png", camera, "PINHOLE") for camera in rig(NAMES)]
+    write(tmp_path / "sparse" / "0", entries, POINTS)
+    for index, name in enumerate(NAMES):
+        write_picture(tmp_path / "images" / "left" / f"{name}.png", picture(index, 0))
+    dataset = open_dataset(tmp_path)
+    assert (dataset.names, dataset.skipped) == (NAMES, ())
+
+
+def test_text_models_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    _one_instant(tmp_path, write_colmap_text)
+    for file in (tmp_path / "sparse" / "0").iterdir():
+        file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    dataset = open_dataset(tmp_path)
+    points = dataset.points()
+    assert dataset.names == NAMES
+    assert points is not None
+    assert len(points) == 2
+
+
+@pytest.mark.parametrize("stray", ["__MACOSX", "thumbs", "0001_old", ".trash"])
+def test_stray_folders_are_no_instants(tmp_path: Path, stray: str) -> None:
+    write_colmap_text(tmp_path / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in rig(NAMES)], POINTS)
+    for folder in ("0000", "0001", "0002", stray):
+        for index, name in enumerate(NAMES):
+            write_picture(tmp_path / "frames" / folder / f"{name}.png", picture(index, 0))
+    assert open_dataset(tmp_path).frame_count == 3
+
+
+def test_stray_folders_beside_instants_with_models_are_no_instants(tmp_path: Path) -> None:
+    for t in range(3):
+        for index, name in enumerate(NAMES):
+            write_picture(tmp_path / f"t{t}" / "images" / f"{name}.png", picture(index, t))
+    write_colmap_text(tmp_path / "t0" / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in rig(NAMES)], POINTS)
+    (tmp_path / "video").mkdir()
+    (tmp_path / "__MACOSX").mkdir()
+    dataset = open_dataset(tmp_path)
+    assert [read_back(frame.images[2]) for frame in dataset.frames()] == [(2, 0), (2, 1), (2, 2)]
+
+
+def test_long_names_are_cut_to_what_a_stream_can_hold(tmp_path: Path) -> None:
+    cameras = rig(["摄像机机位" * 5 + str(index) for index in range(3)])
+    write_colmap_binary(tmp_path / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in cameras], POINTS)
+    for index, camera in enumerate(cameras):
+        write_picture(tmp_path / "images" / f"{camera.name}.png", picture(index, 0))
+    names = open_dataset(tmp_path).names
+    assert [name[-1] for name in names] == ["0", "1", "2"]
+    assert all(len(name.encode()) <= 64 and "\ufffd" not in name for name in names)

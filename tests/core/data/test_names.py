@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from streamlod.core.data.names import in_numeric_order, listed
+from pathlib import Path
+
+from streamlod.core.data.names import camera_names, in_numeric_order, like_most, listed
 
 
 def test_numbers_sort_as_numbers() -> None:
@@ -14,3 +16,21 @@ def test_numbers_sort_as_numbers() -> None:
 def test_long_lists_are_cut() -> None:
     assert listed(["a", "b", "c"], at_most=2) == "a, b and 1 more"
     assert listed([]) == ""
+
+
+def test_names_fit_into_a_stream() -> None:
+    assert camera_names(["cam00", "é" * 40]) == ["cam00", "é" * 32]
+    assert camera_names(["a\udcfcb"]) == ["a\ufffdb"]
+    long = [letter + "/" + "x" * 64 for letter in "ab"]
+    assert camera_names(["cam00", *long]) == ["cam00", "1-" + "x" * 62, "2-" + "x" * 62]
+    assert camera_names(["same", "same"]) == ["same", "same"]  # for the reader to refuse
+
+
+def test_folders_like_most() -> None:
+    def names(*folders: str) -> list[str]:
+        return [folder.name for folder in like_most([Path(name) for name in folders])]
+
+    assert names("0000", "0001", "thumbs") == ["0000", "0001"]
+    assert names("frame_9", "frame_10", "frame_10_old") == ["frame_9", "frame_10"]
+    assert names("begin", "end") == ["begin", "end"]
+    assert names() == []

@@ -57,3 +57,34 @@ def _shape_or_none(path: Path) -> tuple[int, ...] | None:
         return read_picture(path).shape
     except InputError:
         return None
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+def test_transparency_lies_over_black(tmp_path: Path, depth: type[np.unsignedinteger]) -> None:
+    most = np.iinfo(depth).max
+    pixels = np.full((4, 6, 4), most, depth)
+    pixels[:, :2, 3] = 0  # what lies under it is white, and nobody is to see it
+    pixels[:, 2:4, 3] = most // 5
+    cv2.imwrite(str(tmp_path / "a.png"), pixels)
+    assert read_picture(tmp_path / "a.png")[0, :, 0].tolist() == [0, 0, 51, 51, 255, 255]
+
+
+def test_a_transparent_colour_of_a_palette_is_black(tmp_path: Path) -> None:
+    images = pytest.importorskip("PIL.Image")
+    drawn = images.new("P", (6, 4), 1)
+    drawn.putpalette([200, 10, 10, 10, 200, 10])
+    drawn.putpixel((0, 0), 0)
+    drawn.save(tmp_path / "a.png", transparency=0)
+    assert read_picture(tmp_path / "a.png")[0, :2].tolist() == [[0, 0, 0], [10, 200, 10]]
+
+
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_data_behind_a_jpeg_is_left_out(tmp_path: Path, progressive: int) -> None:
+    """Phones append a film; by chance it holds many bytes that look like the beginning of a scan."""
+    noise = np.random.default_rng(0).integers(0, 256, (40, 60, 3)).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", noise, [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive])
+    path = tmp_path / "a.jpg"
+    path.write_bytes(data.tobytes())
+    alone = read_picture(path)
+    path.write_bytes(data.tobytes() + 5000 * b"\xff\xda\x00\x08")
+    np.testing.assert_array_equal(read_picture(path), alone)

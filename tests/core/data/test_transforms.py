@@ -111,6 +111,11 @@ def test_videos(tmp_path: Path) -> None:
         ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "camera cam10: its pose does not hold a rotation"),
         ({"transform_matrix": (np.nan * np.eye(4)).tolist()}, "camera cam10: its pose holds numbers that are not"),
         ({"camera_model": "OPENCV_FISHEYE"}, "lens model OPENCV_FISHEYE is not supported"),
+        ({"is_fisheye": True}, r"a fisheye lens \(is_fisheye\) is not supported"),
+        ({"k4": 0.1}, "the coefficient k4 is not supported"),
+        ({"camera_model": "FULL_OPENCV", "k6": 0.1}, "the coefficient k6 is not supported"),
+        ({"s1": 0.1}, "the coefficient s1 is not supported"),
+        ({"file_path": r"..\other.png"}, "leads out of the folder"),
         ({"file_path": "../other.png"}, "leads out of the folder"),
         ({"file_path": "/etc/passwd"}, "leads out of the folder"),
         ({"file_path": 7}, "each frame needs a 'file_path'"),
@@ -138,4 +143,28 @@ def test_faults_are_named(tmp_path: Path, changes: dict[str, object], message: s
 def test_files_that_are_not_transforms(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "transforms.json").write_text(text)
     with pytest.raises(InputError, match=rf"transforms\.json: {message}"):
+        open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["images/cam10.jpg", "images/cam10", "images/CAM10.PNG", "images\\\\cam10.png"])
+def test_names_written_otherwise_lead_to_their_files(tmp_path: Path, name: str) -> None:
+    _write(tmp_path)
+    _edit(tmp_path, file_path=name)
+    dataset = open_dataset(tmp_path)
+    assert (dataset.names, dataset.skipped) == (NAMES, ())
+
+
+def test_a_name_written_otherwise_never_serves_two_cameras(tmp_path: Path) -> None:
+    _write(tmp_path)
+    _edit(tmp_path, file_path="images/CAM00.png")
+    assert open_dataset(tmp_path).names == ("cam00", "cam02")
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    _write(tmp_path)
+    file = tmp_path / "transforms.json"
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert open_dataset(tmp_path).names == NAMES
+    file.write_text(file.read_text("utf-8-sig"), "utf-16")
+    with pytest.raises(InputError, match=r"transforms\.json: is not UTF-8 text .*; save it as UTF-8"):
         open_dataset(tmp_path)

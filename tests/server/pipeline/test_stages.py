@@ -20,6 +20,7 @@ from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.errors import InputError, ModelError, TrainingCutShort
 from streamlod.core.frames import FrameSet
+from streamlod.core.rig import Similarity
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainedFrame, Trainer
@@ -27,6 +28,7 @@ from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
 from streamlod.server.pipeline.trace import Span
 from streamlod.server.worker.process import Resume, Sender, Tag, show_again, train
+from tests.core.data import writers
 from tests.core.data.writers import write_colmap_binary, write_picture
 from tests.core.true_points import true_points
 from tests.server.brief import brief_training
@@ -206,6 +208,29 @@ def test_a_restarted_run_goes_on_with_a_keyframe_of_the_old_state(
     reports = [json.loads(body) for tag, body in messages if tag is Tag.REPORT]
     assert [report.get("done") for report in reports] == [2, None, None]
     assert messages[:2] == [(Tag.PACKET, packets[0]), (Tag.REPORT, json.dumps(reports[0]).encode())]
+
+
+def test_a_run_goes_on_in_the_space_of_the_state(job: TrainJob, trained: tuple[Path, list[EncodedFrame]]) -> None:
+    """A recording of an earlier version, or of a rig that was described anew, has its cameras elsewhere."""
+    scene, opened = decoded(trained[1][:1]), open_job(job)
+    there = opened.dataset.placed(Similarity(7.0, np.eye(3), np.array([1.0, 2.0, 3.0])))
+    continued = replace(opened, dataset=there, rig=there.cameras).continuing(scene)
+    known = {camera.name: camera for camera in scene.header.cameras}
+    assert len(continued.rig) == SPEC.cameras - 1
+    for camera in (*continued.rig, *continued.dataset.cameras):
+        np.testing.assert_allclose(camera.world_to_camera, known[camera.name].world_to_camera, atol=1e-9)
+
+
+def test_of_more_cameras_than_a_header_holds_those_that_train_are_offered(tmp_path: Path) -> None:
+    cameras = writers.rig([f"IMG_{number:04d}" for number in range(256)], (32, 16))
+    entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in cameras]
+    writers.write_colmap_binary(tmp_path / "sparse" / "0", entries, np.zeros((0, 6)))
+    for camera in cameras:
+        writers.write_picture(tmp_path / "images" / f"{camera.name}.png", writers.picture(0, 0, (32, 16)))
+    assert len(open_job(TrainJob(data=tmp_path, views=4)).rig) == 4
+    assert len(open_job(TrainJob(data=tmp_path, test=("IMG_0007",))).rig) == 255
+    with pytest.raises(InputError, match="256 cameras are more than a stream can hold: 255"):
+        open_job(TrainJob(data=tmp_path))
 
 
 def test_keyframes_come_at_the_interval(job: TrainJob) -> None:

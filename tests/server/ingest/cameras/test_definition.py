@@ -99,6 +99,29 @@ def test_calibration_comes_from_a_data_set(tmp_path: Path) -> None:
         read_definition(path)
 
 
+def test_a_rig_trains_in_the_space_of_its_calibration(tmp_path: Path) -> None:
+    """As the data set itself does, whichever of its cameras are live; so `evaluate` finds the same places."""
+    cameras = rig(["a", "b", "c"])
+    (tmp_path / "scan").mkdir()
+    files = [f"{camera.name}.png" for camera in cameras]
+    for row, file in enumerate(files):
+        cv2.imwrite(str(tmp_path / "scan" / file), picture(row, 0))
+    write_transforms(tmp_path / "scan", files, cameras)
+    path = tmp_path / "rig.json"
+    entries = [{"name": name, "source": "push:"} for name in "ca"]
+    path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": entries, "depth_bounds": [1, 9]}))
+    dataset, live = open_dataset(tmp_path / "scan").normalised(), open_live(path).normalised()
+    assert live.depth_bounds == (dataset.space.scale, 9 * dataset.space.scale)
+    for camera in live.select(["a"]).cameras:
+        np.testing.assert_allclose(camera.world_to_camera, dataset.cameras[0].world_to_camera, atol=1e-12)
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    path = write_definition(tmp_path, ["push:"])
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert len(read_definition(path).cameras) == 1
+
+
 def test_addresses_let_no_playlist_reach_files() -> None:
     assert parse_address("http://a/b.m3u8").options["protocol_whitelist"] == "http,tcp"
     assert parse_address("/data/a.mp4").options["protocol_whitelist"] == "file"
