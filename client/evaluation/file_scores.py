@@ -27,10 +27,10 @@ from streamlod.client.evaluation.measure.scores import PictureScore, draw, load_
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
 from streamlod.client.recording import RecordedFrame, decode_frames
+from streamlod.core.camera.space import space_of
 from streamlod.core.data import Dataset, open_dataset
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet
-from streamlod.core.rig import space_of
 from streamlod.core.scene.anchors import Scene, SceneHeader
 from streamlod.core.synthetic import SyntheticSpec, read_spec
 

@@ -14,11 +14,11 @@ import numpy as np
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
+from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
 from streamlod.core.data.lens import Development, development
 from streamlod.core.data.names import camera_names, listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
-from streamlod.core.rig import UNCHANGED, Similarity, training_space
 
 MAX_DOWNSCALE = 64
 FPS_OF_PICTURES = 30.0  # folders of pictures do not say their rate
@@ -148,7 +148,7 @@ class Dataset:
         return None if self.recording.read_points is None else self.recording.read_points(self.space)
 
     def normalised(self) -> Dataset:
-        """The same data set in the space of training (`core.rig`), where unit and origin are the rig's."""
+        """The same data set in the space of training (`core.camera.space`), where unit and origin are the rig's."""
         return self.placed(training_space(self.recording.cameras, self.recording.depth_bounds))
 
     def placed(self, space: Similarity) -> Dataset:

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from streamlod.core.camera import Camera
+from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.errors import InputError, ModelError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.initialise.method import Method, PointSources
 from streamlod.core.initialise.methods import known_methods
 from streamlod.core.initialise.plugins import PLUGINS, load
 from streamlod.core.initialise.points_file import SUFFIXES, read_points
-from streamlod.core.rig import UNCHANGED, Similarity
 
 _KNOWN = known_methods()
 METHODS = (*_KNOWN, *PLUGINS)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from streamlod.core.arrays import Float32
+from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
-from streamlod.core.rig import UNCHANGED, Similarity
 
 SUFFIXES = (".ply", ".npz")
 MAX_POINTS = 20_000_000

@@ -21,12 +21,12 @@ from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
 from streamlod.core.camera import Camera
+from streamlod.core.camera.space import space_of
 from streamlod.core.data import Dataset, linspace_split, open_dataset, prefetch
 from streamlod.core.errors import InputError, StreamlodError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
-from streamlod.core.rig import space_of
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.residual import Residual
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic

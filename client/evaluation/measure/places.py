@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from streamlod.client.evaluation.measure.scores import Perception, PictureScore, mean_score, score_picture
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
-from streamlod.core.rig import UNCHANGED, Similarity
+from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.synthetic import SyntheticSpec, render_view
 
 BESIDE = (0.05, 0.1, 0.5)  # shares of the way from a camera to its nearest neighbour; the last lies between the two

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from streamlod.core.camera import Camera
+from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.data.colmap import binary, text
 from streamlod.core.data.colmap.types import ColmapCamera, ColmapImage
 from streamlod.core.data.names import folders_in, listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
-from streamlod.core.rig import UNCHANGED, Similarity
 
 _log = logging.getLogger(__name__)
 

@@ -22,12 +22,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from streamlod.core.camera import Camera
+from streamlod.core.camera.space import Similarity, training_space
 from streamlod.core.data import open_dataset
 from streamlod.core.data.files import read_bytes
 from streamlod.core.data.pictures import MAX_SIDE
 from streamlod.core.errors import InputError
 from streamlod.core.frames import PointCloud
-from streamlod.core.rig import Similarity, training_space
 from streamlod.server.ingest.cameras.address import Address, parse_address
 
 MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)

@@ -18,9 +18,9 @@ from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_residual
 from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.packet import PacketKind
+from streamlod.core.camera.space import Similarity
 from streamlod.core.errors import InputError, ModelError, TrainingCutShort
 from streamlod.core.frames import FrameSet
-from streamlod.core.rig import Similarity
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainedFrame, Trainer
@@ -229,7 +229,7 @@ def test_of_more_cameras_than_a_header_holds_those_that_train_are_offered(tmp_pa
         writers.write_picture(tmp_path / "images" / f"{camera.name}.png", writers.picture(0, 0, (32, 16)))
     assert len(open_job(TrainJob(data=tmp_path, views=4)).rig) == 4
     assert len(open_job(TrainJob(data=tmp_path, test=("IMG_0007",))).rig) == 255
-    with pytest.raises(InputError, match="256 cameras are more than a stream can hold: 255"):
+    with pytest.raises(InputError, match="256 cameras are too many to train on; the most is 255"):
         open_job(TrainJob(data=tmp_path))
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from streamlod.core.arrays import Float64
-from streamlod.core.camera import Camera
+from streamlod.core.camera.camera import Camera
 
 VIEWING_DISTANCE = 4.0  # what rigs of a few metres have: prices and planes of the method were chosen with these
 _NEAREST, _FARTHEST = 0.25, 3.0  # a viewing distance is believed between these multiples of the rig's width

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera, look_at, pinhole
+from streamlod.core.camera.space import UNCHANGED, VIEWING_DISTANCE, Similarity, space_of, training_space
 from streamlod.core.errors import InputError
-from streamlod.core.rig import UNCHANGED, VIEWING_DISTANCE, Similarity, space_of, training_space
 
 POINTS = np.array([[0.0, 1.5, 4.0], [-1.0, 0.2, 5.0], [2.0, 0.0, 3.0]])
 
