@@ -13,7 +13,8 @@ from typing import Any
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError, StorageError, StreamGoneError
-from streamlod.server.auth.gate import Gate
+from streamlod.server.api.reach import check_reach
+from streamlod.server.auth.gate import EVERYTHING, Gate
 from streamlod.server.ingest.push.socket_folder import SocketFolder
 from streamlod.server.pipeline.spec import StreamSpec, spec_from_json
 from streamlod.server.settings import Settings
@@ -148,12 +149,14 @@ class Registry:
 
         Raises:
             StreamGoneError: it was deleted.
-            InputError: the server stops.
+            InputError: the server stops, or the settings do not allow any more what the stream reaches.
         """
         async with self._changing(stream.id):
             self._check_present(stream)
             if self.draining:
                 raise InputError(f"stream {stream.id}", "cannot be started while the server stops; try again later")
+            if stream.id not in self.configured:  # whoever created it was allowed to; the settings may have changed
+                check_reach(stream.spec, self.settings, EVERYTHING)
             stream.start()
 
     async def stop_stream(self, stream: WorkerStream) -> None:
@@ -273,10 +276,16 @@ class Registry:
                 if stored.definition is None:
                     self.kept[name] = store.recording(name)
                 else:
-                    self._add(spec_from_json(store.seal.open(stored.definition)))
+                    stream = self._add(spec_from_json(store.seal.open(stored.definition)))
                     self._initial += [name] if stored.running else []
+                    check_reach(stream.spec, self.settings, EVERYTHING)
             except InputError as error:
-                _LOG.warning("a remembered stream is left out: %s", error)
+                if (found := self.streams.get(name)) is None:
+                    _LOG.warning("a remembered stream is left out: %s", error)
+                else:  # settings were tightened since
+                    _LOG.warning("stream %s may not run any more: %s", name, error)
+                    self._initial = [each for each in self._initial if each != name]
+                    found.fail(str(error))
 
     async def _begin(self, stream: WorkerStream, *, start: bool) -> None:
         restoring = asyncio.create_task(stream.restore())

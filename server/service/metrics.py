@@ -5,9 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 
+from prometheus_client import ProcessCollector
 from prometheus_client.core import CollectorRegistry, CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from streamlod.core.version import streamlod_version
 from streamlod.server.api.registry import Registry
 from streamlod.server.auth.gate import EVERYTHING, Grant, Right
 from streamlod.server.service.ingest_metrics import ingest_families
@@ -105,6 +107,9 @@ class StreamCollector(Collector):
         refused = CounterMetricFamily("streamlod_refused_tokens", "requests with a wrong token")
         refused.add_metric([], self._registry.gate.refused)
         yield refused
+        build = GaugeMetricFamily("streamlod_build_info", "1, with the version that runs", labels=["version"])
+        build.add_metric([streamlod_version()], 1)
+        yield build
         away = CounterMetricFamily("streamlod_turned_away", "connections that were closed", labels=["reason"])
         for reason, count in list(self._registry.turned_away.items()):
             away.add_metric([reason], count)
@@ -126,4 +131,6 @@ def collector_registry(registry: Registry, grant: Grant = EVERYTHING) -> Collect
     """A Prometheus registry over what `grant` allows of the server's."""
     collectors = CollectorRegistry()
     collectors.register(StreamCollector(registry, grant))
+    if grant.covers_all:
+        ProcessCollector(registry=collectors)
     return collectors

@@ -155,6 +155,10 @@ class Stream:
             "live_path": f"/v1/streams/{self.id}/live",
         }
 
+    def fail(self, why: str) -> None:
+        """It does not run, for a reason that its viewers and its owner are told."""
+        self._enter("failed", why)
+
     def now_ns(self) -> int:
         """Unix time of the clock that live cameras' packets carry."""
         return time.time_ns()

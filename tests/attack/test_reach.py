@@ -192,3 +192,19 @@ def test_of_the_state_folder_only_recordings_that_the_token_may_watch_are_read(t
         with pytest.raises(InputError):
             check_reach(spec(state / "streams" / "main" / "x"), settings, Grant(frozenset({Right.CONTROL})))
         check_reach(spec(state / "streams" / "main" / "x"), settings, EVERYTHING)
+
+
+def test_settings_that_were_tightened_hold_for_streams_that_are_remembered(tmp_path: Path, clip: Clip) -> None:
+    state = tmp_path / "state"
+    before = Settings(roots=(clip.path.parent,), state=state)
+    with running(before, confined=True) as server, server.client() as client:
+        made = client.post("/v1/streams", json={"id": "x", "play": str(clip.path), "start": True})
+        assert made.status_code == 201
+    with running(Settings(state=state), confined=True) as server, server.client() as client:
+        found = client.get("/v1/streams/x").json()
+        assert (found["state"], "`roots`" in found["detail"]) == ("failed", True)
+        refused = client.post("/v1/streams/x/start")
+        assert (refused.status_code, "`roots`" in refused.json()["detail"]) == (409, True)
+        assert server.stream("x")["state"] == "failed"
+    with running(before, confined=True) as server:  # it is as it was
+        server.wait(lambda stream: stream["state"] == "live", "x")
