@@ -6,13 +6,16 @@ to a full disk, fails.
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import queue
 import threading
 import time
+from datetime import UTC, datetime
 
 LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+LOG_FORMAT_VARIABLE = "STREAMLOD_LOG_FORMAT"  # of the environment, so that workers have it too: text or json
 MAX_LINES = 1000  # that wait
 _FLUSH_SECONDS = 1.0
 _STDERR = 2
@@ -64,9 +67,23 @@ class BackgroundHandler(logging.Handler):
             return
 
 
+class JsonFormatter(logging.Formatter):
+    """A record as one line of JSON: time, level, logger, message, and its facts (`extra={"facts": ...}`)."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line."""
+        time_text = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
+        line = {"time": time_text, "level": record.levelname, "logger": record.name, "message": record.getMessage()}
+        line |= getattr(record, "facts", {})
+        if record.exc_info:
+            line["error"] = self.formatException(record.exc_info)
+        return json.dumps(line)
+
+
 def log_in_background() -> None:
-    """From now on, have what goes to the process's log written by a thread."""
+    """From now on, have what goes to the process's log written by a thread, in the format of the environment."""
     handler = BackgroundHandler(_STDERR)
-    handler.setFormatter(logging.Formatter(LOG_FORMAT))
+    as_json = os.environ.get(LOG_FORMAT_VARIABLE) == "json"
+    handler.setFormatter(JsonFormatter() if as_json else logging.Formatter(LOG_FORMAT))
     logging.getLogger().handlers = [handler]
     logging.captureWarnings(True)

@@ -175,6 +175,10 @@ class Settings(BaseModel):
         pattern=r"^https?://[^/@\s]+(/\S*)?$",
         description="OpenTelemetry collector (OTLP over HTTP) that is told of each frame's way; none by default",
     )
+    log_format: Literal["text", "json"] = Field(
+        default="text", description="lines of the log: for people, or JSON objects for programs"
+    )
+    access_log: bool = Field(default=False, description="a line of the log for every HTTP request")
     state: Path | None = Field(
         default=None, description="folder of recordings and catalogue; nothing is recorded without"
     )

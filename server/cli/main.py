@@ -140,13 +140,14 @@ def serve(
     tokens: Tokens = None,
     metrics_port: MetricsPort = None,
     trace_endpoint: TraceEndpoint = None,
+    log_format: Annotated[str | None, typer.Option(metavar="text|json", help="Lines of the log.")] = None,
     insecure: Insecure = False,
     **options: Any,
 ) -> None:
     """Run the service: REST, live websocket and the viewer page. Without a source, streams come by REST."""
     settings = _settings(
         config, host=host, port=port, state=state_dir, tokens=tokens, metrics_port=metrics_port,
-        trace_endpoint=trace_endpoint, insecure=insecure or None,
+        trace_endpoint=trace_endpoint, log_format=log_format, insecure=insecure or None,
     )  # fmt: skip
     streams = tuple(stream.spec for stream in settings.streams)
     if any(options[name] is not None for name in (*SOURCES, "play")):

@@ -26,6 +26,7 @@ from streamlod.server.edge import passing
 from streamlod.server.edge.edge import Edge
 from streamlod.server.edge.origin import Origin
 from streamlod.server.edge.pull import OriginSource
+from streamlod.server.http.access_log import AccessLog
 from streamlod.server.http.head import HeadAsGet
 from streamlod.server.http.problems import PROBLEMS, Problem, problem_page, problem_response
 from streamlod.server.http.site_policy import SitePolicy
@@ -112,6 +113,8 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
 
     app.add_middleware(HeadAsGet)
     app.add_middleware(SitePolicy, settings=settings)
+    if settings.access_log:
+        app.add_middleware(AccessLog)
     return app
 
 
@@ -225,7 +228,7 @@ def _add_page(app: FastAPI) -> None:
 
 def _page_folder() -> Path | None:
     """The viewer page, if its package is installed; found without importing it."""
-    package = importlib.util.find_spec("client")
+    package = importlib.util.find_spec("streamlod.client")
     for place in (package.submodule_search_locations or []) if package else []:
         folder = Path(place) / "web"
         if (folder / "index.html").is_file():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 import socket
 import sys
@@ -18,7 +19,7 @@ from fastapi import FastAPI
 from prometheus_client import make_wsgi_app
 from prometheus_client.exposition import ThreadingWSGIServer
 
-from streamlod.core.background_log import log_in_background
+from streamlod.core.background_log import LOG_FORMAT_VARIABLE, log_in_background
 from streamlod.core.errors import InputError, StreamlodError
 from streamlod.server.api.registry import Registry
 from streamlod.server.http.limits import http_class
@@ -83,6 +84,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         InputError: an address in use, or settings, tokens or state that cannot be used.
     """
     settings.check()
+    os.environ[LOG_FORMAT_VARIABLE] = settings.log_format
     log_in_background()
     bound_arenas()
     _allow_descriptors((3 if settings.certificate else 2) * settings.limits.connections + _OTHER_DESCRIPTORS)
