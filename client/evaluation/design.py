@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from streamlod.client.evaluation.systems import with_coarser_steps
 from streamlod.core.train import PRESETS, KeyframeConfig, ModelConfig, PredictConfig, TrainConfig, preset
 
 BASE = "balanced"
@@ -32,7 +33,7 @@ def one_at_a_time() -> tuple[Point, ...]:
         *(_later("epochs", n, replace(base.predict, epochs=n, minimum_steps=3 * n)) for n in (5, 10, 40)),
         *(_later("least gain", g, replace(base.predict, least_gain=g)) for g in (0.0, 0.6)),
         *(_later("rate weight", w, replace(base.predict, rate_weight=w)) for w in (0.0, 0.003, 0.03)),
-        *(_later("step", f, _coarser(base.predict, f)) for f in (0.5, 2.0)),
+        *(Point(f"step {f:g}", "step", with_coarser_steps(base, f)) for f in (0.5, 2.0)),
         *(_later("partition every", n, replace(base.predict, partition_interval=n)) for n in (2, 4)),
         *(_model("levels", n, replace(base.model, levels=n, finer_levels=0)) for n in (1, 3, 5)),
         *(_model("K", n, replace(base.model, gaussians_per_anchor=n)) for n in (1, 4)),
@@ -42,19 +43,6 @@ def one_at_a_time() -> tuple[Point, ...]:
         *(Point(f"downscale {f:g}", "downscale", base, f) for f in (1.5, 2.0)),
     ]
     return (*points, *(point for point in turned if point.config != base or point.shrink != 1))
-
-
-def _coarser(predict: PredictConfig, factor: float) -> PredictConfig:
-    """Quantiser steps `factor` times as large; rates are in steps, so that parameters move as before."""
-    return replace(
-        predict,
-        feature_step=predict.feature_step * factor,
-        offset_step=predict.offset_step * factor,
-        position_steps_per_cell=max(round(predict.position_steps_per_cell / factor), 1),
-        latent_rate=predict.latent_rate / factor,
-        position_rate=predict.position_rate / factor,
-        group_rate=predict.group_rate / factor,
-    )
 
 
 def _longer(keyframe: KeyframeConfig, steps: int) -> KeyframeConfig:

@@ -25,8 +25,8 @@ from streamlod.core.render.raster import Raster
 from streamlod.core.scene.expand import near_radius
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.keyframe.random_background import over_colour
+from streamlod.core.train.loss.photometric import photometric_loss
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.losses import photometric_loss
 from streamlod.core.train.optimise.mean import MeanOfSteps
 from streamlod.core.train.optimise.schedule import ViewOrder
 from streamlod.core.train.pictures.views import Views

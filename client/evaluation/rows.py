@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from streamlod.client.evaluation.systems import with_coarser_steps
 from streamlod.core.errors import InputError
 from streamlod.core.train import TrainConfig, preset
 from streamlod.core.train.config import LevelSelection
@@ -60,18 +61,8 @@ def unquantised(config: TrainConfig) -> TrainConfig:
 
     Rates are in steps, so they grow as the steps shrink: parameters move as before.
     """
-    predict = config.predict
-    finer = replace(
-        predict,
-        feature_step=predict.feature_step / _FINER,
-        offset_step=predict.offset_step / _FINER,
-        position_steps_per_cell=predict.position_steps_per_cell * _FINER,
-        latent_rate=predict.latent_rate * _FINER,
-        position_rate=predict.position_rate * _FINER,
-        group_rate=predict.group_rate * _FINER,
-        rate_weight=0.0,
-    )
-    return replace(config, predict=finer)
+    finer = with_coarser_steps(config, 1 / _FINER)
+    return replace(finer, predict=replace(finer.predict, rate_weight=0.0))
 
 
 def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:

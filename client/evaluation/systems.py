@@ -38,6 +38,7 @@ from streamlod.core.train import (
     TrainedFrame,
     Trainer,
 )
+from streamlod.core.train.later_frame.parts import Neighbourhoods
 
 _log = logging.getLogger(__name__)
 PERCEIVED = 4  # frames of a clip, evenly spread, on which the slow LPIPS is measured
@@ -141,6 +142,22 @@ def with_steps(scene: Scene, old: PredictConfig, new: PredictConfig) -> Scene:
         header=replace(header, position_steps=positions),
         weights=replace(weights, feature_decoder=sendable[0], offset_decoder=sendable[1]),
     )
+
+
+def with_coarser_steps(config: TrainConfig, factor: float) -> TrainConfig:
+    """The same training with steps of residuals `factor` times as wide; rates are in steps, so all moves as before."""
+    predict = replace(
+        config.predict,
+        feature_step=config.predict.feature_step * factor,
+        offset_step=config.predict.offset_step * factor,
+        position_steps_per_cell=max(round(config.predict.position_steps_per_cell / factor), 1),
+        latent_rate=config.predict.latent_rate / factor,
+        position_rate=config.predict.position_rate / factor,
+    )
+    parts = (
+        replace(part, rate=part.rate / factor) if isinstance(part, Neighbourhoods) else part for part in config.parts
+    )
+    return replace(config, predict=predict, parts=tuple(parts))
 
 
 def perceived_frames(frames: int) -> set[int]:

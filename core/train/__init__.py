@@ -1,4 +1,4 @@
-"""Training: the first frame (`keyframe`), every later frame (`residual`), and what both are made of."""
+"""Training: the first frame (`keyframe`), every later frame (`later_frame`), and what both are made of."""
 
 from streamlod.core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
 from streamlod.core.train.presets.named import PRESETS, preset

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 from streamlod.core.train.setting import given, octree_gs, reading, setting
 
@@ -199,32 +199,10 @@ class PredictConfig:
     position_rate: float = setting(
         0.7, "Adam's rate of positions, in steps", reading(1.0, "none given (docs/method.md, reading 12)")
     )
-    group_rate: float = setting(
-        1.4,
-        "Adam's rate of the shift and turn that a neighbourhood shares, in steps; higher than `position_rate`, because"
-        " what single anchors do is mostly noise, which must be sent",
-        reading(1.0, "without effect, as every anchor moves by itself"),
-    )
-    group_cells: float = setting(
-        4.0,
-        "width of the neighbourhoods whose anchors also move as one, in motion cells; 0 for none",
-        reading(0.0, "not mentioned: every anchor moves by itself"),
-    )
     memory: float = setting(
         0.6,
         "Adam's beta_1; a few dozen steps are too few for a long one",
         reading(0.9, "none given; the usual one of Adam"),
-    )
-    continuation: float = setting(
-        0.9,
-        "share of the latest change that an anchor begins with, where the one before it pointed the same way",
-        reading(0.0, "not mentioned: training begins at the frame before"),
-    )
-    search_from: float = setting(
-        0.5,
-        "pixels that something must go in a frame for optical flow to say where training of its anchors begins; 0 for"
-        " never",
-        reading(0.0, "not mentioned: training begins at the frame before"),
     )
     final_rate: float = setting(
         0.3,
@@ -278,42 +256,34 @@ class PredictConfig:
     partition_interval: int = setting(
         1, "frames between partitions; 4 in the paper's star variant", given(1, "IV-D", "every frame is partitioned")
     )
-    growth_rule: str = setting(
-        "error",
-        "where anchors are added, a name in `core.train.growth.later`",
-        octree_gs("gradient", "its refinement"),
-    )
-    growth_at: float = setting(
-        0.3,
-        "share of the frame's steps after which anchors are added, 0 to 1",
-        reading(0.3, "after 30 steps (section V-A), a whole frame of three views, nothing added is trained"),
-    )
-    growth_threshold: float = setting(
-        1e-4,
-        "of the rule `gradient`: view-space gradient norm from which anchors are added",
-        octree_gs(2e-4, "its threshold of the gradient norm"),
-    )
-    growth_share: float = setting(
-        0.004,
-        "added anchors a frame, at most this share of all, 0 to 1; 0 adds none",
-        reading(0.01, "no limit is given; this one bounds a packet"),
-    )
-    growth_room: float = setting(
-        0.5,
-        "share by which the anchors of later frames may outnumber those of the first frame since the start: some errors"
-        " never end, and attract anchors in every frame",
-        reading(100.0, "no limit is given but that of memory"),
-    )
     everything: bool = setting(
         False, "treat all anchors as dynamic, for studies", given(False, "IV-B", "static anchors are frozen")
     )
 
 
 @dataclass(frozen=True, slots=True)
+class PartSettings:
+    """Settings of one part of a later frame; `core.train.later_frame.part` says what a part does.
+
+    Attributes:
+        name: of the part, by which its settings are reached.
+        adds_anchors: whether later frames have more anchors by it.
+    """
+
+    name: ClassVar[str] = ""
+    adds_anchors: ClassVar[bool] = False
+
+
+@dataclass(frozen=True, slots=True)
 class TrainConfig:
-    """The whole method."""
+    """The whole method.
+
+    Attributes:
+        parts: of later frames, in the order in which their hooks run (`core.train.later_frame.parts`).
+    """
 
     model: ModelConfig = field(default_factory=ModelConfig)
     keyframe: KeyframeConfig = field(default_factory=KeyframeConfig)
     predict: PredictConfig = field(default_factory=PredictConfig)
+    parts: tuple[PartSettings, ...] = ()
     seed: int = 0

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 _Value = TypeVar("_Value")
+LEFT_OUT = "left out"
+"""What the tables show for a setting of a part that a preset does not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,3 +43,8 @@ def octree_gs(value: Any, what: str) -> Choice:
 def reading(value: Any, why: str) -> Choice:
     """A value that we had to read into the paper."""
     return Choice(value, "", why)
+
+
+def left_out(instead: str) -> Choice:
+    """The choice to have no such mechanism; `instead` says what happens without it."""
+    return Choice(LEFT_OUT, "", f"not mentioned: {instead}")

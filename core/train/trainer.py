@@ -10,42 +10,33 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from streamlod.core.arrays import Bool
 from streamlod.core.camera import Camera
 from streamlod.core.errors import ModelError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.render import backends, select
-from streamlod.core.scene.anchors import LATENTS, Scene
+from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.keyframe import as_keyframe
-from streamlod.core.scene.residual import apply
-from streamlod.core.train.config import PredictConfig, TrainConfig
+from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
-from streamlod.core.train.control.rate_control import RateControl, RatePlan
+from streamlod.core.train.control.rate_control import RateControl
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.exposure import fitted, neutral
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.field.rounding import Precision
-from streamlod.core.train.growth.later import later_growth
 from streamlod.core.train.growth.near_space import near_space
 from streamlod.core.train.keyframe.seeding import seed_field
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
-from streamlod.core.train.motion.cues import MotionCue, cue_of
-from streamlod.core.train.motion.partition import Observation, change_masks
+from streamlod.core.train.later_frame.frame import AFTER_TRAINING, Means, train_later_frame
+from streamlod.core.train.later_frame.references import as_filmed
+from streamlod.core.train.later_frame.state import State, fresh_state
 from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.pictures.uploading import Uploader
 from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.progress import FrameReport, Progress, ProgressCallback, Stopwatch, TrainedFrame
 from streamlod.core.train.refresh.config import refresh_config
-from streamlod.core.train.residual.references import as_filmed, renewed_references
-from streamlod.core.train.residual.search import guessed_positions
-from streamlod.core.train.residual.state import State, fresh_state
-from streamlod.core.train.residual.trainer import ResidualTrainer
-from streamlod.core.train.residual.update import no_update, residual_of, strongest_changes
 
 _REPORT_EVERY = 25
-_ALWAYS_ROOM = 0.25  # share of the most anchors that a scene may always grow to: it may have begun empty
-_AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
 
 
 class Trainer:
@@ -197,67 +188,33 @@ class Trainer:
         state, watch, views = self._require(), Stopwatch(self._clock), self._views(frames)
         if self._budget is not None:
             self._budget.start()
-        plan, config = self._planned()
-        cue = cue_of(config)
         with watch.stage("compare"):
             state, unknown = self._with_pictures(state, views)
-            references, shown = state.references, state.shown
-            assert references is not None
-            assert shown is not None
-            masks = change_masks(references, views, config.noise_floor)
-        with watch.stage("partition"):
-            dynamic, renewed = self._partition(cue, state, frames, views, masks)
-        rows = torch.from_numpy(np.flatnonzero(dynamic)).to(self._device)
-        update, trainer = no_update(0), None
-        if len(rows):
-            guess = self._guess(watch, state, rows, views, masks)
-            with watch.stage("train"):
-                useful = _by_change(views, references, masks) if cue.only_changed_views else views.usable
-                trainer = ResidualTrainer(
-                    state,
-                    dynamic,
-                    views,
-                    self._exposure,
-                    masks,
-                    useful,
-                    config.memory,
-                    config.group_cells,
-                    guess,
-                )
-                generator = torch.Generator().manual_seed(self._config.seed + frames.index)
-                growth = later_growth(self._config.predict), self._most_new(plan, state)
-                update = trainer.run(config, self._backend, generator, self._pace, *growth)
-        with watch.stage("round"):
-            if plan is not None:
-                update = strongest_changes(update, plan.most_changes_beside(update.new))
-            # what had no time or no bytes goes on where it ended
-            done = update.complete and (plan is None or not plan.strained)
-            residual = residual_of(state.scene, rows.cpu().numpy(), update, frames.index)
-            scene = apply(state.scene, residual)
-            before = update.sent * 0 if state.change is None else state.change[rows].cpu().numpy()
-            start = update.continued(config.continuation, before, done=done)
-            after = state.after(residual, scene, dynamic, rows, update, start)
-        with watch.stage("settle"):
-            if trainer is not None:
-                alive = after.alive.cpu().numpy()
-                drawn = torch.from_numpy(np.flatnonzero(after.trained & alive)).to(self._device)
-                shown = trainer.show(after.field, drawn)
-            if renewed:
-                after = renewed_references(after, state, views, masks, shown, done=done)
-            # trained on for the first time: its static error is nothing that moves
-            after = as_filmed(after, views, unknown) if unknown else after
-            self._state = replace(after, shown=shown)
+        means = Means(
+            config=self._config,
+            plan=None if self._rate is None else self._rate.plan(),
+            backend=self._backend,
+            exposure=self._exposure,
+            first_count=self._first_count,
+            allows=self._allows,
+            pace=self._pace,
+            watch=watch,
+        )
+        done = train_later_frame(state, views, frames.index, means)
+        # trained on for the first time: its static error is nothing that moves
+        self._state = as_filmed(done.state, views, unknown) if unknown else done.state
         self._learn_costs(watch.seconds)
+        update, scene = done.update, done.state.scene
         report = FrameReport(
             watch.seconds,
             update.steps,
             scene.anchor_count,
-            len(rows),
+            int(done.dynamic.sum()),
             update.loss,
             update.repaired,
             tuple(watch.spans),
         )
-        return TrainedFrame(scene, residual, report, dynamic)
+        return TrainedFrame(scene, done.residual, report, done.dynamic)
 
     def sent(self, frame: TrainedFrame, size_bytes: int, seconds: float = 0.0) -> None:
         """Learn what `frame` took as a packet; the frame budget and the rate control go by it.
@@ -280,52 +237,10 @@ class Trainer:
                 self._budget.spent(stage, spent)
 
     def _pace(self, steps: int) -> FrameProgress:
-        return FixedSteps(steps) if self._budget is None else self._budget.pace(steps, *_AFTER_TRAINING)
+        return FixedSteps(steps) if self._budget is None else self._budget.pace(steps, *AFTER_TRAINING)
 
-    def _planned(self) -> tuple[RatePlan | None, PredictConfig]:
-        """What the next frame may spend, None for any, and its configuration under that plan."""
-        plan = None if self._rate is None else self._rate.plan()
-        return plan, self._config.predict if plan is None else plan.applied(self._config.predict)
-
-    def _most_new(self, plan: RatePlan | None, state: State) -> int:
-        """Anchors that the next frame may add."""
-        alive, config = state.scene.anchor_count, self._config
-        room = config.model.max_anchors
-        limit = min(room, max(round((1 + config.predict.growth_room) * self._first_count), int(_ALWAYS_ROOM * room)))
-        new = min(int(config.predict.growth_share * alive), max(limit - alive, 0))
-        return new if plan is None else min(new, plan.most_new)
-
-    def _partition(
-        self, cue: MotionCue, state: State, frames: FrameSet, views: Views, masks: Tensor
-    ) -> tuple[Bool, bool]:
-        """What to train, and whether that was found anew: where it is due and there is time; as before otherwise."""
-        alive = state.alive
-        previous = state.trained & alive.cpu().numpy()
-        late = self._budget is not None and not self._budget.allows("partition", *_AFTER_TRAINING)
-        if late or (frames.index % self._config.predict.partition_interval and previous.any()):
-            return previous, False
-        assert state.references is not None
-        seen = Observation(
-            field=state.field,
-            canonical=state.canonical,
-            alive=alive,
-            views=views,
-            references=state.references,
-            masks=masks,
-            previous=previous,
-            backend=self._backend,
-        )
-        return cue.partition(seen), True
-
-    def _guess(self, watch: Stopwatch, state: State, rows: Tensor, views: Views, masks: Tensor) -> Tensor | None:
-        """[n,3] steps that optical flow takes the anchors `rows`; None where it is not asked, or there is no time."""
-        least = self._config.predict.search_from
-        if least <= 0 or (self._budget is not None and not self._budget.allows("flow", *_AFTER_TRAINING)):
-            return None
-        with watch.stage("flow"):
-            nothing = torch.zeros(len(rows), 3, device=rows.device)
-            usual = nothing if state.start is None else state.start[rows, LATENTS:]
-            return guessed_positions(state, rows, usual, views, masks, least)
+    def _allows(self, stage: str) -> bool:
+        return self._budget is None or self._budget.allows(stage, *AFTER_TRAINING)
 
     def _views(self, frames: FrameSet) -> Views:
         usable = np.flatnonzero(frames.present).tolist()
@@ -396,15 +311,3 @@ def _where_known(pictures: Tensor, otherwise: Tensor) -> Tensor:
     return torch.stack(
         [other if one[0, 0, 0].isnan() else one.clamp(0, 1) for one, other in zip(pictures, otherwise, strict=True)]
     )
-
-
-def _by_change(views: Views, references: Tensor, masks: Tensor) -> list[int]:
-    """Usable cameras in which pixels of `masks` [C,H,W] changed, those that see most change first.
-
-    All usable ones if only one is left: trained on its picture alone, anchors would get worse for every other camera.
-    """
-    change = ((views.targets - references).nan_to_num().square().mean(dim=3) * masks).sum(dim=(1, 2))
-    order = torch.argsort(change, descending=True, stable=True).tolist()
-    usable = [number for number in order if number in views.usable]
-    changed = [number for number in usable if masks[number].any()]
-    return changed if len(changed) > 1 else usable

@@ -55,6 +55,12 @@ class TrainJob:
         choices=("live", "balanced", "quality", "paper"),
         stream_default="live",
     )
+    set: dict[str, int | float | str | bool] | None = option(
+        None,
+        "Settings of the method in place of the preset's, by part and name; docs/preset-paper.md has all.",
+        metavar="keyframe.steps=500,continuation.share=0.8",
+        max_length=MAX_PATH,
+    )
     device: str = option("auto", "auto takes a CUDA device where there is one.", choices=("auto", "cpu", "cuda"))
     seed: int = option(0, "Of everything random.", minimum=0, maximum=2**31 - 1)
     points: str = option(

@@ -31,6 +31,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.residual import Residual
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Progress, TrainedFrame, Trainer, preset
+from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.pipeline.bounded_queue import Outlet, made_by
@@ -295,7 +296,7 @@ class _Training:
         job, dataset = opened.job, opened.dataset
         self._trainer = Trainer(
             dataset.cameras,
-            replace(preset(job.preset), seed=job.seed),
+            replace(with_settings(preset(job.preset), job.set or {}), seed=job.seed),
             dataset.fps,
             job.device,
             opened.rig,

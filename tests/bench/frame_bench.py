@@ -19,13 +19,14 @@ import torch
 from streamlod.core.errors import BackendUnavailable
 from streamlod.core.render import select
 from streamlod.core.train import PredictConfig, TrainConfig
+from streamlod.core.train.later_frame.parts import USUAL
 from tests.bench.frame_gpu import gpu_report
 from tests.bench.frame_subjects import Naive, Streaming, make_case, trained_clip
 from tests.bench.kernel_time import KernelTime
 from tests.bench.parts import parts_parser, run_parts
 
 EPOCHS = 10
-CONFIG = TrainConfig(predict=PredictConfig(epochs=EPOCHS, minimum_steps=0, least_gain=0.0))
+CONFIG = TrainConfig(predict=PredictConfig(epochs=EPOCHS, minimum_steps=0, least_gain=0.0), parts=USUAL)
 VGA, HD = (640, 480), (1280, 720)
 MOVING = 0.006  # share of the anchors that really move; the partition then trains about 5 %
 
@@ -96,7 +97,7 @@ def clip(frames: int = 4) -> dict[str, Any]:
 
 def growth() -> dict[str, Any]:
     """CPU seconds of a frame by views and by anchors, at 320x240 and 4 epochs, and the exponent of a fitted power."""
-    config = TrainConfig(predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0))
+    config = TrainConfig(predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0), parts=USUAL)
 
     def seconds(anchors: int, views: int) -> float:
         # in front, where 40,000 anchors hide it no more than 5,000 do

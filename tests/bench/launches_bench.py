@@ -23,8 +23,8 @@ from streamlod.core.initialise import first_points
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, TrainedFrame, Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.later_frame.training import ResidualTrainer
 from streamlod.core.train.optimise.convergence import EpochProgress
-from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.device.fixture import on_gpu
 from tests.device.pretend import Counts, counted
 

@@ -1,12 +1,12 @@
 """Quality of what moves, over the frames of a synthetic clip, and what it depends on.
 
-    python -m tests.bench.moving_bench [--kind hard --speed 4 --frames 32 --size 200x112 --views 6] [--run X=1,...]
-        [--device cuda]
+    python -m tests.bench.moving_bench [--kind hard --speed 4 --frames 32 --size 200x112 --views 6]
+        [--run predict.epochs=5,...] [--device cuda]
 
-Every `--run` is a run of its own with these fields X of `PredictConfig` changed; all start from the same first frame.
-Four causes of decay can be switched off beside them: `truth=1` trains exactly the anchors that show what moves or
-has just moved, `finer=10` makes the steps of residuals so many times finer without a price on bits, `renew=10` trains a
-refresh keyframe of the state every so many frames, and `anew=20` a first frame.
+Every `--run` is a run of its own with these settings changed (`core.train.presets.settings`); all start from the same
+first frame. Four causes of decay can be switched off beside them: `truth=1` trains exactly the anchors that show what
+moves or has just moved, `finer=10` makes the steps of residuals so many times finer without a price on bits, `renew=10`
+trains a refresh keyframe of the state every so many frames, and `anew=20` a first frame.
 
 Each run tells PSNR on moving pixels (true motion, dilated; docs/benchmarks.md) of the held-out camera and of the
 training cameras, as means over frames 3 to 10, over the middle and over the last 10; the mean PSNR of the whole
@@ -30,7 +30,7 @@ import numpy as np
 from streamlod.client.evaluation.measure.moving import MovingPixels
 from streamlod.client.evaluation.measure.scores import draw
 from streamlod.client.evaluation.measure.truth import shown_motion
-from streamlod.client.evaluation.systems import with_steps
+from streamlod.client.evaluation.systems import with_coarser_steps, with_steps
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.core.arrays import Bool, UInt8
@@ -44,11 +44,14 @@ from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
 from streamlod.core.train.motion import cues
 from streamlod.core.train.motion.partition import Observation
+from streamlod.core.train.presets.settings import with_settings
+from streamlod.server.cli.options import fields_in
 
 _HELD_OUT = "cam00"
 _FIGURES = ("moving", "fitted", "whole", "size", "seconds", "trained", "anchors")  # of a `Course`
 _EARLY, _LATE = slice(3, 11), slice(-10, None)  # frames
 _COUNTED_EVERY = 4  # frames between counts of the anchors that show what moves
+_CAUSES = {"truth", "finer", "renew", "anew"}
 _SHOWN = 0.05  # pixels of what moves, from which an anchor belongs to the true set
 
 
@@ -192,27 +195,14 @@ def _moving_psnr(drawn: list[UInt8], truth: FrameSet, pixels: MovingPixels) -> f
 
 
 def changed(config: TrainConfig, changes: str) -> tuple[TrainConfig, dict[str, int]]:
-    """`config` with comma-separated changes, and the causes that are switched off."""
-    predict, causes = config.predict, dict[str, int]()
-    for change in filter(None, changes.split(",")):
-        name, value = change.split("=")
-        if hasattr(predict, name):
-            predict = replace(predict, **{name: type(getattr(predict, name))(value)})
-        else:
-            causes[name] = int(value)
-    factor = causes.get("finer", 1)
-    if factor > 1:
-        predict = replace(
-            predict,
-            feature_step=predict.feature_step / factor,
-            offset_step=predict.offset_step / factor,
-            position_steps_per_cell=predict.position_steps_per_cell * factor,
-            latent_rate=predict.latent_rate * factor,
-            position_rate=predict.position_rate * factor,
-            group_rate=predict.group_rate * factor,
-            rate_weight=0.0,
-        )
-    return replace(config, predict=predict), causes
+    """`config` with comma-separated changes of its settings, and the causes that are switched off."""
+    found = fields_in(changes)
+    causes = {name: int(found.pop(name)) for name in _CAUSES & found.keys()}
+    config = with_settings(config, found)
+    if "finer" in causes:
+        config = with_coarser_steps(config, 1 / causes["finer"])
+        config = replace(config, predict=replace(config.predict, rate_weight=0.0))
+    return config, causes
 
 
 def main() -> None:
@@ -257,7 +247,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--json", type=Path, help="append the figures of every frame")
     parser.add_argument("--pictures", type=Path, help="JPEG of the frames of --at")
     parser.add_argument("--at", type=int, nargs="+", default=[], help="frames to draw")
-    parser.add_argument("--run", action="append", metavar="FIELD=VALUE,...")
+    parser.add_argument("--run", action="append", metavar="PART.NAME=VALUE,...")
     return parser.parse_args()
 
 

@@ -29,8 +29,8 @@ from streamlod.core.render.cpu.listing import pack_camera
 from streamlod.core.render.cpu.workspace import Workspace
 from streamlod.core.scene.gaussians import GaussianCloud
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.optimise.losses import photometric_loss
-from streamlod.core.train.residual.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.loss.photometric import photometric_loss
 from tests.bench.parts import parts_parser, run_parts
 from tests.bench.raster_gpu import gpu_report
 from tests.bench.raster_subjects import NAMES, convolution_loss, make_scene, tensors, torch_tiles

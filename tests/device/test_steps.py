@@ -10,8 +10,8 @@ from streamlod.core.render.backends import cuda_fault
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
+from streamlod.core.train.later_frame.training import ResidualTrainer
 from streamlod.core.train.optimise.convergence import EpochProgress
-from streamlod.core.train.residual.trainer import ResidualTrainer
 from tests.core.true_points import true_points
 from tests.device.pretend import Counts, counted
 

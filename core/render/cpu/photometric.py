@@ -17,7 +17,7 @@ _CHANNELS = 3
 def photometric_sums(
     image: Float32, target: Float32, dssim_weight: float, boxes: Sequence[Box], pixel_weights: Float32 | None = None
 ) -> tuple[float, Float32]:
-    """The loss of `core.train.optimise.losses.photometric_loss` and its gradient [H,W,3] by `image`.
+    """The loss of `core.train.loss.photometric.photometric_loss` and its gradient [H,W,3] by `image`.
 
     Args:
         image, target: [H,W,3], C-contiguous. boxes: parts to look at, ten pixels apart.

@@ -14,8 +14,8 @@ from streamlod.core.train.config import KeyframeConfig
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.keyframe.random_background import over_colour
-from streamlod.core.train.optimise.losses import photometric_loss
-from streamlod.core.train.optimise.penalty import penalty
+from streamlod.core.train.loss.penalty import penalty
+from streamlod.core.train.loss.total import total_loss
 from streamlod.core.train.pictures.views import Views
 
 
@@ -38,10 +38,10 @@ class ViewLoss:
         image = over_colour(raster.image, raster.transmittance, self.views.targets[number], colour)
         return replace(raster, image=image)
 
-    def loss(self, raster: Raster, number: int) -> Tensor:
-        """Equation 10 of the paper for camera `number`."""
+    def loss(self, raster: Raster, number: int, *prices: Tensor) -> Tensor:
+        """Equation 10 of the paper for camera `number`, and `prices`."""
         image = self.exposure.apply(raster.image, number)
-        return photometric_loss(image, self.views.targets[number], self.config.dssim_weight)
+        return total_loss(image, self.views.targets[number], self.config.dssim_weight, prices)
 
     def penalty(self, splats: Splats) -> Tensor:
         """What Gaussians cost whatever they show: volume and opacity.

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from streamlod.core.errors import unknown_name
 from streamlod.core.train.config import KeyframeConfig, ModelConfig, PredictConfig, TrainConfig
-from streamlod.core.train.presets.paper import paper
+from streamlod.core.train.later_frame.parts import USUAL
+from streamlod.core.train.paper.preset import paper
 
 PRESETS = {
     "live": TrainConfig(
         ModelConfig(max_anchors=24_000),
         KeyframeConfig(steps=800, growth_interval=25),
         PredictConfig(epochs=10),
+        USUAL,
     ),
-    "balanced": TrainConfig(),
+    "balanced": TrainConfig(parts=USUAL),
     "quality": TrainConfig(
         ModelConfig(max_anchors=80_000),
         KeyframeConfig(steps=1500, growth_interval=75, refresh_steps=400),
         PredictConfig(epochs=40, rate_weight=0.0042),
+        USUAL,
     ),
     "paper": paper(),
 }

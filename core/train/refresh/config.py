@@ -24,7 +24,7 @@ def refresh_config(config: TrainConfig, field: Field, version: int) -> TrainConf
     their number would grow with every run.
     """
     steps = config.keyframe.refresh_steps
-    most = 0 if config.predict.growth_share > 0 else min(len(field), config.model.max_anchors)
+    most = 0 if any(part.adds_anchors for part in config.parts) else min(len(field), config.model.max_anchors)
     keyframe = replace(
         config.keyframe,
         steps=steps,

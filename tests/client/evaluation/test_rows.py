@@ -44,7 +44,7 @@ def test_unquantised_moves_parameters_as_before() -> None:
     assert fine.latent_rate * fine.feature_step == pytest.approx(
         config.predict.latent_rate * config.predict.feature_step
     )
-    for rate in ("position_rate", "group_rate"):
+    for rate in ("position_rate",):
         before = getattr(config.predict, rate) / config.predict.position_steps_per_cell
         assert getattr(fine, rate) / fine.position_steps_per_cell == pytest.approx(before)
 

@@ -14,10 +14,10 @@ from streamlod.client.evaluation.summary import run_figures, spread
 from streamlod.client.evaluation.systems import FirstFrames, run_system, with_steps
 from streamlod.core.data import linspace_split
 from streamlod.core.errors import InputError
-from streamlod.core.train import TrainConfig
+from streamlod.core.train import preset
 from tests.client.evaluation.conftest import SPEC, shortened
 
-CONFIG = shortened(TrainConfig())
+CONFIG = shortened(preset("balanced"))
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from streamlod.core.render.tiles import Box
-from streamlod.core.train.optimise.losses import photometric_loss, photometric_planes, photometric_reference, ssim_map
-from streamlod.core.train.residual.region import loss_boxes
+from streamlod.core.train.loss.photometric import photometric_loss, photometric_planes, photometric_reference, ssim_map
+from streamlod.core.train.loss.region import loss_boxes
 from tests.core.render.scenes import make_camera
 from tests.threads import MAX_THREADS, kernel_threads
 

@@ -20,6 +20,7 @@ from streamlod.core.scene.expand import expand
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import PredictConfig, TrainConfig, TrainedFrame, Trainer, preset
+from streamlod.core.train.presets.settings import with_settings
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=4, frames=12, width=96, height=54, fps=10.0)
@@ -32,7 +33,7 @@ def config(**changed: float | bool) -> TrainConfig:
     keyframe = replace(live.keyframe, steps=80, growth_interval=20)
     predict = replace(live.predict, epochs=2, minimum_steps=8)
     model = replace(live.model, max_anchors=2500)
-    return TrainConfig(model, keyframe, replace(predict, **changed))  # type: ignore[arg-type]
+    return TrainConfig(model, keyframe, replace(predict, **changed), live.parts)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -143,8 +144,9 @@ def test_a_change_is_trained_until_that_helps_no_more(clip: Dataset, images: lis
 @pytest.mark.parametrize("factor", [100.0, 1e-3])
 def test_rates_far_off_stay_finite(clip: Dataset, images: list[UInt8], first: Scene, factor: float) -> None:
     predict = PredictConfig()
-    rates = {name: getattr(predict, name) * factor for name in ("latent_rate", "position_rate", "group_rate")}
-    loop(Trainer(clip.cameras, config(**rates), clip.fps, "cpu"), first, images[1:4])
+    rates = {name: getattr(predict, name) * factor for name in ("latent_rate", "position_rate")}
+    wild = with_settings(config(**rates), {"neighbourhoods.rate": 1.4 * factor})
+    loop(Trainer(clip.cameras, wild, clip.fps, "cpu"), first, images[1:4])
 
 
 @pytest.mark.parametrize("end", [1, -1])
@@ -160,7 +162,7 @@ def test_states_at_the_end_of_their_integers_saturate(
         return replace(level, latent=latent, position=position)
 
     far = replace(first, levels=tuple(edge(level) for level in first.levels), version=1)
-    wild = config(latent_rate=50.0, position_rate=500.0, everything=True, growth_share=0.0)
+    wild = with_settings(config(latent_rate=50.0, position_rate=500.0, everything=True), {"new_anchors.share": 0})
     trainer = Trainer(clip.cameras, wild, clip.fps, "cpu")
     trainer.resume(far)
     for index, picture in enumerate(images[1:4], start=2):

@@ -19,11 +19,12 @@ from streamlod.core.train.config import KeyframeConfig
 from streamlod.core.train.field.decode import Network, decode, decode_reference
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.keyframe.random_background import over_colour
+from streamlod.core.train.later_frame.apply import UnitChange, applied
+from streamlod.core.train.later_frame.parts import USUAL
+from streamlod.core.train.loss.penalty import penalty
+from streamlod.core.train.loss.photometric import photometric_loss, photometric_reference
 from streamlod.core.train.optimise.adam import RowAdam
-from streamlod.core.train.optimise.losses import photometric_loss, photometric_reference
-from streamlod.core.train.optimise.penalty import penalty
 from streamlod.core.train.optimise.rate import residual_bits, residual_bits_reference
-from streamlod.core.train.residual.apply import UnitChange, applied
 from tests.core.train.fields import random_field
 from tests.core.true_points import true_points
 
@@ -114,7 +115,7 @@ def test_frames_train_as_well_as_on_the_cpu(gpu: str) -> None:
     spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2)
     clip = open_synthetic(spec)
     config = TrainConfig(
-        keyframe=KeyframeConfig(steps=40), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0)
+        keyframe=KeyframeConfig(steps=40), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0), parts=USUAL
     )
     filmed, scores = list(clip.frames()), list[float]()
     points = true_points(spec)

@@ -18,7 +18,7 @@ from streamlod.client.evaluation.measure.sizes import (
 )
 from streamlod.codec.refresh import RefreshRule
 from streamlod.core.scene.residual import difference
-from streamlod.core.train import TrainConfig, Trainer
+from streamlod.core.train import Trainer, preset
 from streamlod.server.pipeline.job import TrainJob
 from tests.client.evaluation.conftest import shortened
 
@@ -41,7 +41,7 @@ def test_a_stream_pays_for_its_keyframes() -> None:
 
 def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
     """An ideal coder without headers: real keyframes cost more, though context can make up for part of it."""
-    trainer = Trainer(footage.training.cameras, shortened(TrainConfig()), 30, "cpu")
+    trainer = Trainer(footage.training.cameras, shortened(preset("balanced")), 30, "cpu")
     first, second = (pair[0] for pair, _ in zip(footage.pairs(), range(2), strict=False))
     before = trainer.keyframe(first, footage.points).scene
     real = packet_size(None, before, None)

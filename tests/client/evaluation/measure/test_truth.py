@@ -11,7 +11,7 @@ from streamlod.client.evaluation.measure.footage import Footage
 from streamlod.client.evaluation.measure.truth import dynamic_precision_recall, shown_motion
 from streamlod.core.camera import Camera
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.train import TrainConfig, Trainer
+from streamlod.core.train import Trainer, preset
 from tests.client.evaluation.conftest import SPEC
 
 QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pictures show
@@ -20,7 +20,7 @@ QUICK = replace(SPEC, fps=4.0)  # the same first frame, and motion that small pi
 @pytest.fixture(scope="module")
 def scene(footage: Footage) -> Scene:
     training, _ = next(footage.pairs())
-    config = TrainConfig()
+    config = preset("balanced")
     config = replace(config, keyframe=replace(config.keyframe, steps=120, growth_interval=8))
     return Trainer(footage.training.cameras, config, 30, "cpu").keyframe(training, footage.points).scene
 

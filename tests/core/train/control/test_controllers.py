@@ -17,6 +17,7 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainConfig, Trainer, preset
+from streamlod.core.train.presets.settings import with_settings
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=4, frames=5, width=64, height=36, fps=4.0)  # a quarter of a second a frame: fast motion
@@ -142,7 +143,7 @@ def test_a_burst_stays_within_the_buffer_and_quality_returns(
     missing, gained = list[float](), list[float]()
     for seed in range(3):
         ours = replace(config(), seed=seed)
-        plain = replace(ours, predict=replace(ours.predict, growth_share=0.0))
+        plain = with_settings(ours, {"new_anchors.share": 0})
         burst, returned = bound(plain, clip, pictures, first)
         missing.append(unbound(plain, clip, pictures, first) - returned)
         gained.append(bound(ours, clip, pictures, first)[0] - burst)

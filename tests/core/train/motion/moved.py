@@ -14,8 +14,8 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rounding import usual_precision
+from streamlod.core.train.later_frame.state import State, fresh_state
 from streamlod.core.train.pictures.views import Views
-from streamlod.core.train.residual.state import State, fresh_state
 from tests.core.train.fields import random_field
 
 _PLACE = torch.tensor([-0.2, 1.6, 1.0])

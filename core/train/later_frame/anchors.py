@@ -1,0 +1,147 @@
+"""The anchors that a later frame trains, as they will be sent.
+
+Those that are there already are changed by residuals (paper section IV-C); of new ones all numbers are sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from streamlod.core.arrays import Bool, Float32, Int32
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.field.rounding import dead_zone
+from streamlod.core.train.growth.new_anchors import added_levels
+from streamlod.core.train.later_frame.added_anchors import MAX_STEPS, AddedAnchors
+from streamlod.core.train.later_frame.apply import UnitChange, applied
+from streamlod.core.train.later_frame.part import Hooks
+from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.later_frame.update import IntegerUpdate
+from streamlod.core.train.optimise.adam import RowAdam
+from streamlod.core.train.optimise.mean import MeanOfSteps
+from streamlod.core.train.optimise.rate import residual_bits
+
+
+class TrainedAnchors:
+    """Anchors `rows` [n] of a state in training.
+
+    Args:
+        values: what is trained, by name, with its first values (`Hooks.start`).
+        hooks: of the frame's parts, which say how positions come about.
+        memory: Adam's beta_1.
+    """
+
+    def __init__(
+        self, state: State, rows: Tensor, values: dict[str, Tensor], hooks: Sequence[Hooks], memory: float
+    ) -> None:
+        scene, field = state.scene, state.field
+        device = field.feature.device
+        self.base, self._scene = field.with_rows(rows), scene
+        steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
+        feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
+        self._unit = UnitChange(feature, offset, by_level[self.base.level][:, None])
+        leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
+        self._hooks = hooks
+        self.optimiser = RowAdam(leaves, memory)
+        self._mean = MeanOfSteps()
+        self._added: AddedAnchors | None = None
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    @property
+    def moves(self) -> Tensor:
+        """[n,3] how far each anchor goes in steps."""
+        moves = self.optimiser.parameters["position"]
+        for one in self._hooks:
+            moves = one.moved(moves, self.optimiser.parameters)
+        return moves
+
+    def bits(self, moves: Tensor) -> Tensor:
+        """[] that the residuals of all n would take; `moves` as above."""
+        return residual_bits(self.optimiser.parameters["latent"], moves)
+
+    def by_residuals(self) -> Field:
+        """All n with their residuals."""
+        return applied(self.base, self.optimiser.parameters["latent"], self.moves, self._unit)
+
+    def field(self, moves: Tensor | None = None) -> Field:
+        """As they will be sent: those that residuals change, and behind them those that are added.
+
+        Args:
+            moves: as above, where they are at hand.
+        """
+        moves = self.moves if moves is None else moves
+        changed = applied(self.base, self.optimiser.parameters["latent"], moves, self._unit)
+        return changed if self._added is None else self._added.behind(changed)
+
+    def starting_at(self, position: Tensor) -> Field:
+        """All n if they began `position` [n,3] steps from where they were."""
+        return applied(self.base, self.optimiser.parameters["latent"].detach(), position, self._unit)
+
+    def begin_at(self, position: Tensor) -> None:
+        """Let their positions begin there."""
+        with torch.no_grad():
+            self.optimiser.parameters["position"].copy_(position)
+
+    def add(self, new: dict[str, Tensor]) -> None:
+        """Train `new` anchors too from now on, the seven arrays of a field; once a frame."""
+        if len(new["level"]):
+            self._added = AddedAnchors(new, self.base, self._scene, self.optimiser)
+
+    def step(self, config: PredictConfig, decay: float) -> None:
+        """Apply the gradients; rates have fallen to the share `decay`."""
+        rates = {"latent": config.latent_rate, "position": config.position_rate}
+        for one in self._hooks:
+            rates |= one.rates()
+        added = {} if self._added is None else self._added.rates(config.position_rate, decay)
+        self.optimiser.step({name: rate * decay for name, rate in rates.items()} | added)
+
+    def average(self) -> None:
+        """Count the present numbers into the mean."""
+        self._mean.count(self.optimiser.parameters)
+
+    @torch.no_grad()
+    def settle(self) -> None:
+        """All numbers become their means over the steps that were counted, if any were."""
+        for name, mean in self._mean.values.items():
+            self.optimiser.parameters[name].copy_(mean)
+
+    def update(self, shown: Bool, steps: int, loss: float) -> IntegerUpdate:
+        """All that is sent, as integers.
+
+        Args:
+            shown: for each row of `field`; the others are removed, or not added.
+            steps, loss: of the training.
+        """
+        latent, position = map(_finite_integers, (self.optimiser.parameters["latent"], self.moves))
+        added = None
+        if self._added is not None:
+            new = np.flatnonzero(shown[len(self) :])
+            chosen = self.field().with_rows(torch.from_numpy(new + len(self)).to(self.base.feature.device))
+            added = added_levels(chosen, self._added.moved[new], self._scene.header)
+        return IntegerUpdate(
+            latent,
+            position,
+            ~shown[: len(self)],
+            added,
+            steps,
+            loss,
+            self.optimiser.broken,
+            wanted=self.wanted(),
+        )
+
+    def wanted(self) -> Float32:
+        """[n,27] latents and positions before rounding."""
+        wanted = torch.cat([self.optimiser.parameters["latent"], self.moves], dim=1).detach()
+        return np.asarray(wanted.nan_to_num(0.0, 0.0, 0.0).cpu().numpy())
+
+
+def _finite_integers(values: Tensor) -> Int32:
+    """Integers as training saw them; what is not finite stays at its last good state, zero."""
+    rounded = dead_zone(torch.nan_to_num(values.detach(), 0.0, 0.0, 0.0)).clamp(-MAX_STEPS, MAX_STEPS)
+    return rounded.to(torch.int32).cpu().numpy()

@@ -1,0 +1,171 @@
+"""One later frame from its pictures to its residual: compare, select, start, train, round, settle.
+
+What a frame does beyond these six stages is done by parts (`core.train.later_frame.part`), whose hooks run in the order
+of `TrainConfig.parts`: when training starts, after each step, and when the state is rounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from streamlod.core.arrays import Bool
+from streamlod.core.render.backends import Backend
+from streamlod.core.scene.anchors import LATENTS
+from streamlod.core.scene.residual import Residual, apply
+from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
+from streamlod.core.train.control.frame_budget import FrameProgress
+from streamlod.core.train.control.rate_control import RatePlan
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.later_frame.part import Beginning, Hooks, Part
+from streamlod.core.train.later_frame.references import renewed_references
+from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.later_frame.training import FrameTraining
+from streamlod.core.train.later_frame.update import IntegerUpdate, no_update, residual_of, strongest_changes
+from streamlod.core.train.motion.cues import cue_of
+from streamlod.core.train.motion.partition import Observation, change_masks
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.progress import Stopwatch
+
+AFTER_TRAINING = ("round", "settle", "encode")  # stages that a frame's budget keeps time for
+_MAX_NEW = 1 << 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Means:
+    """What a frame may spend, and by what it is trained.
+
+    Attributes:
+        config: of the stream. plan: of the rate control, None for any number of bytes.
+        backend: of the rasteriser. exposure: of the cameras. first_count: anchors of the first frame since the start.
+        allows: whether there is time for a stage before the stages after training.
+        pace: makes the pace of a number of steps. watch: counts the time of each stage.
+    """
+
+    config: TrainConfig
+    plan: RatePlan | None
+    backend: Backend
+    exposure: Exposure
+    first_count: int
+    allows: Callable[[str], bool]
+    pace: Callable[[int], FrameProgress]
+    watch: Stopwatch
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaterFrame:
+    """A trained frame: the state after it, the residual that leads there, and the dynamic set [N] bool."""
+
+    state: State
+    residual: Residual
+    update: IntegerUpdate
+    dynamic: Bool
+
+
+def train_later_frame(state: State, views: Views, index: int, means: Means) -> LaterFrame:
+    """Train frame `index` from `state`, whose references and pictures of every usable camera are known."""
+    watch, plan = means.watch, means.plan
+    config = means.config.predict if plan is None else plan.applied(means.config.predict)
+    with watch.stage("compare"):
+        assert state.references is not None
+        masks = change_masks(state.references, views, config.noise_floor)
+    with watch.stage("partition"):
+        dynamic, renewed = _selected(state, views, masks, index, config, means)
+    rows = torch.from_numpy(np.flatnonzero(dynamic)).to(state.field.feature.device)
+    update, training, hooks = no_update(0), None, list[Hooks]()
+    if len(rows):
+        seen = _beginning(state, rows, views, masks, means)
+        hooks, values = started(means.config.parts, seen, means.allows, watch)
+        with watch.stage("train"):
+            useful = _useful(state, views, masks, config)
+            training = FrameTraining(seen, values, hooks, means.exposure, useful, config.memory)
+            generator = torch.Generator().manual_seed(means.config.seed + index)
+            update = training.run(config, means.backend, generator, means.pace)
+    with watch.stage("round"):
+        if plan is not None:
+            update = strongest_changes(update, plan.most_changes_beside(update.new))
+        # what had no time or no bytes goes on where it ended
+        done = update.complete and (plan is None or not plan.strained)
+        residual = residual_of(state.scene, rows.cpu().numpy(), update, index)
+        columns = {name: kept for one in hooks for name, kept in one.columns(update, done=done).items()}
+        after = state.after(residual, apply(state.scene, residual), dynamic, rows, columns)
+    with watch.stage("settle"):
+        shown = state.shown
+        if training is not None:
+            drawn = np.flatnonzero(after.trained & after.alive.cpu().numpy())
+            shown = training.show(after.field, torch.from_numpy(drawn).to(rows.device))
+        assert shown is not None
+        if renewed:
+            after = renewed_references(after, state, views, masks, shown, done=done)
+    return LaterFrame(replace(after, shown=shown), residual, update, dynamic)
+
+
+def _selected(
+    state: State, views: Views, masks: Tensor, index: int, config: PredictConfig, means: Means
+) -> tuple[Bool, bool]:
+    """[N] what to train, and whether that was found anew: where it is due and there is time; as before otherwise."""
+    alive = state.alive
+    previous = state.trained & alive.cpu().numpy()
+    if not means.allows("partition") or (index % config.partition_interval and previous.any()):
+        return previous, False
+    assert state.references is not None
+    seen = Observation(
+        field=state.field,
+        canonical=state.canonical,
+        alive=alive,
+        views=views,
+        references=state.references,
+        masks=masks,
+        previous=previous,
+        backend=means.backend,
+    )
+    return cue_of(config).partition(seen), True
+
+
+def _beginning(state: State, rows: Tensor, views: Views, masks: Tensor, means: Means) -> Beginning:
+    config = means.config
+    return Beginning(
+        state=state,
+        rows=rows,
+        base=state.field.with_rows(rows),
+        views=views,
+        masks=masks,
+        bit_price=config.predict.rate_weight,
+        max_anchors=config.model.max_anchors,
+        first_count=means.first_count,
+        max_new=_MAX_NEW if means.plan is None else means.plan.most_new,
+    )
+
+
+def started(
+    parts: Sequence[PartSettings], seen: Beginning, allows: Callable[[str], bool], watch: Stopwatch
+) -> tuple[list[Hooks], dict[str, Tensor]]:
+    """Hooks of the parts for which there is time, and what is trained, by name, with its first values."""
+    count, device, hooks = len(seen.rows), seen.rows.device, list[Hooks]()
+    values = {"latent": torch.zeros(count, LATENTS, device=device), "position": torch.zeros(count, 3, device=device)}
+    for part in parts:
+        assert isinstance(part, Part)
+        if not part.is_costly or allows(part.name):
+            with watch.stage(part.name):
+                hooks.append(part.begin(seen))
+                values = hooks[-1].start(values)
+    return hooks, values
+
+
+def _useful(state: State, views: Views, masks: Tensor, config: PredictConfig) -> list[int]:
+    """Cameras to train on: where the cue asks for it, those in which pixels changed, those that see most change first.
+
+    All usable ones if only one is left: trained on its picture alone, anchors would get worse for every other camera.
+    """
+    if not cue_of(config).only_changed_views:
+        return views.usable
+    assert state.references is not None
+    change = ((views.targets - state.references).nan_to_num().square().mean(dim=3) * masks).sum(dim=(1, 2))
+    order = torch.argsort(change, descending=True, stable=True).tolist()
+    usable = [number for number in order if number in views.usable]
+    changed = [number for number in usable if masks[number].any()]
+    return changed if len(changed) > 1 else usable

@@ -1,0 +1,133 @@
+"""Where training of a later frame begins: search before descent.
+
+Where something went farther than its Gaussians reach, its gradient points anywhere. Optical flow in all cameras says
+how far anchors went in space; but flow bleeds over the edges of what moves, so both starts are rendered, and each
+anchor begins where the pixels that it shows are nearer to the new pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.later_frame.part import Beginning, Hooks, Part, Training
+from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.motion.optical_flow import anchor_flow
+from streamlod.core.train.motion.scene_flow import flow_error, scene_flow
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.setting import left_out, setting
+
+_LEAST_GAIN = 0.2  # pixels by which a guess must fit the flow better than the usual start
+_WORTH = 0.1  # of summed absolute errors, in units of [0, 1], that a guess must mend
+_MAX_STEPS = 400.0  # no motion is longer: one wild flow must not throw an anchor out of the scene
+
+
+@dataclass(frozen=True, slots=True)
+class FlowSearch(Part):
+    """Anchors begin where optical flow takes them, if rendering agrees."""
+
+    name: ClassVar[str] = "flow_search"
+    is_costly: ClassVar[bool] = True
+
+    pixels: float = setting(
+        0.5,
+        "pixels that something must go in a frame for optical flow to say where training of its anchors begins",
+        left_out("training begins at the frame before"),
+    )
+
+    def begin(self, seen: Beginning) -> Hooks:
+        """As `Part.begin`."""
+        return _Searching(self.pixels, seen)
+
+
+class _Searching(Hooks):
+    def __init__(self, pixels: float, seen: Beginning) -> None:
+        self._pixels, self._seen = pixels, seen
+        self._guess: Tensor | None = None
+
+    def start(self, values: dict[str, Tensor]) -> dict[str, Tensor]:
+        seen = self._seen
+        self._guess = guessed_positions(seen.state, seen.rows, values["position"], seen.views, seen.masks, self._pixels)
+        return values
+
+    def ready(self, training: Training) -> None:
+        assert self._guess is not None
+        parts = (training.position, self._guess, training.splats_at, training.draw, self._seen.views.targets)
+        training.begin_at(better_starts(*parts, training.numbers))
+
+
+def guessed_positions(state: State, rows: Tensor, usual: Tensor, views: Views, masks: Tensor, least: float) -> Tensor:
+    """[n,3] steps that optical flow says the trained anchors `rows` [n] go; `usual` [n,3] where it says nothing better.
+
+    Args:
+        masks: [C,H,W] bool, pixels that changed.
+        least: pixels that an anchor must go in a picture.
+    """
+    assert state.filmed is not None
+    found = anchor_flow(state.field, rows, state.filmed, views, masks, least)
+    going = found.seen.any(dim=0)
+    guess = usual.clone()
+    if not going.any():
+        return guess
+    found, position = found.of(going), state.field.position[rows[going]]
+    steps = torch.from_numpy(state.scene.header.position_steps).to(position)
+    step = steps[state.field.level[rows[going]]][:, None]
+    motion = scene_flow(position, found, views.cameras)
+    starts = torch.zeros_like(motion), usual[going] * step
+    known = torch.stack([flow_error(start, position, found, views.cameras) for start in starts]).amin(dim=0)
+    better = known - flow_error(motion, position, found, views.cameras) > _LEAST_GAIN
+    led = (motion / step).clamp(-_MAX_STEPS, _MAX_STEPS)
+    guess[going] = torch.where(better[:, None], led, usual[going])
+    return guess
+
+
+def better_starts(
+    usual: Tensor,
+    guess: Tensor,
+    splats_at: Callable[[int, Tensor], Splats],
+    draw: Callable[[int, Splats], Tensor],
+    targets: Tensor,
+    numbers: Iterable[int],
+) -> Tensor:
+    """[n,3] of two starts, `usual` and `guess` [n,3], for each anchor the one whose picture is nearer to `targets`.
+
+    Args:
+        splats_at: the Gaussians of the anchors for a camera's number, if they started there.
+        draw: [H,W,3] what a camera sees of Gaussians, differentiable by their colours.
+        targets: [C,H,W,3] the pictures as they should be. numbers: of the cameras to ask.
+    """
+    differs = (usual != guess).any(dim=1)
+    if not differs.any():
+        return usual
+    worth = torch.zeros(len(usual), device=usual.device)
+    for number in numbers:
+        shots = [_shot(splats_at(number, start), number, draw) for start in (usual, guess)]
+        error, guessed = ((shot.image.detach() - targets[number]).abs().sum(dim=2) for shot in shots)
+        for shot in shots:
+            worth += shot.sums(error - guessed, len(usual))
+    return torch.where((differs & (worth > _WORTH))[:, None], guess, usual)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shot:
+    """A picture [H,W,3] of Gaussians with `colours` [G,3], by which it can be differentiated once."""
+
+    image: Tensor
+    colours: Tensor
+
+    def sums(self, weights: Tensor, anchors: int) -> Tensor:
+        """[n] sum over the pixels of `weights` [H,W] times the blending weights of each anchor (as `coverage`)."""
+        upstream = torch.zeros_like(self.image)
+        upstream[..., 0] = weights
+        (gradient,) = torch.autograd.grad(self.image, self.colours, upstream)
+        return gradient[:, 0].reshape(anchors, -1).sum(dim=1)
+
+
+def _shot(splats: Splats, number: int, draw: Callable[[int, Splats], Tensor]) -> _Shot:
+    colours = splats.colours.detach().requires_grad_()
+    return _Shot(draw(number, replace(splats.detached(), colours=colours)), colours)

@@ -1,0 +1,73 @@
+"""Anchors are added where the changed pixels' error lies, as long as it is worth their bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from streamlod.core.render.raster import Raster
+from streamlod.core.train.growth.errors import ANCHOR_BITS, error_nodes, values_at
+from streamlod.core.train.later_frame.part import Beginning, Hooks, Part, Training
+from streamlod.core.train.setting import left_out, setting
+
+_ANCHOR_BIT = 5 / 7  # of the price of a residual's bit: an anchor serves for longer than a frame
+_ALWAYS_ROOM = 0.25  # share of the most anchors that a scene may always grow to: it may have begun empty
+_WHY = "growth by gradients, see `gradient_growth`"
+
+
+@dataclass(frozen=True, slots=True)
+class NewAnchors(Part):
+    """A later frame adds anchors, some of its steps after it began.
+
+    The price of their bits stays as configured under rate control: an anchor serves for longer than a burst lasts.
+    """
+
+    name: ClassVar[str] = "new_anchors"
+    adds_anchors: ClassVar[bool] = True
+
+    at: float = setting(0.3, "share of the frame's steps after which anchors are added, 0 to 1", left_out(_WHY))
+    share: float = setting(0.004, "added anchors a frame, at most this share of all, 0 to 1", left_out(_WHY))
+    room: float = setting(
+        0.5,
+        "share by which the anchors of later frames may outnumber those of the first frame since the start: some errors"
+        " never end, and attract anchors in every frame",
+        left_out(_WHY),
+    )
+
+    def begin(self, seen: Beginning) -> Hooks:
+        """As `Part.begin`."""
+        most = allowed(seen, self.share, self.room)
+        return _Adding(self.at, most, seen) if most else Hooks()
+
+
+def allowed(seen: Beginning, share: float, room: float) -> int:
+    """How many anchors a frame may add: `share` of those alive, while they outnumber the first frame's by `room`."""
+    alive, most = seen.state.scene.anchor_count, seen.max_anchors
+    limit = min(most, max(round((1 + room) * seen.first_count), int(_ALWAYS_ROOM * most)))
+    return min(int(share * alive), max(limit - alive, 0), seen.max_new)
+
+
+class _Adding(Hooks):
+    def __init__(self, at: float, most: int, seen: Beginning) -> None:
+        self._at, self._most, self._seen = at, most, seen
+        self._drawn: dict[int, Tensor] = {}
+        self._is_due = True
+
+    def stepped(self, training: Training, number: int, raster: Raster, progress: float) -> None:
+        if not self._is_due:
+            return
+        self._drawn[number] = raster.image.detach()
+        if progress >= self._at and len(self._drawn) == len(training.numbers):
+            self._is_due = False
+            training.add(self._new())
+
+    def _new(self) -> dict[str, Tensor]:
+        """The seven arrays of the anchors to add."""
+        seen = self._seen
+        living = seen.state.field.with_rows(torch.nonzero(seen.state.alive)[:, 0])
+        price = _ANCHOR_BIT * seen.bit_price * ANCHOR_BITS
+        nodes = error_nodes(living, seen.views, self._drawn, seen.masks, self._most, price)
+        return values_at(living, nodes, torch.Generator().manual_seed(len(seen.rows)))

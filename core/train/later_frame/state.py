@@ -1,0 +1,129 @@
+"""What the next frame starts from: the decoder's integers, and what the trainer keeps beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from dataclasses import field as value
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from streamlod.core.arrays import Bool, Int64
+from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.expand import anchor_positions, dequantise
+from streamlod.core.scene.residual import Residual
+from streamlod.core.train.field.convert import field_of, level_starts
+from streamlod.core.train.field.field import Field
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """A stream after a frame.
+
+    Attributes:
+        scene: the decoder's integer state; field: the same, dequantised.
+        canonical: the keyframe's field, for the paper's motion cue.
+        references: [C,H,W,3] pictures that new ones are compared with: what was filmed when a change was last
+            accepted, or what the state shows where training of that goes on; NaN for cameras not seen yet; None after
+            a resume.
+        filmed: [C,H,W,3] what was filmed when a change was last accepted, also where training goes on; None: the same
+            as `references`.
+        shown: [C,H,W,3] what the cameras would film of the state, NaN where that is not known; None likewise.
+        trained: [N] bool, the anchors that the latest frame trained.
+        columns: [N,...] what parts keep of each anchor, by name (`core.train.later_frame.part`).
+    """
+
+    scene: Scene
+    field: Field
+    canonical: Field
+    references: Tensor | None
+    shown: Tensor | None
+    trained: Bool
+    columns: Mapping[str, Tensor] = value(default_factory=dict)
+    filmed: Tensor | None = None
+
+    @property
+    def alive(self) -> Tensor:
+        """[N] bool, on the field's device."""
+        alive = np.concatenate([level.alive for level in self.scene.levels])
+        return torch.from_numpy(alive).to(self.field.feature.device)
+
+    @property
+    def is_untouched(self) -> bool:
+        """Whether the keyframe's anchors are all alive and as they were."""
+        if not bool(self.alive.all()) or len(self.field) != len(self.canonical):
+            return False
+        names = ("feature", "offset", "position")
+        return all(torch.equal(getattr(self.field, name), getattr(self.canonical, name)) for name in names)
+
+    def after(
+        self, residual: Residual, scene: Scene, trained: Bool, rows: Tensor, columns: Mapping[str, Tensor]
+    ) -> State:
+        """The state that `residual` led to; changed rows are dequantised again, as the decoder does it.
+
+        Args:
+            trained: [N] bool. rows: [n] their numbers, and `columns` [n,...] what parts keep of them.
+        """
+        device = self.field.feature.device
+        kept = {
+            name: values.new_zeros(len(self.field), *values.shape[1:], device=device).index_copy_(
+                0, rows, values.to(device)
+            )
+            for name, values in columns.items()
+        }
+        after = replace(self, scene=scene, trained=trained, columns=kept)
+        if any(len(part.added) for part in residual.levels):
+            return after._with_added_rows(residual, level_starts(self.scene))
+        return replace(after, field=self._changed(residual, scene))
+
+    def _changed(self, residual: Residual, scene: Scene) -> Field:
+        """The field, with the rows that `residual` changes dequantised from `scene`."""
+        field, starts = self.field, level_starts(scene)
+        device = field.feature.device
+        feature, offset, position = field.feature.clone(), field.offset.clone(), field.position.clone()
+        for number, (level, part) in enumerate(zip(scene.levels, residual.levels, strict=True)):
+            if len(part.rows) == 0:
+                continue
+            changed = torch.from_numpy(part.rows + starts[number]).to(device)
+            new_feature, new_offset, _ = dequantise(scene.header, scene.weights, level, part.rows)
+            feature[changed] = torch.from_numpy(new_feature).to(device)
+            offset[changed] = torch.from_numpy(new_offset).to(device)
+            position[changed] = torch.from_numpy(anchor_positions(scene.header, number, level)[part.rows]).to(device)
+        return replace(field, feature=feature, offset=offset, position=position)
+
+    def _with_added_rows(self, residual: Residual, before: Int64) -> State:
+        """This state, whose scene has anchors more: rows of finer levels move up, and new ones count as dynamic.
+
+        Args:
+            before: first row of each level without the new anchors, and their number.
+        """
+        device = str(self.field.feature.device)
+        origins = []
+        for number, part in enumerate(residual.levels):
+            origins += [np.arange(before[number], before[number + 1]), np.full(len(part.added), -1)]
+        origin = np.concatenate(origins)
+        field = replace(field_of(self.scene).to(device), by_distance=self.field.by_distance)
+        new = torch.from_numpy(np.flatnonzero(origin < 0)).to(device)
+        known = torch.from_numpy(np.maximum(origin, 0)).to(device)
+        return replace(
+            self,
+            field=field,
+            canonical=self.canonical.with_rows(known).with_values(new, field),
+            trained=(origin < 0) | self.trained[np.maximum(origin, 0)],
+            columns={name: values[known].index_fill_(0, new, 0) for name, values in self.columns.items()},
+        )
+
+
+def fresh_state(
+    scene: Scene,
+    device: str,
+    references: Tensor | None = None,
+    shown: Tensor | None = None,
+    *,
+    by_distance: bool = False,
+) -> State:
+    """The state of a keyframe; `by_distance` as in `Field`."""
+    field = replace(field_of(scene).to(device), by_distance=by_distance)
+    return State(scene, field, field, references, shown, np.zeros(len(field), np.bool_))

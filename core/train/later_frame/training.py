@@ -1,0 +1,221 @@
+"""Training of one later frame: quantised residuals of the dynamic anchors only (paper section IV-C).
+
+The state is the decoder's: every frame starts from dequantised integers and ends by rounding, so encoder and decoder
+cannot drift apart. Between the rounds the latents are real numbers whose forward pass is rounded (straight-through).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from streamlod.core.arrays import Bool
+from streamlod.core.render.backends import Backend
+from streamlod.core.render.raster import Raster
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.control.frame_budget import FixedSteps, FrameProgress
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.field.field import Field
+from streamlod.core.train.later_frame.anchors import TrainedAnchors
+from streamlod.core.train.later_frame.part import Beginning, Hooks
+from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
+from streamlod.core.train.loss.total import total_loss
+from streamlod.core.train.optimise.convergence import EpochProgress
+from streamlod.core.train.optimise.loop import run_steps
+from streamlod.core.train.optimise.schedule import ViewOrder
+
+_PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
+_TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
+
+
+class FrameTraining:
+    """Fits the residuals of some anchors to one instant; what hooks may do with it is `core.train.later_frame.part`.
+
+    Args:
+        seen: the state before, the anchors to train, and the pictures.
+        values: what is trained, by name, with its first values (`Hooks.start`).
+        hooks: of the parts that take part, begun with `seen`.
+        exposure: of the cameras.
+        useful: cameras to train on, the most important first.
+        memory: Adam's beta_1.
+    """
+
+    def __init__(
+        self,
+        seen: Beginning,
+        values: dict[str, Tensor],
+        hooks: Sequence[Hooks],
+        exposure: Exposure,
+        useful: list[int],
+        memory: float = 0.9,
+    ) -> None:
+        state, views = seen.state, seen.views
+        field, device = state.field, state.field.feature.device
+        others = state.alive.index_fill(0, seen.rows, False)
+        self._anchors = TrainedAnchors(state, seen.rows, values, hooks, memory)
+        self._hooks, self._all, self._views, self._exposure = hooks, field, views, exposure
+        self._useful, self._masks, self._shown = useful, seen.masks, state.shown
+        black = torch.zeros(3, device=device)
+        self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
+        self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
+        static_splats = _static_splats(field, torch.nonzero(others)[:, 0], self._centres)
+        self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
+        self._caches: dict[int, TileCache] = {}
+        self._weights: dict[int, Tensor] = {}
+        self.numbers = list[int]()
+
+    def run(
+        self,
+        config: PredictConfig,
+        backend: Backend,
+        generator: torch.Generator,
+        progress_of: Callable[[int], FrameProgress] = FixedSteps,
+    ) -> IntegerUpdate:
+        """Train as configured and round.
+
+        Args:
+            progress_of: makes the pace of a number of steps.
+        """
+        total = max(config.epochs * len(self._useful), config.minimum_steps)
+        pace = progress_of(total)
+        self._prepare(pace, backend)
+        if not self.numbers:
+            return no_update(len(self._anchors))
+        if pace.progress(0) <= _PREPARATION:
+            for hooks in self._hooks:
+                hooks.ready(self)
+        order, epochs = ViewOrder(self.numbers, generator), EpochProgress(len(self.numbers), config.least_gain)
+        progress = 0.0
+
+        def reached(_: int) -> float:
+            nonlocal progress
+            progress = pace.progress(epochs.done)
+            return progress
+
+        def step() -> Tensor:
+            number = order.next()
+            loss, raster = self._step(number, config, config.final_rate**progress)
+            epochs.advance(loss)
+            if progress >= config.average_from:
+                self._anchors.average()
+            for hooks in self._hooks:
+                hooks.stepped(self, number, raster, progress)
+            return loss
+
+        losses = run_steps(step, reached)
+        if not losses:  # a guess of where things go that no picture has confirmed is not sent, but not forgotten
+            return replace(no_update(len(self._anchors)), complete=False, wanted=self._anchors.wanted())
+        self._anchors.settle()
+        loss = float(torch.stack(losses[-len(self.numbers) :]).mean())
+        update = self._anchors.update(self._visible(), len(losses), loss)
+        return replace(update, complete=epochs.done >= total and len(self._caches) == len(self._useful))
+
+    @property
+    def position(self) -> Tensor:
+        """As `Training.position`."""
+        return self._anchors.optimiser.parameters["position"].detach()
+
+    def begin_at(self, position: Tensor) -> None:
+        """As `Training.begin_at`."""
+        self._anchors.begin_at(position)
+
+    def splats_at(self, number: int, position: Tensor) -> Splats:
+        """As `Training.splats_at`."""
+        return self._filmed(self._anchors.starting_at(position), number)
+
+    def draw(self, number: int, splats: Splats) -> Tensor:
+        """As `Training.draw`."""
+        return self._raster(number, splats).image
+
+    @torch.no_grad()
+    def changed(self) -> Field:
+        """As `Training.changed`."""
+        return self._anchors.by_residuals()
+
+    def add(self, new: dict[str, Tensor]) -> None:
+        """As `Training.add`."""
+        self._anchors.add(new)
+
+    def show(self, field: Field, rows: Tensor) -> Tensor:
+        """[C,H,W,3] what the usable cameras film once `field` has taken over at `rows`; NaN for the others."""
+        pictures = torch.full_like(self._views.targets, torch.nan)
+        with torch.no_grad():
+            for number, cache in self._caches.items():
+                splats = field.decode(self._centres[number], rows)
+                pictures[number] = cache.render(self._exposure.before(splats, number))[0].image
+        return pictures
+
+    def _prepare(self, pace: FrameProgress, backend: Backend) -> None:
+        """Plan the cameras' pictures, as far as time allows."""
+        with torch.no_grad():
+            for number in self._useful:
+                if self.numbers and pace.progress(0) > _PREPARATION:
+                    break
+                cache = self._caches[number] = self._cache_of(number, self._splats(number), backend)
+                if not cache.is_empty:
+                    self.numbers.append(number)
+
+    def _step(self, number: int, config: PredictConfig, decay: float) -> tuple[Tensor, Raster]:
+        """One view, one update; returns the detached loss, and what was drawn."""
+        moves = self._anchors.moves
+        raster = self._raster(number, self._splats(number, moves))
+        image, prices = raster.image, list[Tensor]()
+        if config.rate_weight:
+            prices.append(config.rate_weight * self._anchors.bits(moves) / image.numel())
+        region, weights = self._caches[number].region, self._pixel_weights(number, config.changed_weight)
+        loss = total_loss(image, self._views.targets[number], config.dssim_weight, prices, region, weights)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self._anchors.step(config, decay)
+        return loss.detach(), raster
+
+    def _raster(self, number: int, splats: Splats) -> Raster:
+        raster, self._caches[number] = self._caches[number].render(splats)
+        return raster
+
+    def _pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
+        """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
+        if number not in self._weights and changed_weight:
+            counted = 1 + changed_weight * self._masks[number, ..., None].to(self._views.targets.dtype)
+            self._weights[number] = counted.expand(-1, -1, 3).contiguous()
+        return self._weights.get(number)
+
+    def _cache_of(self, number: int, trained: Splats, backend: Backend) -> TileCache:
+        camera = self._views.cameras[number]
+        known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
+        before = trained if known is None else self._anchors.base.decode(self._centres[number])
+        return make_tile_cache(camera, trained, self._static[number], self._backgrounds[number], backend, known, before)
+
+    def _splats(self, number: int, moves: Tensor | None = None) -> Splats:
+        """The Gaussians of the anchors in training, as they will be sent, for a camera."""
+        return self._filmed(self._anchors.field(moves), number)
+
+    def _filmed(self, field: Field, number: int) -> Splats:
+        return self._exposure.before(field.decode(self._centres[number]), number)
+
+    @torch.no_grad()
+    def _visible(self) -> Bool:
+        """For each anchor as it will be sent, whether any camera may see it."""
+        field = self._anchors.field()
+        if not self._all.looks_the_same:  # what is transparent to one camera may not be so to another
+            return np.ones(len(field), np.bool_)
+        opacity = field.decode(self._centres[self._views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
+        return np.asarray((opacity > _TRANSPARENT).cpu().numpy())
+
+
+def _static_splats(field: Field, static: Tensor, centres: list[Tensor]) -> list[Splats]:
+    """Gaussians that are only drawn, for each camera; decoded once for all where they look the same to all."""
+    decoded: list[Splats] = []
+    for centre in centres:
+        if decoded and field.looks_the_same:
+            decoded.append(decoded[0])
+            continue
+        with torch.no_grad():
+            splats = field.decode(centre, static)
+        decoded.append(splats.rows(torch.nonzero(splats.opacities > 0)[:, 0]))
+    return decoded

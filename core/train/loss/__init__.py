@@ -1,0 +1,1 @@
+"""The loss of first and later frames."""

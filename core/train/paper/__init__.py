@@ -1,0 +1,1 @@
+"""The preset `paper`, and what only it needs."""

@@ -1,0 +1,39 @@
+"""A frame's training that is about to begin, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from streamlod.core.arrays import Bool
+from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.later_frame.frame import started
+from streamlod.core.train.later_frame.part import Beginning, Part
+from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.later_frame.training import FrameTraining
+from streamlod.core.train.pictures.views import Views
+from streamlod.core.train.progress import Stopwatch
+
+PLENTY = 1 << 20
+
+
+def training_of(
+    state: State,
+    trained: Bool,
+    views: Views,
+    masks: Tensor,
+    parts: Sequence[Part] = (),
+    *,
+    max_new: int = PLENTY,
+    bit_price: float = 0.0,
+) -> FrameTraining:
+    """Training of the anchors `trained` [N], by all usable cameras."""
+    rows = torch.from_numpy(np.flatnonzero(trained))
+    seen = Beginning(
+        state, rows, state.field.with_rows(rows), views, masks, bit_price, PLENTY, state.scene.anchor_count, max_new
+    )
+    hooks, values = started(parts, seen, lambda stage: True, Stopwatch())
+    return FrameTraining(seen, values, hooks, neutral(len(views.cameras)), list(views.usable))

@@ -1,0 +1,42 @@
+"""What the trainer keeps of an anchor stays with it when anchors are added and rows are numbered anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from streamlod.core.camera import pinhole
+from streamlod.core.scene.residual import apply
+from streamlod.core.train.config import PredictConfig
+from streamlod.core.train.field.convert import level_starts, scene_of
+from streamlod.core.train.growth.new_anchors import added_levels
+from streamlod.core.train.later_frame.state import fresh_state
+from streamlod.core.train.later_frame.update import no_update, residual_of
+from tests.core.train.fields import random_field
+
+
+def test_added_anchors_leave_the_changes_of_others_with_them() -> None:
+    camera = pinhole("cam00", (40.0, 40.0), (20.0, 12.0), (40, 24), np.eye(4))
+    scene = scene_of(random_field(30), PredictConfig(), (camera,), 30.0, 0)
+    state = fresh_state(scene, "cpu")
+    rows = torch.tensor([2, 12, 25])  # one of each level
+    assert np.searchsorted(level_starts(scene), rows.numpy(), side="right").tolist() == [1, 2, 3]
+    new = state.field.with_rows(torch.tensor([0, 15]))
+    added = added_levels(new, np.zeros((2, 3), np.int32), scene.header)
+    position = np.array([[1, 0, 0], [0, 2, 0], [0, 0, 3]], np.int32)
+    update = replace(no_update(3), position=position, added=added)
+    residual = residual_of(scene, rows.numpy(), update, 1)
+    partition = np.isin(np.arange(30), rows)
+    columns = {"sent": torch.from_numpy(update.sent), "count": torch.arange(1, 4)}
+    after = state.after(residual, apply(scene, residual), partition, rows, columns)
+
+    assert len(after.field) == 32
+    moved = torch.tensor([2, 13, 27])  # a row more after level 0, two after level 1
+    torch.testing.assert_close(after.columns["sent"][moved], columns["sent"])
+    assert after.columns["count"][moved].tolist() == [1, 2, 3]
+    others = torch.ones(32, dtype=torch.bool)
+    others[moved] = False
+    for kept in after.columns.values():
+        assert not kept[others].any()

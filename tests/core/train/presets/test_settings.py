@@ -1,0 +1,70 @@
+"""Settings of the method by name: every one of them can be reached, and what is wrong is said in one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import pytest
+
+from streamlod.core.errors import InputError
+from streamlod.core.train import preset
+from streamlod.core.train.later_frame.parts import Continuation, NewAnchors
+from streamlod.core.train.presets.settings import PARTS, Value, setting_names, with_settings
+
+
+@pytest.mark.parametrize("name", ["live", "paper"])
+def test_every_setting_is_reached_and_only_it_changes(name: str) -> None:
+    config = preset(name)
+    for setting in setting_names(config):
+        if setting == "parts":
+            continue
+        group, own = setting.split(".")
+        before = getattr(config, group, None) or next(part for part in config.parts if part.name == group)
+        old = getattr(before, own)
+        new: Value = not old if isinstance(old, bool) else (old or 0) + 1 if not isinstance(old, str) else old
+        if setting in {"model.selection", "predict.cue"}:
+            new = {"all": "distance", "distance": "all"}.get(old, "canonical")
+        changed = with_settings(config, {setting: new})
+        after = getattr(changed, group, None) or next(part for part in changed.parts if part.name == group)
+        assert getattr(after, own) == new, setting
+        others = [field.name for field in fields(before) if field.name != own]
+        assert [getattr(after, other) for other in others] == [getattr(before, other) for other in others]
+
+
+def test_parts_are_left_out_and_keep_their_settings() -> None:
+    config = with_settings(preset("live"), {"continuation.share": 0.5})
+    fewer = with_settings(config, {"new_anchors.share": 0.01, "parts": "new_anchors+continuation"})
+    assert fewer.parts == (NewAnchors(share=0.01), Continuation(share=0.5))
+    assert with_settings(config, {"parts": ""}).parts == ()
+    assert with_settings(config, {"parts": "gradient_growth"}).parts == (PARTS["gradient_growth"],)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"keyframe.step": 5}, r"'keyframe.step'.*did you mean keyframe.steps"),
+        ({"nonsense": 5}, r"unknown; choose of continuation.share, "),
+        ({"keyframe.steps": 5.5}, "whole number from 0 to 10000000, not 5.5"),
+        ({"keyframe.steps": True}, "whole number"),
+        ({"keyframe.steps": -1}, "whole number"),
+        ({"predict.epochs": 10**12}, "whole number"),
+        ({"predict.rate_weight": "much"}, "a number from 0"),
+        ({"predict.rate_weight": float("nan")}, "a number from 0"),
+        ({"model.exposure": 1}, "true or false"),
+        ({"model.selection": "some"}, "one of all, distance"),
+        ({"model.levels": "few"}, "or none"),
+        ({"predict.cue": 3}, "text"),
+        ({"parts": "continuaton"}, "did you mean continuation"),
+        ({"parts": "continuation+continuation"}, "twice"),
+        ({"parts": "new_anchors", "continuation.share": 0.5}, "unknown"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(changes: dict[str, Value], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        with_settings(preset("live"), changes)
+
+
+def test_a_setting_that_may_be_missing_takes_none() -> None:
+    config = with_settings(preset("live"), {"model.levels": 3})
+    assert config.model.levels == 3
+    assert with_settings(config, {"model.levels": "none"}).model.levels is None
