@@ -27,8 +27,8 @@ LAYERS = {
         "camera", "frames", "scene", "render metrics data synthetic initialise", "train",
     ),
     "core.train": (
-        "setting config paper presets pictures kernels control", "optimise", "field", "growth motion engine",
-        "keyframe residual", "refresh", "progress", "trainer",
+        "setting config pictures kernels control progress", "optimise loss", "field", "growth motion engine",
+        "keyframe later_frame", "refresh paper", "presets", "trainer",
     ),
     "server": (
         "protocol doctor", "ingest", "pipeline", "settings", "auth worker http", "stream", "viewer",

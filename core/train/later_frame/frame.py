@@ -21,7 +21,7 @@ from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
 from streamlod.core.train.control.frame_budget import FrameProgress
 from streamlod.core.train.control.rate_control import RatePlan
 from streamlod.core.train.field.exposure import Exposure
-from streamlod.core.train.later_frame.part import Beginning, Hooks, Part
+from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks
 from streamlod.core.train.later_frame.references import renewed_references
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.training import FrameTraining
@@ -148,7 +148,7 @@ def started(
     count, device, hooks = len(seen.rows), seen.rows.device, list[Hooks]()
     values = {"latent": torch.zeros(count, LATENTS, device=device), "position": torch.zeros(count, 3, device=device)}
     for part in parts:
-        assert isinstance(part, Part)
+        assert isinstance(part, FramePart)
         if not part.is_costly or allows(part.name):
             with watch.stage(part.name):
                 hooks.append(part.begin(seen))

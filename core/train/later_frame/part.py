@@ -102,7 +102,7 @@ class Hooks:
 
 
 @dataclass(frozen=True, slots=True)
-class Part(PartSettings):
+class FramePart(PartSettings):
     """Settings of a part, and the way to its hooks.
 
     Attributes:

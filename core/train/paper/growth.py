@@ -11,13 +11,13 @@ from streamlod.core.render.raster import Raster
 from streamlod.core.train.growth.gradient import GrowthStatistics
 from streamlod.core.train.growth.new_anchors import first_values
 from streamlod.core.train.growth.rules import GradientGrowth as Rule
-from streamlod.core.train.later_frame.part import Beginning, Hooks, Part, Training
+from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
 from streamlod.core.train.later_frame.parts.new_anchors import allowed
 from streamlod.core.train.setting import octree_gs, reading, setting
 
 
 @dataclass(frozen=True, slots=True)
-class GradientGrowth(Part):
+class PaperGrowth(FramePart):
     """A later frame adds anchors with the features of those whose gradients are large."""
 
     name: ClassVar[str] = "gradient_growth"
@@ -45,7 +45,7 @@ class GradientGrowth(Part):
     )
 
     def begin(self, seen: Beginning) -> Hooks:
-        """As `Part.begin`."""
+        """As `FramePart.begin`."""
         most = allowed(seen, self.share, self.room)
         return _Growing(self.at, Rule(self.threshold), most, seen) if most else Hooks()
 

@@ -12,11 +12,11 @@ from typing import Any
 
 from streamlod.core.train.config import KeyframeConfig, ModelConfig, PartSettings, PredictConfig, TrainConfig
 from streamlod.core.train.later_frame.parts import USUAL
-from streamlod.core.train.paper.growth import GradientGrowth
+from streamlod.core.train.paper.growth import PaperGrowth
 from streamlod.core.train.setting import LEFT_OUT
 
 _PARTS = {"model": ModelConfig, "keyframe": KeyframeConfig, "predict": PredictConfig}
-OF_LATER_FRAMES: tuple[PartSettings, ...] = (GradientGrowth(),)  # instead of ours
+OF_LATER_FRAMES: tuple[PartSettings, ...] = (PaperGrowth(),)  # instead of ours
 
 
 def paper() -> TrainConfig:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from streamlod.core.arrays import Float32
 from streamlod.core.scene.anchors import LATENTS
-from streamlod.core.train.later_frame.part import Beginning, Hooks, Part
+from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks
 from streamlod.core.train.later_frame.update import IntegerUpdate
 from streamlod.core.train.setting import left_out, setting
 
@@ -21,7 +21,7 @@ _MAX_CONTINUATION = 64.0  # steps: one wild change must not throw an anchor out 
 
 
 @dataclass(frozen=True, slots=True)
-class Continuation(Part):
+class Continuation(FramePart):
     """Anchors begin with a share of their latest change.
 
     State columns: [N,27] latents and positions in steps, of the latest change and where the next training begins.
@@ -36,7 +36,7 @@ class Continuation(Part):
     )
 
     def begin(self, seen: Beginning) -> Hooks:
-        """As `Part.begin`."""
+        """As `FramePart.begin`."""
         columns = seen.state.columns
         nothing = torch.zeros(len(seen.rows), LATENTS + 3, device=seen.rows.device)
         change, start = (columns[name][seen.rows] if name in columns else nothing for name in (_CHANGE, _START))

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from streamlod.core.train.field.decode import Splats
-from streamlod.core.train.later_frame.part import Beginning, Hooks, Part, Training
+from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.motion.optical_flow import anchor_flow
 from streamlod.core.train.motion.scene_flow import flow_error, scene_flow
@@ -28,7 +28,7 @@ _MAX_STEPS = 400.0  # no motion is longer: one wild flow must not throw an ancho
 
 
 @dataclass(frozen=True, slots=True)
-class FlowSearch(Part):
+class FlowSearch(FramePart):
     """Anchors begin where optical flow takes them, if rendering agrees."""
 
     name: ClassVar[str] = "flow_search"
@@ -41,7 +41,7 @@ class FlowSearch(Part):
     )
 
     def begin(self, seen: Beginning) -> Hooks:
-        """As `Part.begin`."""
+        """As `FramePart.begin`."""
         return _Searching(self.pixels, seen)
 
 

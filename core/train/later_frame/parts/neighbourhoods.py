@@ -13,12 +13,12 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from streamlod.core.train.later_frame.part import Beginning, Hooks, Part
+from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks
 from streamlod.core.train.setting import left_out, setting
 
 
 @dataclass(frozen=True, slots=True)
-class Neighbourhoods(Part):
+class Neighbourhoods(FramePart):
     """Anchors of one neighbourhood are shifted and turned together, beside their own positions."""
 
     name: ClassVar[str] = "neighbourhoods"
@@ -34,7 +34,7 @@ class Neighbourhoods(Part):
     )
 
     def begin(self, seen: Beginning) -> Hooks:
-        """As `Part.begin`."""
+        """As `FramePart.begin`."""
         width = self.cells * seen.base.octree.motion_cell
         return _Together(self.rate, neighbourhoods(seen.base.position, width))
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from streamlod.core.render.raster import Raster
 from streamlod.core.train.growth.errors import ANCHOR_BITS, error_nodes, values_at
-from streamlod.core.train.later_frame.part import Beginning, Hooks, Part, Training
+from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
 from streamlod.core.train.setting import left_out, setting
 
 _ANCHOR_BIT = 5 / 7  # of the price of a residual's bit: an anchor serves for longer than a frame
@@ -19,7 +19,7 @@ _WHY = "growth by gradients, see `gradient_growth`"
 
 
 @dataclass(frozen=True, slots=True)
-class NewAnchors(Part):
+class AnchorGrowth(FramePart):
     """A later frame adds anchors, some of its steps after it began.
 
     The price of their bits stays as configured under rate control: an anchor serves for longer than a burst lasts.
@@ -38,7 +38,7 @@ class NewAnchors(Part):
     )
 
     def begin(self, seen: Beginning) -> Hooks:
-        """As `Part.begin`."""
+        """As `FramePart.begin`."""
         most = allowed(seen, self.share, self.room)
         return _Adding(self.at, most, seen) if most else Hooks()
 

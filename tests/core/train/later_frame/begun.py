@@ -11,7 +11,7 @@ from torch import Tensor
 from streamlod.core.arrays import Bool
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.later_frame.frame import started
-from streamlod.core.train.later_frame.part import Beginning, Part
+from streamlod.core.train.later_frame.part import Beginning, FramePart
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.pictures.views import Views
@@ -25,7 +25,7 @@ def training_of(
     trained: Bool,
     views: Views,
     masks: Tensor,
-    parts: Sequence[Part] = (),
+    parts: Sequence[FramePart] = (),
     *,
     max_new: int = PLENTY,
     bit_price: float = 0.0,

@@ -22,7 +22,7 @@ from streamlod.core.train.field.rounding import round_through
 from streamlod.core.train.growth import gradient
 from streamlod.core.train.growth.new_anchors import first_values
 from streamlod.core.train.later_frame.added_anchors import AddedAnchors
-from streamlod.core.train.later_frame.parts import NewAnchors
+from streamlod.core.train.later_frame.parts import AnchorGrowth
 from streamlod.core.train.later_frame.state import State, fresh_state
 from streamlod.core.train.later_frame.training import FrameTraining
 from streamlod.core.train.later_frame.update import IntegerUpdate, residual_of
@@ -33,7 +33,7 @@ from tests.core.train.later_frame.begun import training_of
 
 WIDTH, HEIGHT = 96, 64
 CONFIG = PredictConfig(epochs=15, minimum_steps=0, least_gain=0.0, rate_weight=0.0005, position_rate=1.4)
-GROWING = NewAnchors(share=1.0, room=10.0)
+GROWING = AnchorGrowth(share=1.0, room=10.0)
 CAMERAS = tuple(
     pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),
             look_at(np.array([x, -0.4, -3.0]), np.zeros(3), np.array([0.0, -1.0, 0.0])))
@@ -199,7 +199,7 @@ def test_later_frames_have_hardly_more_anchors_than_the_first(
 
 
 def configuration(share: float, most: int, room: float = 0.5) -> TrainConfig:
-    parts = (NewAnchors(share=share, room=room),)
+    parts = (AnchorGrowth(share=share, room=room),)
     return TrainConfig(ModelConfig(max_anchors=most, exposure=False), predict=CONFIG, parts=parts)
 
 

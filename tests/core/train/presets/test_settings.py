@@ -8,7 +8,7 @@ import pytest
 
 from streamlod.core.errors import InputError
 from streamlod.core.train import preset
-from streamlod.core.train.later_frame.parts import Continuation, NewAnchors
+from streamlod.core.train.later_frame.parts import AnchorGrowth, Continuation
 from streamlod.core.train.presets.settings import PARTS, Value, setting_names, with_settings
 
 
@@ -34,7 +34,7 @@ def test_every_setting_is_reached_and_only_it_changes(name: str) -> None:
 def test_parts_are_left_out_and_keep_their_settings() -> None:
     config = with_settings(preset("live"), {"continuation.share": 0.5})
     fewer = with_settings(config, {"new_anchors.share": 0.01, "parts": "new_anchors+continuation"})
-    assert fewer.parts == (NewAnchors(share=0.01), Continuation(share=0.5))
+    assert fewer.parts == (AnchorGrowth(share=0.01), Continuation(share=0.5))
     assert with_settings(config, {"parts": ""}).parts == ()
     assert with_settings(config, {"parts": "gradient_growth"}).parts == (PARTS["gradient_growth"],)
 
