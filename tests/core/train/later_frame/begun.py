@@ -20,6 +20,15 @@ from streamlod.core.train.progress import Stopwatch
 PLENTY = 1 << 20
 
 
+def beginning_of(
+    state: State, trained: Bool, views: Views, masks: Tensor, *, max_new: int = PLENTY, bit_price: float = 0.0
+) -> Beginning:
+    """What is known before the anchors `trained` [N] are."""
+    rows = torch.from_numpy(np.flatnonzero(trained))
+    base, count = state.field.with_rows(rows), state.scene.anchor_count
+    return Beginning(state, rows, base, views, masks, bit_price, PLENTY, count, max_new)
+
+
 def training_of(
     state: State,
     trained: Bool,
@@ -31,9 +40,6 @@ def training_of(
     bit_price: float = 0.0,
 ) -> FrameTraining:
     """Training of the anchors `trained` [N], by all usable cameras."""
-    rows = torch.from_numpy(np.flatnonzero(trained))
-    seen = Beginning(
-        state, rows, state.field.with_rows(rows), views, masks, bit_price, PLENTY, state.scene.anchor_count, max_new
-    )
+    seen = beginning_of(state, trained, views, masks, max_new=max_new, bit_price=bit_price)
     hooks, values = started(parts, seen, lambda stage: True, Stopwatch())
     return FrameTraining(seen, values, hooks, neutral(len(views.cameras)), list(views.usable))
