@@ -24,9 +24,3 @@ def test_the_largest_changes_are_kept() -> None:
     assert kept.latent[:, 3].tolist() == [9, 0, -20, 0, 5]
     assert not kept.complete
     assert not strongest_changes(quanta([9, 1]), 0).latent.any()
-
-
-def test_what_was_cut_short_is_added_to_what_goes_on() -> None:
-    moved = quanta([10, 6])
-    before = moved.sent * np.array([[1], [-1]], np.float32)
-    assert moved.continued(0.5, before, done=False)[:, 3].tolist() == [5.25, 0.25]

@@ -23,3 +23,9 @@ def test_a_change_that_points_as_the_one_before_goes_on() -> None:
     assert continued(moved, 0.5, before, done=True)[:, 3].tolist() == [5.0, -64.0, 0.0, 0.0]
     assert not continued(moved, 0.0, before, done=True).any()
     assert continued(moved, 0.5, before, done=True).dtype == np.float32
+
+
+def test_what_was_cut_short_is_added_to_what_goes_on() -> None:
+    moved = quanta([10, 6])
+    before = moved.sent * np.array([[1], [-1]], np.float32)
+    assert continued(moved, 0.5, before, done=False)[:, 3].tolist() == [5.25, 0.25]
