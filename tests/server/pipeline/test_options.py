@@ -38,6 +38,7 @@ VALUES: dict[str, tuple[str, Any]] = {
     "synthetic": (
         "cameras=5,noise=0.5,still=true,kind=dark", {"cameras": 5, "noise": 0.5, "still": True, "kind": "dark"},
     ),
+    "set": ("keyframe.steps=50,model.exposure=false", {"keyframe.steps": 50, "model.exposure": False}),
     "layout": ("colmap", "colmap"),
     "train": ("cam01,cam02", ["cam01", "cam02"]),
     "test": ("cam00", ["cam00"]),
@@ -94,7 +95,7 @@ def from_file(folder: Path) -> Callable[[dict[str, Any]], StreamSpec]:
 
     def toml(value: Any) -> str:
         if isinstance(value, dict):
-            return "{" + ", ".join(f"{name} = {toml(item)}" for name, item in value.items()) + "}"
+            return "{" + ", ".join(f"{name!r} = {toml(item)}" for name, item in value.items()) + "}"
         return str(value).lower() if isinstance(value, bool) else repr(value)
 
     def read(body: dict[str, Any]) -> StreamSpec:
