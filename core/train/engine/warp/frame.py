@@ -18,7 +18,7 @@ from streamlod.core.train.engine.warp.room import StepRoom, view_of
 from streamlod.core.train.field.decode import Network, Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.optimise.losses import blurred_moments
+from streamlod.core.train.loss.photometric import blurred_moments
 
 
 def load_anchors(

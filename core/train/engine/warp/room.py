@@ -16,7 +16,7 @@ from streamlod.core.scene.anchors import HIDDEN, LATENTS, OFFSET_LATENTS
 from streamlod.core.scene.entropy_model import magnitude_bits
 from streamlod.core.train.engine.warp.kernels.layout import TOLD, TOTALS, AnchorBase, Decoders, vec12
 from streamlod.core.train.engine.warp.kernels.loss import Filmed, Planes
-from streamlod.core.train.optimise.losses import SIGMA, WINDOW
+from streamlod.core.train.loss.photometric import SIGMA, WINDOW
 
 _LARGEST_MAGNITUDE = 64  # of the table of bits
 

@@ -90,7 +90,7 @@ def integers(values: wp.array[float], first: int) -> vec12:
 
 @wp.func
 def going(values: wp.array[float], base: AnchorBase, a: int) -> wp.vec3:
-    """How far an anchor goes in steps, by itself and with its neighbourhood (`core.train.residual.groups`)."""
+    """Steps that an anchor goes, by itself and with its group (`core.train.later_frame.parts.neighbourhoods`)."""
     own = a * NUMBERS + LATENT_COUNT
     g = base.node.shape[0] * NUMBERS + base.group[a] * GROUP_NUMBERS
     turn = wp.vec3(values[g + 3], values[g + 4], values[g + 5])

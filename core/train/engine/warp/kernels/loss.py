@@ -1,4 +1,4 @@
-"""L1 and D-SSIM of the dirty tiles of all views, and their gradient (`core.train.optimise.losses`).
+"""L1 and D-SSIM of the dirty tiles of all views, and their gradient (`core.train.loss.photometric`).
 
 Four passes: lines of the moments; columns of them, SSIM and its derivatives by the moments; lines of these; columns of
 these and the gradient. What is not near a dirty tile is passed over.

@@ -17,7 +17,7 @@ from streamlod.core.train.field.decode import Splats, decode_reference, join
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rounding import dead_zone_through
-from streamlod.core.train.optimise.losses import photometric_reference
+from streamlod.core.train.loss.photometric import photometric_reference
 from streamlod.core.train.optimise.rate import residual_bits_reference
 from tests.core.train.fields import random_field
 
