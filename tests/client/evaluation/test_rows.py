@@ -58,4 +58,4 @@ def test_each_point_of_the_design_turns_one_knob() -> None:
         config = point.config
         parts = [config.model != base.model, config.keyframe != base.keyframe, config.predict != base.predict]
         assert sum(parts) + (point.shrink != 1) == 1, point.name
-        assert replace(config, model=base.model, keyframe=base.keyframe, predict=base.predict) == base
+        assert replace(config, model=base.model, keyframe=base.keyframe, predict=base.predict, parts=base.parts) == base
