@@ -140,7 +140,7 @@ def serve(
     tokens: Tokens = None,
     metrics_port: MetricsPort = None,
     trace_endpoint: TraceEndpoint = None,
-    log_format: Annotated[str | None, typer.Option(metavar="text|json", help="Lines of the log.")] = None,
+    log_format: Annotated[Literal["text", "json"] | None, typer.Option(help="Lines of the log.")] = None,
     insecure: Insecure = False,
     **options: Any,
 ) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
+import pytest
 from prometheus_client import generate_latest
 from pydantic import BaseModel
 
@@ -61,6 +64,23 @@ def test_metrics_count_and_are_documented(clip: Clip) -> None:
         assert names
         for name in names:
             assert f"`{name}`" in PAGE, name
+
+
+def test_alert_rules_ask_for_what_exists(clip: Clip) -> None:
+    rules = (Path(__file__).parents[2] / "docker" / "observe" / "alerts.yml").read_text()
+    with running(Settings(), StreamSpec(play=clip.path)) as server:
+        text = generate_latest(collector_registry(server.registry)).decode()
+    names = {line.split("{")[0].split(" ")[0] for line in text.splitlines() if not line.startswith("#")}
+    asked = set(re.findall(r"\b(?:streamlod|process)_\w+", " ".join(re.findall(r"expr: (.*)", rules))))
+    assert len(asked) >= 8
+    assert asked <= names
+
+
+@pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool is missing: apt-get install prometheus")
+def test_promtool_takes_the_alert_rules() -> None:
+    rules = Path(__file__).parents[2] / "docker" / "observe" / "alerts.yml"
+    done = subprocess.run(["promtool", "check", "rules", rules], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_the_dashboard_and_its_containers_ask_for_what_exists(clip: Clip) -> None:
