@@ -1,6 +1,6 @@
 """Several callers create, start, stop and delete one stream at once: whatever the order, what is left fits together.
 
-Ten minutes of it: `STREAMLOD_FUZZ_EXAMPLES=300 python -m pytest -m slow tests/server/api/test_concurrent_changes.py`.
+Ten minutes of it: `STREAMLOD_FUZZ_EXAMPLES=2000 python -m pytest -m slow tests/server/api/test_concurrent_changes.py`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Every kind of viewer over several refresh keyframes of 300 KB and more, which travel in pieces.
 
-Over edges and NATS: `tests/server/edge/test_large_keyframes.py`.
+Over edges and NATS: `tests/server/edge/test_large_keyframes.py`; the page: `tests/client/web/test_large_keyframes.py`.
 """
 
 from __future__ import annotations
