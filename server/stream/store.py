@@ -335,11 +335,15 @@ class Recording:
             if row is not None and row[6] == stat.st_size:
                 place = Position(epoch, first), Position(epoch, row[2])
                 segments.append(Segment(path, *place, row[3], row[4], row[5], _monotonic(row[5]), True))
-            elif (repaired := self._repair(path, stat.st_mtime_ns)) is not None:
-                segments.append(repaired)
-        for epoch, first in known:
-            statement = "DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?"
-            self._store.execute(statement, (self._stream, epoch, first))
+                continue
+            try:
+                segments += filter(None, [self._repair(path, stat.st_mtime_ns)])
+            except (OSError, sqlite3.Error) as error:  # the disk may be full: the next start tries again
+                _LOG.warning("stream %s: %s cannot be repaired now (%s)", self._stream, path.name, error)
+        with contextlib.suppress(sqlite3.Error):
+            for epoch, first in known:
+                statement = "DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?"
+                self._store.execute(statement, (self._stream, epoch, first))
         return segments
 
     def _repair(self, path: Path, begun_ns: int) -> Segment | None:

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from streamlod.server.settings import Retention
-from streamlod.server.stream.store import Store
+from streamlod.server.stream.store import Recording, Store
 from streamlod.server.stream.stored_stream import StoredStream, read_stored, write_stored
+from tests.server.conftest import Clip
 
 
 def test_fields_of_another_version_are_kept_for_it(tmp_path: Path) -> None:
@@ -64,3 +65,28 @@ def test_a_strange_catalogue_is_set_aside_and_made_again(tmp_path: Path, kind: s
     store.close()
     kept = (tmp_path / "catalogue.damaged").read_bytes()
     assert kept == content or (kind == "other columns" and b"segments(stream TEXT)" in kept)
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), sqlite3.OperationalError("disk is full")])
+def test_a_full_disk_at_the_start_costs_no_stream(
+    tmp_path: Path, clip: Clip, monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    """A group that was cut short by a crash is repaired when there is room."""
+    store = Store(tmp_path, Retention())
+    store.recording("a").note(definition={"play": "x"})
+    store.close()
+    cut = tmp_path / "streams" / "a" / "000001-0000000000.slod"
+    cut.write_bytes(clip.path.read_bytes()[:-1000])
+
+    def full(*_: object) -> None:
+        raise fault
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Recording, "_enter", full)
+        store = Store(tmp_path, Retention())
+        recording = store.recording("a")
+        assert (recording.segments, recording.stored.definition) == ([], {"play": "x"})
+        store.close()
+    store = Store(tmp_path, Retention())
+    assert len(store.recording("a").segments) == 1
+    store.close()
