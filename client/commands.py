@@ -32,7 +32,7 @@ TOKEN_VARIABLE = "STREAMLOD_TOKEN"
 
 
 def info(scene: Path) -> str:
-    """What is inside a `.slod` file."""
+    """The report of `streamlod info`: what is inside a `.slod` file."""
     return describe_file(scene)
 
 

@@ -42,7 +42,7 @@ def describe_file(path: Path) -> str:
 
 
 def _packets(reader: SlodReader) -> tuple[list[PacketInfo], list[int]]:
-    """What is known of the packets that are whole, and the numbers of the damaged ones."""
+    """Facts of the packets that are whole, and the numbers of the damaged ones."""
     infos: list[PacketInfo] = []
     damaged: list[int] = []
     for number in range(len(reader.entries)):
@@ -54,7 +54,7 @@ def _packets(reader: SlodReader) -> tuple[list[PacketInfo], list[int]]:
 
 
 def _fault_lines(path: Path, reader: SlodReader, damaged: list[int]) -> list[str]:
-    """What is missing from a file, if anything."""
+    """Lines about what is missing from a file, if anything."""
     lines, size, count = [], path.stat().st_size, len(reader.entries)
     if damaged:
         numbers = ", ".join(map(str, damaged[:_MAX_NUMBERS])) + (" and others" if len(damaged) > _MAX_NUMBERS else "")
@@ -89,7 +89,7 @@ def _file_lines(path: Path, size: int, infos: list[PacketInfo]) -> list[str]:
 
 
 def _fact_lines(facts: Metadata, first_ns: int) -> list[str]:
-    """What the file says about its scene, a line each; `first_ns` is the first presentation time."""
+    """Lines that the file says about its scene; `first_ns` is the first presentation time."""
     lines = []
     if facts.title is not None:
         lines.append(f"title: {facts.title}")

@@ -72,7 +72,7 @@ class ServerClient:
         return self._stream("GET", _path(name))
 
     def definition(self, name: str) -> dict[str, Any]:
-        """What a stream is made from."""
+        """The options that a stream is made from."""
         return self._json("GET", f"{_path(name)}/definition")
 
     def create(self, name: str, options: Mapping[str, Any]) -> StreamInfo:
@@ -104,7 +104,7 @@ class ServerClient:
         self._delete(f"{_path(name)}/viewers/{quote(viewer, safe='')}")
 
     def recordings(self, begin: datetime | None = None, end: datetime | None = None) -> tuple[RecordingInfo, ...]:
-        """What was recorded between two times, of every stream that the token may read."""
+        """The recordings between two times, of every stream that the token may read."""
         return tuple(read(RecordingInfo, item) for item in self._pages("/v1/recordings", _times(begin, end)))
 
     def download(

@@ -1,4 +1,4 @@
-"""What a server answers by REST, checked: at a wrong address another program answers, or a proxy with its own page.
+"""Answers of a server by REST, checked: at a wrong address another program answers, or a proxy with its own page.
 
 The fields are those of docs/protocol.md, section 3. Others are ignored, as newer servers may send more.
 """
@@ -51,7 +51,7 @@ class ViewerInfo:
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """What is recorded of one encoder run; see RECORDING of docs/protocol.md."""
+    """A recording of one encoder run; see RECORDING of docs/protocol.md."""
 
     stream: str
     deleted: bool
@@ -113,7 +113,7 @@ def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
 
 
 def read(kind: type[_Answer], values: object) -> _Answer:
-    """One of the classes above from JSON.
+    """An instance of one of the classes above, read from JSON.
 
     Raises:
         InputError: a field is missing or of another type.

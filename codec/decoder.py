@@ -81,7 +81,7 @@ class SceneDecoder:
         return scene, (ABSENT,) * count
 
     def _room(self, packet: Packet, number: int, levels: list[AnchorLevel]) -> Room:
-        """What the packet's chunks of level `number` may still bring beside the rows of `levels`."""
+        """The room that is left for the packet's chunks of level `number` beside the rows of `levels`."""
         level = levels[number]
         rows = self._limits.rows(level.row_bytes, level.slots) - sum(map(len, levels))
         return Room(rows, packet.level_bytes(number))

@@ -49,7 +49,7 @@ class StorageError(InputError):
 
 
 class StreamGoneError(InputError):
-    """What was asked for is of a stream that was deleted; another one may have its id."""
+    """The request is about a stream that was deleted; another one may have its id."""
 
 
 class BitstreamError(StreamlodError):

@@ -11,7 +11,7 @@ from streamlod.core.arrays import Bool, Float32, UInt8, check_array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSet:
-    """What all cameras saw at one instant.
+    """The pictures of all cameras at one instant.
 
     Attributes:
         index: number of the instant in its source, from 0.

@@ -19,7 +19,7 @@ _ORIGIN = re.compile(r"https?://[A-Za-z0-9.*-]+(:\d{1,5})?")
 
 
 class Limits(BaseModel):
-    """What one peer, one stream or the whole server may take."""
+    """Limits on what one peer, one stream or the whole server may take."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -60,7 +60,7 @@ class Limits(BaseModel):
 
     @property
     def decoder(self) -> DecoderLimits:
-        """What the server's decoders accept."""
+        """Limits of the server's decoders."""
         return DecoderLimits(
             packet_bytes=self.packet_bytes,
             anchors=self.anchors,
@@ -70,7 +70,7 @@ class Limits(BaseModel):
 
 
 class Retention(BaseModel):
-    """What of the past stays, for seeking back and for downloads."""
+    """The past that is kept, for seeking back and for downloads."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

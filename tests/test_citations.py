@@ -122,7 +122,8 @@ def dangling(name: str) -> Iterator[str]:
 
 
 def test_citations_resolve() -> None:
-    found = {name: list(dangling(name)) for name in CODE + DOCUMENTS}
+    today = [name for name in CODE + DOCUMENTS if not name.startswith("docs/history/")]  # history names what is gone
+    found = {name: list(dangling(name)) for name in today}
     assert {name: citations for name, citations in found.items() if citations} == {}
 
 

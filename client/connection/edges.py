@@ -42,7 +42,7 @@ async def edges_of(url: str, token: str | None) -> tuple[str, ...]:
 
 
 async def nearest(urls: Iterable[str]) -> str | None:
-    """Of live websockets at several servers, that of the first server to say that viewers may come; None: none does."""
+    """The live websocket of the first of several servers to say that viewers may come; None where none does."""
 
     async def answer(url: str) -> str | None:
         with suppress(ValueError):  # no address, though it looks like one

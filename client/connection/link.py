@@ -23,7 +23,7 @@ _CLOSE_SECONDS = 0.5  # the server's answer may be queued behind packets that no
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
-    """What to ask the server for when watching a stream.
+    """Wishes of a viewer, which the server is told when a stream is watched.
 
     Attributes:
         token: bearer token, where the server wants one.

@@ -58,7 +58,7 @@ class MovingLink:
         return self._link.playback
 
     async def events(self, start: tuple[int, int] | None) -> AsyncGenerator[Event, None]:
-        """What is told; no scene is older than one before it only because the server is another.
+        """The events of the stream; no scene is older than one before it only because the server is another.
 
         Raises:
             OSError, WebSocketException, SessionError: what ended the connection.

@@ -145,7 +145,7 @@ def _dataset(
 
 
 def _training_figures(scene: Path) -> dict[str, Any]:
-    """What `streamlod train` left beside the file; empty without."""
+    """The figures that `streamlod train` left beside the file; empty where there are none."""
     path = scene.with_name(scene.name + ".json")
     try:
         value = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}

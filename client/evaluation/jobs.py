@@ -16,7 +16,7 @@ _THREADS = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}  # of a run, which
 def in_order(
     measure: Callable[..., T], runs: Sequence[tuple[Any, ...]], jobs: Jobs = "local", device: str = "cpu"
 ) -> Generator[T, None, None]:
-    """What `measure` returns for the arguments of each run, in their order.
+    """The results of `measure` for the arguments of each run, in their order.
 
     On Ray a run takes one core and, unless `device` is "cpu", one GPU where the cluster has any. The cluster is the
     one at RAY_ADDRESS, or of this machine; one of this machine alone is started where there is none.

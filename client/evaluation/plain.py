@@ -1,9 +1,9 @@
 """Plain 3D Gaussian splatting on our rasteriser and loss: the contender that the anchor model is measured against.
 
 The model and its gradients are those of Kerbl et al. 2023 with degree-0 colour: free Gaussians, cloned and split by
-view-space gradient, pruned by opacity. What surrounds them is as good as we could make it (docs/zoo.md says what was
-tried), so that a lead over it means something: thinned first points, pictures of half the size to begin with, fitted
-exposures, the mean of the last steps. Training stops by CPU seconds, so that both get equal time.
+view-space gradient, pruned by opacity. What surrounds them is as good as we could make it (docs/history/zoo.md has what
+was tried), so that a lead over it means something: thinned first points, pictures of half the size to begin with,
+fitted exposures, the mean of the last steps. Training stops by CPU seconds, so that both get equal time.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class PlainConfig:
         densify_interval: in steps; densify_until: no more after it.
         prune: opacity below which a Gaussian goes.
         opacity_weight: weight in the loss of the mean opacity.
-        random_background: draw every step over another colour where pictures are not black (docs/zoo.md).
+        random_background: draw every step over another colour where pictures are not black (docs/history/zoo.md).
         half_size_until: pictures of half the width and height up to here.
         average_from: the result is the mean over the steps from here on.
         exposure_rate: of a gain and an offset a channel for each training camera; 0 fits none.

@@ -11,10 +11,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from streamlod.client.evaluation.jobs import Jobs, in_order
+from streamlod.client.evaluation.jobs import in_order
 from streamlod.client.evaluation.measure.footage import Footage, chosen_split, open_footage
 from streamlod.client.evaluation.measure.machine import machine
 from streamlod.client.evaluation.measure.scores import Perception, load_perception
+from streamlod.client.evaluation.options import StudyOptions
 from streamlod.client.evaluation.report.output import result_folder, side_by_side, write_json
 from streamlod.client.evaluation.report.plots import study_plots
 from streamlod.client.evaluation.report.quoted import quoted_json
@@ -31,35 +32,6 @@ from streamlod.core.synthetic import SyntheticSpec, read_spec
 _log = logging.getLogger(__name__)
 SCHEMA = 4
 _FACTS = ("data", "machine", "protocol")  # under which runs may stand in one report
-
-
-@dataclass(frozen=True, slots=True)
-class StudyOptions:
-    """What to measure.
-
-    Attributes:
-        views: numbers of training cameras, one split each by the linspace rule.
-        frames: at most so many, or None for all.
-        seeds: runs of each system, seeded 0, 1, ...
-        ablate: which parts to leave out in turn, see `client.evaluation.rows`.
-        downscale: of the pictures.
-        test: held-out cameras; the first one of the rig where none is named.
-        split: a file that names the cameras instead of `views` and `test`.
-        preset: what is called ours.
-        device: to train on.
-        jobs: where runs are made, see `client.evaluation.jobs`.
-    """
-
-    views: tuple[int, ...] = (3,)
-    frames: int | None = 10
-    seeds: int = 3
-    ablate: tuple[str, ...] = ("all",)
-    downscale: float = 1.0
-    test: tuple[str, ...] = ()
-    split: Path | None = None
-    preset: str = "balanced"
-    device: str = "auto"
-    jobs: Jobs = "local"
 
 
 def run_study(data: Path, out: Path, options: StudyOptions, rows: tuple[Row, ...] = ()) -> str:

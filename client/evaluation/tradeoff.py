@@ -15,6 +15,7 @@ import numpy as np
 from streamlod.client.evaluation.design import BASE, Point, one_at_a_time
 from streamlod.client.evaluation.measure.footage import Footage, chosen_split, footage_frames, open_footage
 from streamlod.client.evaluation.measure.machine import machine
+from streamlod.client.evaluation.options import TradeoffOptions
 from streamlod.client.evaluation.report.figures import Axis, Dot, scatter
 from streamlod.client.evaluation.report.output import result_folder, write_json
 from streamlod.client.evaluation.report.pareto import pareto_front
@@ -48,29 +49,6 @@ COSTS = (
     Cost("render_milliseconds", "rendering milliseconds a picture"),
 )
 _MEASURED = ("psnr", "ssim", "anchors", *(cost.key for cost in COSTS))
-
-
-@dataclass(frozen=True, slots=True)
-class TradeoffOptions:
-    """What to measure.
-
-    Attributes:
-        frames: at most so many, or None for all.
-        views: training cameras, by the linspace rule; None for all that are not held out.
-        downscale: of the held-out pictures, and of the training pictures where that is not the setting that varies.
-        test: held-out cameras; the first one of the rig where none is named.
-        split: a file that names the cameras instead of `views` and `test`.
-        device: to train on.
-        seeds: runs of each point, seeded 0, 1, ...; figures are their means.
-    """
-
-    frames: int | None = 8
-    views: int | None = 5
-    downscale: float = 1.0
-    test: tuple[str, ...] = ()
-    split: Path | None = None
-    device: str = "auto"
-    seeds: int = 1
 
 
 def run_tradeoff(data: Path, out: Path, options: TradeoffOptions, points: Sequence[Point] = ()) -> str:

@@ -45,7 +45,7 @@ def encode(matrix: Int64, shifted: slice, *, with_count: bool = False) -> bytes 
 
 
 def classed(matrix: Int64, shifted: slice) -> tuple[Int64, Int64, Int64, Int64, Int64]:
-    """Of `matrix` [n,C]: modes [C], centres [C], the shifts in use, class of each row [n], the numbers left [n,C]."""
+    """Parts of `matrix` [n,C]: modes [C], centres [C], shifts in use, class of each row [n], numbers left [n,C]."""
     shifts = _shifts(matrix[:, shifted])
     used = np.unique(shifts) if len(shifts) else np.zeros(1, np.int64)
     scaled = _in_range(matrix.shape[1], shifted)

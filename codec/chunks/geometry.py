@@ -33,7 +33,7 @@ def encode(voxel: Int32) -> bytes | None:
 
 
 def table_columns(depth: int) -> int:
-    """What a leaf counts for in the bound on rows: at each depth one node has to be decoded."""
+    """The share of a leaf in the bound on rows: one node has to be decoded at each depth."""
     return max(3, depth)
 
 

@@ -30,7 +30,7 @@ def shifted_channels(header: SceneHeader, first: int = 0) -> slice:
 
 
 def shifted_of(level: AnchorLevel, first: int = 0) -> slice:
-    """As `shifted_channels`, for a level."""
+    """The channels of a level, shifted as by `shifted_channels`."""
     return slice(first, first + level.feature.shape[1] + level.offset.shape[1] + SCALINGS)
 
 

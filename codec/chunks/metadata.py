@@ -38,7 +38,7 @@ def encode_metadata(metadata: Metadata) -> bytes:
 
 
 def decode_metadata(data: bytes) -> Metadata:
-    """What a METADATA chunk says; nothing in it is ever refused, and what cannot be read is as if it were not there."""
+    """The content of a METADATA chunk; nothing in it is refused, and what cannot be read counts as absent."""
     known = {tag: (name, read) for tag, name, _, read in _TAGS}
     values: dict[str, Any] = {}
     before, at = -1, 0

@@ -48,7 +48,7 @@ def encode_spz(cloud: GaussianCloud) -> bytes:
 
 
 def _fractional_bits(means: Float32) -> int:
-    """As many bits behind the point as the farthest coordinate leaves."""
+    """Number of bits behind the point: as many as the farthest coordinate leaves."""
     farthest = float(np.abs(means).max(initial=0))
     for bits in range(_FINEST, -1, -1):
         if farthest * 2.0**bits <= _MAX_POSITION - 1:

@@ -158,7 +158,7 @@ def _voxels(nodes: Int64, level: int) -> Int32:
 
 
 def _positions(nodes: Int64, voxel: Int32, level: int) -> Int32:
-    """What leads [G,3] from voxels of a level to nodes of the finest grid, in its cells."""
+    """Steps [G,3] from voxels of a level to nodes of the finest grid, in its cells."""
     return (nodes - (voxel.astype(np.int64) << LEVELS - 1 - level)).astype(np.int32)
 
 

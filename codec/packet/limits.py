@@ -1,4 +1,4 @@
-"""What a decoder accepts before it allocates. FORMAT.md section 13."""
+"""Limits that a decoder checks before it allocates. FORMAT.md section 13."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ DEFAULT_LIMITS = COMPLEXITY_LEVELS["main"]
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """What the chunks of one level may still describe.
+    """The room that is left for the chunks of one level.
 
     Attributes:
         rows: rows that may be added to the state.

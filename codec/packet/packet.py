@@ -1,4 +1,4 @@
-"""What a packet is: kinds, chunks, header fields. `codec.packet.bytes` reads and writes it. FORMAT.md section 2."""
+"""The parts of a packet: kinds, chunks, header fields. `codec.packet.bytes` reads and writes. FORMAT.md section 2."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ MAX_LEVELS = 16
 
 
 class PacketKind(IntEnum):
-    """What a packet does to the state it meets: sets levels anew, or leads from one version to another."""
+    """The effect of a packet on the state it meets: sets levels anew, or leads from one version to another."""
 
     KEY = 0
     CHANGE = 1
 
 
 class ChunkKind(IntEnum):
-    """What a chunk holds."""
+    """The content of a chunk."""
 
     HEADER = 0
     WEIGHTS = 1

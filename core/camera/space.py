@@ -51,11 +51,11 @@ class Similarity:
         return replace(old, world_to_camera=pose)
 
     def to_json(self) -> dict[str, object]:
-        """As plain values."""
+        """Plain values of the transform."""
         return {"scale": self.scale, "rotation": self.rotation.tolist(), "origin": self.origin.tolist()}
 
     def inverse(self) -> Similarity:
-        """What leads back."""
+        """The inverse transform."""
         return Similarity(1 / self.scale, self.rotation.T, -self.scale * self.rotation @ self.origin)
 
     def after(self, first: Similarity) -> Similarity:
@@ -83,7 +83,7 @@ def training_space(cameras: Sequence[Camera], depth_bounds: tuple[float, float] 
 
 
 def space_of(cameras: Sequence[Camera], wanted: Sequence[Camera]) -> Similarity | None:
-    """What brings `cameras` to where `wanted` has those of the same names.
+    """The transform that brings `cameras` to where `wanted` has those of the same names.
 
     None where fewer than two that stand apart are in both.
     """

@@ -64,7 +64,7 @@ class TimedVideos:
         return self.times_ns[index]
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
-        """As `Source.pictures`."""
+        """Yield pictures; see `Source.pictures`."""
         taken = self.taken_ns[camera][start:stop]
         with closing(read_video(self.files[camera])) as pictures:
             found = shown(self.files[camera], pictures, [time_ns for time_ns in taken if time_ns is not None])

@@ -44,7 +44,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawRecording:
-    """What a layout's reader found.
+    """A recording as the reader of its layout found it.
 
     Attributes:
         path: folder. layout: name of its layout.

@@ -85,7 +85,7 @@ def scaled_size(width: int, height: int, downscale: float) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Development:
-    """What turns one camera's raw pictures into those of its pinhole camera.
+    """A plan that turns one camera's raw pictures into those of its pinhole camera.
 
     Attributes:
         raw_size: (width, height) of the pictures that come in.

@@ -48,7 +48,7 @@ class Videos:
         return round((self.numbers[index] - self.numbers[0]) * self.grid.period_ns)
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
-        """As `Source.pictures`."""
+        """Yield pictures; see `Source.pictures`."""
         with closing(read_video(self.files[camera])) as pictures:
             yield from shown(self.files[camera], nearest(pictures, self.grid), self.numbers[start:stop])
 
@@ -95,6 +95,6 @@ class Pictures:
         return round(index * 1e9 / self.fps)
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
-        """As `Source.pictures`."""
+        """Yield pictures; see `Source.pictures`."""
         for instant in self.files[start:stop]:
             yield read_picture(instant[camera]) if instant[camera].is_file() else None

@@ -1,4 +1,4 @@
-"""What every way to first points is given, and what it has to be."""
+"""The interface of a method of finding first points."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _POSITION_NAMES, _COLOUR_NAMES = ("positions", "points", "xyz"), ("colours", "co
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What a PLY header says: format, number of vertices, (name, numpy type) of each property, other elements."""
+    """The facts of a PLY header: format, number of vertices, (name, numpy type) of each property, other elements."""
 
     binary: bool
     count: int

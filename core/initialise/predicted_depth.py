@@ -32,7 +32,7 @@ _REFUSED = 2.0  # the cost of a pixel that is not used
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedDepth:
-    """What a network says of V views.
+    """The prediction of a network for V views.
 
     Attributes:
         depth: [V,H,W] along the optical axis, in the prediction's own scale.

@@ -1,4 +1,4 @@
-"""What every method of finding first points looks at: the cameras that delivered, at a small working size."""
+"""The views that every method of finding first points works on: the cameras that delivered, at a small working size."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ _ARRAY = object()  # stands for numpy.ndarray, so that a pickle cannot call it a
 
 
 def _empty_array(kind: object, shape: object, code: object) -> np.ndarray[Any, Any]:
-    """What numpy's own function does for arrays; their contents follow as a state, which checks its length."""
+    """The counterpart of numpy's own function for arrays; their contents follow as a state, which checks its length."""
     if kind is not _ARRAY or shape != (0,):
         raise pickle.UnpicklingError("it holds an array that does not start out empty")
     return np.empty(0, np.uint8)

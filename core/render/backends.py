@@ -41,7 +41,7 @@ def select(device: str = "auto") -> Backend:
 
 @functools.cache
 def cuda_fault() -> str | None:
-    """What keeps the cuda backend from working, as advice; None where nothing does."""
+    """Advice about what keeps the cuda backend from working; None where nothing does."""
     if importlib.util.find_spec("torch") is None:
         return f"install torch built for CUDA, or {_REMEDY}"
     import torch

@@ -15,8 +15,8 @@ from torch import Tensor
 from streamlod.core.camera import Camera
 from streamlod.core.errors import BackendUnavailable
 from streamlod.core.render.backends import cuda_fault
+from streamlod.core.render.drawable import device_camera, drawable
 from streamlod.core.render.raster import Probe, Raster
-from streamlod.core.render.sound import device_camera, sound
 from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH
 
 # The image model, as in `core.render.cpu.kernels.inline.constants`; alpha's limits are built into gsplat.
@@ -46,7 +46,7 @@ def rasterise_cuda(
     if count == 0:  # gsplat's kernels want at least one Gaussian
         return _empty(means, camera, background, tile_mask, base)
     on_device = _device_camera(camera, means.device)
-    parameters = sound(parameters, on_device, moving)
+    parameters = drawable(parameters, on_device, moving)
     images, alphas, meta = rasterization(
         *parameters,
         viewmats=on_device.pose[None],

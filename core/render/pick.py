@@ -1,4 +1,4 @@
-"""What lies along a ray: where a viewer's tap lands, and how far away the things are that a camera looks at.
+"""The scene along a ray: where a viewer's tap lands, and how far away the things are that a camera looks at.
 
 One rule for all viewers: the server asks it for those that cannot draw, and the page's copy (`pick` and `depthAlong` in
 `client/web/view/engine.js`) is tested against it. A ray hits a Gaussian with an opacity of at least 0.2, farther than

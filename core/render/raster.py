@@ -1,4 +1,4 @@
-"""What rasterising for training gives back."""
+"""The result of rasterising for training."""
 
 from __future__ import annotations
 

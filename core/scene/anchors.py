@@ -144,7 +144,7 @@ class AnchorWeights:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneHeader:
-    """What a keyframe fixes for all packets that follow it.
+    """Facts that a keyframe fixes for all packets that follow it.
 
     Attributes:
         octree: grid geometry.

@@ -31,7 +31,7 @@ class Original:
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """What is known of a scene; None for what is not.
+    """Facts about a scene; None for what is not known.
 
     Attributes:
         metres_per_unit: length of a world unit.

@@ -1,4 +1,4 @@
-"""What changed between two integer states of one keyframe.
+"""The difference of two integer states of one keyframe.
 
 `difference(a, b)` and `apply(a, r)` are inverse to each other for any two states in order of time, and
 ``apply(apply(a, difference(a, b)), difference(b, c)) == apply(a, difference(a, c))``: predicted, skip and catch-up
@@ -64,7 +64,7 @@ class Residual:
 
 
 def difference(before: Scene, after: Scene) -> Residual:
-    """What turns `before` into `after`.
+    """The residual that turns `before` into `after`.
 
     Raises:
         ValueError: the scenes belong to different keyframes, or `after` lacks rows of `before`.

@@ -51,7 +51,7 @@ class SyntheticSource:
         return round(index * 1e9 / self.spec.fps)
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
-        """As `Source.pictures`."""
+        """Yield pictures; see `Source.pictures`."""
         for index in range(start, stop):
             yield render_image(self.spec, index, camera)
 

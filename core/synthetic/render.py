@@ -68,7 +68,7 @@ class _EmptyRoom:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hits:
-    """What N rays met: distance [N], part [N], local point and normal [N,3], world point and normal [N,3]."""
+    """Hits of N rays: distance [N], part [N], local point and normal [N,3], world point and normal [N,3]."""
 
     distance: Float64
     part: Int32
@@ -143,7 +143,7 @@ def render_view(spec: SyntheticSpec, index: int, camera: Camera) -> UInt8:
 
 
 def develop(radiance: Float64, spec: SyntheticSpec, index: int, camera_index: int) -> UInt8:
-    """What the camera makes of linear light [H,W,3]: exposure, film curve, gamma 2, noise, 8 bits."""
+    """The picture that a camera takes of linear light [H,W,3]: exposure, film curve, gamma 2, noise, 8 bits."""
     exposed = radiance * (spec.place.brightness * exposures(spec)[camera_index])
     levels = 255.0 * np.sqrt(1.0 - np.exp(-exposed))
     if spec.noise > 0:

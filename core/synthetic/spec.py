@@ -1,4 +1,4 @@
-"""What a synthetic clip is made of, and the rig that films it."""
+"""The description of a synthetic clip and of the rig that films it."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class SyntheticSpec:
 
     @property
     def place(self) -> Kind:
-        """What there is to film."""
+        """The place that is filmed."""
         return KINDS[self.kind]
 
     @property

@@ -250,7 +250,7 @@ def _leaf(u: float, v: float, f: float, seed: int, tint: Colour) -> Colour:
 
 @_jit
 def _view(u: float, v: float, f: float, seed: int) -> Colour:
-    """What the window shows: sky, clouds, far hills, trees."""
+    """The view from the window: sky, clouds, far hills, trees."""
     cloud = min(max(0.3 + 1.6 * fbm(u * 3.0, v * 7.0, f * 7.0, seed), 0.0), 1.0)
     colour = mix(mix((0.80, 0.90, 0.98), (0.38, 0.62, 0.92), min(max(0.4 + v, 0.0), 1.0)), (0.98, 0.98, 0.98), cloud)
     hill = -0.10 + 0.09 * fbm(u * 2.5, 1.0, f * 2.5, seed + 1)
@@ -303,7 +303,7 @@ def _smooth_walls_of(normal: Float64, u: float, v: float, f: float, seed: int) -
 
 @_jit
 def _screen(u: float, v: float, f: float, seed: int) -> Colour:
-    """What a screen shows: a bar above, lines of text, a chart."""
+    """The picture on a screen: a bar above, lines of text, a chart."""
     colour = (0.90, 0.93, 0.97)
     row = math.floor(v / 0.045)
     length = 0.15 + 0.35 * scatter(row, 1, seed)

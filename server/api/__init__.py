@@ -1,1 +1,1 @@
-"""What the server answers: REST, the live websocket, health."""
+"""Answers of the server: REST, the live websocket, health."""

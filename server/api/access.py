@@ -38,7 +38,7 @@ def address_of(connection: HTTPConnection) -> str:
 
 
 def grant_of(connection: HTTPConnection) -> Grant:
-    """What the token of a request that was let in allows."""
+    """The rights of a request that was let in."""
     grant: Grant = connection.state.grant
     return grant
 

@@ -46,7 +46,7 @@ async def list_recordings(
 def find_recording(
     request: Request, stream_id: Annotated[str, Path(max_length=64, description="of the stream, deleted or not")]
 ) -> Recording:
-    """What is recorded of a stream, whether it was deleted or not; 404 without."""
+    """The recordings of a stream, whether it was deleted or not; 404 without."""
     recording = _recordings(registry_of(request)).get(stream_id)
     if recording is None:
         raise Problem(404, f"nothing of a stream {stream_id!r:.80} is recorded")
@@ -66,7 +66,7 @@ RecordingOf = Annotated[Recording, Depends(find_recording)]
 async def download_recording(
     recording: RecordingOf, request: Request, stream_id: str, clock: WallClock, epoch: Epoch = None
 ) -> Response:
-    """What was recorded between two times, in whole groups of pictures, as a `.slod` file. A file holds one encoder
+    """The recording between two times, in whole groups of pictures, as a `.slod` file. A file holds one encoder
     run: where the times span several, `epoch` has to name one (409)."""
     await recording.flush()
     segments = [s for s in clock.choose(recording.segments) if epoch in (None, s.first.epoch) and s.packets]

@@ -159,7 +159,7 @@ class ViewerList(BaseModel):
 
 
 class RecordingBody(BaseModel):
-    """What is recorded of one encoder run of a stream."""
+    """The recording of one encoder run of a stream."""
 
     stream: str
     deleted: bool = Field(description="whether the stream is there no more")
@@ -180,7 +180,7 @@ class RecordingList(BaseModel):
 
 
 class Capabilities(BaseModel):
-    """What a server can do as it is set up."""
+    """Capabilities of a server as it is set up."""
 
     recording: bool
     tokens: bool = Field(description="whether tokens are needed")
@@ -190,7 +190,7 @@ class Capabilities(BaseModel):
 
 
 class ServerBody(BaseModel):
-    """What a server is and can do."""
+    """A server: version, limits and capabilities."""
 
     version: str
     protocol_versions: list[int] = Field(description="of the viewer protocol")

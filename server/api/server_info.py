@@ -1,4 +1,4 @@
-"""What this server is and can do."""
+"""This server: version, limits and capabilities."""
 
 from __future__ import annotations
 

@@ -259,7 +259,7 @@ async def get_manifest(
 
 
 async def _checked(make: Callable[[], StreamSpec], request: Request) -> StreamSpec:
-    """What a stream is to be made from; 422 where that cannot be used, or must not be reached."""
+    """The specification of a stream to be made; 422 where that cannot be used, or must not be reached."""
     try:
         spec = make()
         check_reach(spec, registry_of(request).settings, grant_of(request))

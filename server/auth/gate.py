@@ -31,7 +31,7 @@ MAX_REVOKED = 100_000
 
 
 class Right(StrEnum):
-    """What a token allows."""
+    """The rights of a token."""
 
     READ = "read"
     PUBLISH = "publish"
@@ -125,7 +125,7 @@ class Gate:
                 _LOG.error("tokens were not read again, the earlier ones stay: %s", error)
 
     def _file_marks(self) -> tuple[object, ...]:
-        """What changes with the files."""
+        """The state that changes with the files."""
         settings, marks = self._settings, []
         key_set = Path(settings.jwks) if settings.jwks is not None and not is_address(settings.jwks) else None
         for path in (settings.tokens, settings.revoked, settings.jwt_key, settings.link_key, key_set):
@@ -144,7 +144,7 @@ class Gate:
         return self.grant_of(token)
 
     def grant_of(self, token: str | None) -> Grant | None:
-        """What `token` allows, or None if it is not known."""
+        """The rights of `token`, or None if it is not known."""
         if self.is_open:
             return EVERYTHING
         if not token or len(token) > _MAX_TOKEN_CHARACTERS:

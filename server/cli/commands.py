@@ -1,4 +1,4 @@
-"""What `streamlod synth | train | serve | bench | warm` do; each returns the text to print."""
+"""The commands `streamlod synth | train | serve | push | bench | warm`; each returns the text to print."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _TRAIN_SECONDS = 600.0
 
 @dataclass(frozen=True, slots=True)
 class DemoSettings:
-    """What the demo makes.
+    """The size of the demo, and where it leaves its results.
 
     Attributes:
         out: folder of the results.

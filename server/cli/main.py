@@ -1,18 +1,18 @@
-"""The command `streamlod`. Options are declared here; what they do is loaded when it is asked for."""
+"""The command `streamlod`. Options are declared here; each function imports what it does, which is heavy."""
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 import signal
 import sys
 import traceback
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
+from streamlod.client.evaluation.options import STUDY_OPTIONS, TRADEOFF_OPTIONS, StudyOptions, TradeoffOptions
 from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS
 from streamlod.core.background_log import LOG_FORMAT
 from streamlod.core.errors import InputError
@@ -25,27 +25,26 @@ from streamlod.server.cli.options import (
     Config,
     Data,
     Device,
-    Downscale,
     Frames,
     Host,
     Insecure,
     Layout,
     MetricsPort,
     Port,
-    Preset,
     Seed,
     SlodFile,
-    SplitFile,
     Test,
     Tokens,
     TraceEndpoint,
     fields_in,
     names_in,
-    numbers_in,
     takes,
 )
 from streamlod.server.pipeline.job import SOURCES, TrainJob
 from streamlod.server.pipeline.spec import STREAM_OPTIONS, spec_from_json
+
+if TYPE_CHECKING:
+    from streamlod.server.settings import Settings
 
 app = typer.Typer(
     name="streamlod",
@@ -85,7 +84,9 @@ def synth(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
 ) -> None:
     """Write a synthetic clip in the N3DV layout (camNN.mp4 and poses_bounds.npy), with its ground truth beside it."""
-    _call("streamlod.server.cli.commands:synth", out, cameras, frames, size, seed, kind, speed, overwrite)
+    from streamlod.server.cli.commands import synth as write
+
+    typer.echo(write(out, cameras, frames, size, seed, kind, speed, overwrite))
 
 
 @app.command()
@@ -101,11 +102,14 @@ def train(
 
     A fault after the first frame, such as a damaged picture, ends the file there, whole, with exit code 2.
     """
+    from streamlod.server.cli.commands import check_cameras, check_outputs
+    from streamlod.server.cli.commands import train as run
+
     _require_folder(data)
     job = TrainJob(data=data, **options)
-    _call("streamlod.server.cli.commands:check_outputs", out, json, trace)
-    _call("streamlod.server.cli.commands:check_cameras", job)
-    _call("streamlod.server.cli.commands:train", job, out, json, trace)
+    check_outputs(out, json, trace)
+    check_cameras(job)
+    typer.echo(run(job, out, json, trace))
 
 
 @app.command()
@@ -127,7 +131,9 @@ def evaluate(
 ) -> None:
     """Decode a file, render the held-out cameras, and measure quality, size and speed."""
     _require_folder(data)
-    _call("streamlod.client.commands:evaluate", scene, data, names_in(test), json, save_images, layout, downscale)
+    from streamlod.client.commands import evaluate as measure
+
+    typer.echo(measure(scene, data, names_in(test), json, save_images, layout, downscale))
 
 
 @app.command()
@@ -145,6 +151,9 @@ def serve(
     **options: Any,
 ) -> None:
     """Run the service: REST, live websocket and the viewer page. Without a source, streams come by REST."""
+    from streamlod.server.cli.commands import check_cameras, playable
+    from streamlod.server.cli.commands import serve as run
+
     settings = _settings(
         config, host=host, port=port, state=state_dir, tokens=tokens, metrics_port=metrics_port,
         trace_endpoint=trace_endpoint, log_format=log_format, insecure=insecure or None,
@@ -152,15 +161,15 @@ def serve(
     streams = tuple(stream.spec for stream in settings.streams)
     if any(options[name] is not None for name in (*SOURCES, "play")):
         if options["play"] is not None:
-            options["play"] = _load("streamlod.server.cli.commands:playable")(options["play"])
+            options["play"] = playable(options["play"])
         for name in ("data", "live"):
             if options[name] is not None:
                 _require_folder(options[name])
         stream = spec_from_json(options)
         if stream.job is not None:
-            _call("streamlod.server.cli.commands:check_cameras", stream.job)
+            check_cameras(stream.job)
         streams += (stream,)
-    _call("streamlod.server.cli.commands:serve", settings, streams)
+    run(settings, streams)
 
 
 @app.command()
@@ -176,12 +185,14 @@ def edge(
     insecure: Insecure = False,
 ) -> None:
     """Serve another server's streams to many viewers; each is pulled once. A token comes from STREAMLOD_TOKEN."""
+    from streamlod.server.cli.commands import serve as run
+
     settings = _settings(
         config, host=host, port=port, tokens=tokens, metrics_port=metrics_port, trace_endpoint=trace_endpoint,
         insecure=insecure or None,
         edge={"origin": origin, "streams": names_in(streams)},
     )  # fmt: skip
-    _call("streamlod.server.cli.commands:serve", settings, ())
+    run(settings, ())
 
 
 @app.command()
@@ -196,7 +207,9 @@ def push(
     ca: CaFile = None,
 ) -> None:
     """Send this machine's cameras to a live stream with push: sources. A token comes from STREAMLOD_TOKEN."""
-    _call("streamlod.server.cli.commands:push", url, sources, fps, size, loop, ca)
+    from streamlod.server.cli.commands import push as send
+
+    typer.echo(send(url, sources, fps, size, loop, ca))
 
 
 @app.command()
@@ -216,7 +229,9 @@ def view(
     ] = None,
 ) -> None:
     """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
-    _call("streamlod.client.commands:view", url, out, camera, orbit, pose, frames, levels, fps)
+    from streamlod.client.commands import view as watch
+
+    typer.echo(watch(url, out, camera, orbit, pose, frames, levels, fps))
 
 
 @app.command()
@@ -238,14 +253,18 @@ def remote(
     ca: CaFile = None,
 ) -> None:
     """Control a server by REST; results are JSON, one a line. A token comes from STREAMLOD_TOKEN."""
-    for line in _load("streamlod.client.remote:remote")(address, action, name, fields_in(set_), out, ca):
+    from streamlod.client.remote import remote as control
+
+    for line in control(address, action, name, fields_in(set_), out, ca):
         typer.echo(line)
 
 
 @app.command()
 def info(scene: SlodFile) -> None:
     """Say what is inside a file, with sizes by level and kind of chunk."""
-    _call("streamlod.client.commands:info", scene)
+    from streamlod.client.commands import info as describe
+
+    typer.echo(describe(scene))
 
 
 @app.command()
@@ -263,7 +282,9 @@ def export(
     sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,
 ) -> None:
     """Write a snapshot as plain 3D Gaussians that other viewers and editors read."""
-    _call("streamlod.client.commands:export", scene, frame, view, format, out, sequence)
+    from streamlod.client.commands import export as write
+
+    typer.echo(write(scene, frame, view, format, out, sequence))
 
 
 @app.command("import")
@@ -274,7 +295,9 @@ def import_scene(
     gaussians: Annotated[int, typer.Option(min=1, help="Keep so many at most, those that show most.")] = 262_144,
 ) -> None:
     """Make a file that can be served and viewed of Gaussians that other programs wrote."""
-    _call("streamlod.client.commands:import_scene", source, out, fps, gaussians)
+    from streamlod.client.commands import import_scene as convert
+
+    typer.echo(convert(source, out, fps, gaussians))
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -283,7 +306,10 @@ def bench(
     name: Annotated[str | None, typer.Argument(help="Which; without a name they are listed.")] = None,
 ) -> None:
     """Run a benchmark of the source checkout; further arguments are its own."""
-    _call("streamlod.server.cli.commands:bench", name, context.args)
+    from streamlod.server.cli.commands import bench as run
+
+    if text := run(name, context.args):
+        typer.echo(text)
 
 
 @app.command()
@@ -295,79 +321,41 @@ def demo(
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port of the server.  [default: 8000]")] = None,
 ) -> None:
     """Make a clip, train it live, serve it, watch it, measure it; serves on until Ctrl-C unless DEMO_EXIT=1."""
-    given = {"out": out, "cameras": cameras, "frames": frames, "size": size, "port": port}
+    from streamlod.server.cli.demo import DemoSettings, run_demo
+
+    given: dict[str, Any] = {"out": out, "cameras": cameras, "frames": frames, "size": size, "port": port}
     stay = os.environ.get("DEMO_EXIT", "") not in {"1", "true", "yes"}
-    settings = _load("streamlod.server.cli.demo:DemoSettings")(
-        **{k: v for k, v in given.items() if v is not None}, stay=stay
-    )
-    _call("streamlod.server.cli.demo:run_demo", settings)
+    run_demo(DemoSettings(**{name: value for name, value in given.items() if value is not None}, stay=stay))
 
 
 @app.command()
+@takes(STUDY_OPTIONS)
 def study(
     data: Data,
-    views: Annotated[str, typer.Option(metavar="3[,4,...]", help="Numbers of training cameras to compare.")] = "3",
-    frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 10,
-    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each system.")] = 3,
-    ablate: Annotated[
-        str,
-        typer.Option(help="Parts to leave out in turn: all, or some of lod,partition,quantisation,dropout,star,cue."),
-    ] = "all",
-    downscale: Downscale = DEFAULTS["downscale"],
-    test: Test = "",
-    split: SplitFile = None,
-    preset: Preset = DEFAULTS["preset"],
-    device: Device = DEFAULTS["device"],
-    jobs: Annotated[
-        Literal["local", "ray"],
-        typer.Option(help="Runs one after another, or side by side on a Ray cluster: times then differ."),
-    ] = "local",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds is not redone.")] = Path(
         "study-output"
     ),
+    **options: Any,
 ) -> None:
     """Measure what each part of the method is worth, by leaving it out, on cameras that training never saw."""
     _require_folder(data)
-    numbers = numbers_in("--views", views)
-    options = _load("streamlod.client.evaluation.study:StudyOptions")(
-        views=numbers,
-        frames=frames,
-        seeds=seeds,
-        ablate=names_in(ablate),
-        downscale=downscale,
-        test=names_in(test),
-        split=split,
-        preset=preset,
-        device=device,
-        jobs=jobs,
-    )
-    _call("streamlod.client.evaluation.study:run_study", data, out, options)
+    from streamlod.client.evaluation.study import run_study
+
+    typer.echo(run_study(data, out, StudyOptions(**options)))
 
 
 @app.command()
+@takes(TRADEOFF_OPTIONS)
 def tradeoff(
     data: Data,
-    frames: Annotated[int, typer.Option(min=1, help="At most so many frames.")] = 8,
-    views: Annotated[int, typer.Option(min=1, help="So many training cameras.")] = 5,
-    downscale: Downscale = DEFAULTS["downscale"],
-    test: Test = "",
-    split: SplitFile = None,
-    device: Device = DEFAULTS["device"],
-    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each point.")] = 1,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder; what it holds stays.")] = Path("tradeoff-output"),
+    **options: Any,
 ) -> None:
     """Sweep time, size and quality against each other; finds what nothing else beats."""
     _require_folder(data)
-    options = _load("streamlod.client.evaluation.tradeoff:TradeoffOptions")(
-        frames=frames,
-        views=views,
-        downscale=downscale,
-        test=names_in(test),
-        split=split,
-        device=device,
-        seeds=seeds,
-    )
-    _call("streamlod.client.evaluation.tradeoff:run_tradeoff", data, out, options)
+    from streamlod.client.evaluation.tradeoff import run_tradeoff
+
+    typer.echo(run_tradeoff(data, out, TradeoffOptions(**options)))
 
 
 @app.command()
@@ -380,18 +368,20 @@ def doctor(
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Check what this machine can do; exit code 1 where something that was asked for does not work."""
-    findings = _load("streamlod.server.doctor.report:examine")(device, host, port, state_dir, quick)
-    typer.echo(
-        _load("streamlod.server.doctor.report:as_json" if json else "streamlod.server.doctor.report:as_table")(findings)
-    )
-    if _load("streamlod.server.doctor.report:worst")(findings) == "fault":
+    from streamlod.server.doctor.report import as_json, as_table, examine, worst
+
+    findings = examine(device, host, port, state_dir, quick)
+    typer.echo(as_json(findings) if json else as_table(findings))
+    if worst(findings) == "fault":
         raise typer.Exit(1)
 
 
 @app.command()
 def warm() -> None:
     """Compile the kernels now, so that the first frame does not wait for it."""
-    _call("streamlod.server.cli.commands:warm")
+    from streamlod.server.cli.commands import warm as compile_all
+
+    typer.echo(compile_all())
 
 
 def main() -> NoReturn:
@@ -422,25 +412,15 @@ def _terminate(_: int, __: Any) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _load(target: str) -> Any:
-    """The object ``module:name``, imported only now: what stands behind the commands is heavy."""
-    module, name = target.split(":")
-    return getattr(importlib.import_module(module), name)
-
-
-def _call(target: str, *arguments: Any) -> None:
-    text = _load(target)(*arguments)
-    if text:
-        typer.echo(text)
-
-
-def _settings(config: Path | None, **given: Any) -> Any:
+def _settings(config: Path | None, **given: Any) -> Settings:
     """The settings of a file, if there is one, with the options that were given in place of its own."""
-    loaded = {} if config is None else _load("streamlod.server.settings:load_settings")(config).model_dump()
+    from streamlod.server.settings import Settings, load_settings
+
+    loaded = {} if config is None else load_settings(config).model_dump()
     chosen = {name: value for name, value in given.items() if value is not None}
     if isinstance(chosen.get("edge"), dict):  # the rest of the file's table stays
         chosen["edge"] = (loaded.get("edge") or {}) | chosen["edge"]
-    return _load("streamlod.server.settings:Settings")(**loaded | chosen)
+    return Settings(**loaded | chosen)
 
 
 def _require_folder(path: Path) -> None:

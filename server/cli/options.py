@@ -5,14 +5,15 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
 from streamlod.core.errors import InputError
+from streamlod.core.options import Option
 from streamlod.server.pipeline.job import JOB_OPTIONS, SOURCES
-from streamlod.server.pipeline.options import Option
 
 # As in JSON, but bounded, and the sign of an exponent is needed: 123456e12 is the id of a viewer.
 _NUMBER = re.compile(r"-?(0|[1-9][0-9]{0,17})(\.[0-9]{1,17})?([eE][-+][0-9]{1,2})?")
@@ -57,13 +58,13 @@ def numbers_in(option: str, text: str) -> tuple[int, ...]:
 
 
 def described(option: Option) -> Any:
-    """What typer shows and checks of an option."""
+    """The form in which typer shows and checks an option."""
     parser: Callable[[str], Any] | None = None
     metavar = option.metavar
     if option.choices:
         parser, metavar = _one_of(option.choices), "|".join(option.choices)
     elif _is_list(option):
-        parser = names_in
+        parser = partial(numbers_in, f"--{option.name}") if int in get_args(option.type) else names_in
     elif _is_mapping(option):
         parser = fields_in
     return typer.Option(help=option.help, min=option.minimum, max=option.maximum, metavar=metavar, parser=parser)
@@ -109,7 +110,7 @@ def _annotation(option: Option) -> Any:
 
 def _type(option: Option) -> Any:
     """The type that typer is told: what it can convert itself, or the text that a parser takes."""
-    if _is_list(option):
+    if _is_list(option) or get_origin(option.type) is Literal:
         return str
     if _is_mapping(option):
         return str | None
@@ -119,7 +120,7 @@ def _type(option: Option) -> Any:
 
 
 def _default(option: Option) -> Any:
-    return "" if _is_list(option) else option.default
+    return ",".join(map(str, option.default)) if _is_list(option) else option.default
 
 
 _JOB = {option.name: option for option in JOB_OPTIONS}
@@ -133,13 +134,8 @@ Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder of a recordin
 Layout = Annotated[str | None, described(_JOB["layout"])]
 Test = Annotated[str, typer.Option(metavar=_JOB["test"].metavar, help=_JOB["test"].help)]
 Device = Annotated[str, described(_JOB["device"])]
-Preset = Annotated[str, described(_JOB["preset"])]
 Seed = Annotated[int, described(_JOB["seed"])]
 Frames = Annotated[int | None, described(_JOB["frames"])]
-Downscale = Annotated[float, described(_JOB["downscale"])]
-SplitFile = Annotated[
-    Path | None, typer.Option(help='JSON file {"train": [...], "test": [...]} that names cameras instead of views.')
-]
 Host = Annotated[str | None, typer.Option(help="Address to listen on.  [default: 127.0.0.1]")]
 Port = Annotated[int | None, typer.Option(min=0, max=65535, help="0 picks a free one.  [default: 8000]")]
 Config = Annotated[Path | None, typer.Option(metavar="FILE.toml", help="All settings; options win.")]

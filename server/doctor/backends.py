@@ -51,7 +51,7 @@ def check_backends(device: str, quick: bool) -> Iterator[Finding]:
 
 
 def _seriousness(device: str) -> Verdict:
-    """Of a CUDA backend that does not work: a fault where it was asked for, a warning where a GPU lies idle."""
+    """Verdict on a CUDA backend that does not work: a fault where it was asked for, a warning where a GPU lies idle."""
     from streamlod.core.render.backends import has_nvidia_device
 
     if device == "cuda":

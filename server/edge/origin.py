@@ -33,7 +33,7 @@ def is_incarnation(text: str) -> bool:
 
 
 class UnknownStream(BaseModel):
-    """What is certain of a STREAM whose source or state only later versions know."""
+    """The certain part of a STREAM whose source or state only later versions know."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -44,7 +44,7 @@ class UnknownStream(BaseModel):
 
 
 class OriginStream(UnknownStream):
-    """What an edge takes over from STREAM of docs/protocol.md, checked."""
+    """The fields that an edge takes over from STREAM of docs/protocol.md, checked."""
 
     source: Literal["cameras", "data", "recording"]
     loop: bool = False
@@ -89,7 +89,7 @@ class Origin:
 
     @property
     def headers(self) -> dict[str, str]:
-        """Of every request."""
+        """Headers of every request."""
         return {"Authorization": f"Bearer {self.token}"} if self.token else {}
 
     def live_url(self, stream: str) -> str:

@@ -1,4 +1,4 @@
-"""What an edge does not hold itself: the file that a stream of a recording plays, passed on from the origin."""
+"""Requests for what an edge does not hold: the file that a stream of a recording plays, passed on from the origin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What streams come from that are made elsewhere: which there are, and the packets of each."""
+"""The source of streams that are made elsewhere: which there are, and the packets of each."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Supply(Protocol):
 
     @property
     def bus(self) -> Bus:
-        """What is retained of them."""
+        """The retained packets of a stream."""
 
     async def pull(self, taker: PacketTaker) -> None:
         """Hand packets to `taker` until the stream is deleted (then this returns) or the taker raises."""
@@ -49,7 +49,7 @@ class StreamSource(Protocol):
 
     @property
     def name(self) -> str:
-        """As everybody may hear it: without addresses."""
+        """The error as everybody may hear it: without addresses."""
 
     async def streams(self) -> list[OriginStream]:
         """All of them.

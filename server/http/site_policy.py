@@ -1,4 +1,4 @@
-"""What web pages may do with this server: names it answers to, origins that may read it, sites that may frame it.
+"""Rights of web pages at this server: names it answers to, origins that may read it, sites that may frame it.
 
 Checked before anything else, for requests and websockets alike.
 """

@@ -77,7 +77,7 @@ class Handshakes:
         return True
 
     def end(self, address: str) -> None:
-        """One of `begin` is over."""
+        """Note that a handshake of `begin` is over."""
         self._of_address[address] -= 1
         if not self._of_address[address]:
             del self._of_address[address]
@@ -88,7 +88,7 @@ class Handshakes:
 
     @property
     def total(self) -> int:
-        """Of all addresses."""
+        """Number of handshakes of all addresses."""
         return self._of_address.total()
 
 

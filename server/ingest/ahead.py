@@ -13,7 +13,7 @@ _PATIENCE = 0.25  # share of the last interval, after which a value not asked fo
 
 
 def just_in_time(make: Callable[[], T | None], discard: Callable[[T], None]) -> Generator[T, None, None]:
-    """What `make` returns, until it is None; each value is made on a thread, to be ready when it is asked for.
+    """Values that `make` returns, until it is None; each is made on a thread, to be ready when it is asked for.
 
     Requests come at similar intervals. So the next value is begun one interval after the last request, less twice the
     time that making takes: late enough to be new, early enough not to be waited for. An earlier request begins it at

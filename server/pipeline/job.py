@@ -1,6 +1,6 @@
-"""What is trained, and how: plain values, which are sent to the worker process and kept in the catalogue as JSON.
+"""Jobs: what is trained, and how. Plain values, which are sent to the worker process and kept in the catalogue as JSON.
 
-The fields of `TrainJob` are the one declaration of their names, bounds, defaults and help (`server.pipeline.options`).
+The fields of `TrainJob` are the one declaration of their names, bounds, defaults and help (`core.options`).
 """
 
 from __future__ import annotations
@@ -10,11 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from streamlod.core.errors import InputError
-from streamlod.server.pipeline.options import option, options_of
+from streamlod.core.options import (
+    MAX_CAMERAS,
+    device_option,
+    downscale_option,
+    option,
+    options_of,
+    preset_option,
+    test_option,
+)
 
 SOURCES = ("data", "live", "synthetic")
 MAX_PATH = 4096
-MAX_CAMERAS = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,27 +48,20 @@ class TrainJob:
         choices=("n3dv", "meetroom", "colmap", "transforms", "caliscope"),
     )
     train: tuple[str, ...] = option((), "Training cameras by name.", metavar="cam01,cam02", max_length=MAX_CAMERAS)
-    test: tuple[str, ...] = option(
-        (), "Held-out cameras, never trained on.", metavar="cam00[,...]", max_length=MAX_CAMERAS
-    )
+    test: tuple[str, ...] = test_option()
     views: int | None = option(
         None, "So many training cameras, evenly spread over the rest.", minimum=1, maximum=MAX_CAMERAS
     )
     frames: int | None = option(None, "At most so many frames.", minimum=1, maximum=10_000_000)
-    downscale: float = option(1.0, "Make pictures so many times smaller.", minimum=1, maximum=64)
-    preset: str = option(
-        "balanced",
-        "What training spends on quality; paper is the published method.",
-        choices=("live", "balanced", "quality", "paper"),
-        stream_default="live",
-    )
+    downscale: float = downscale_option()
+    preset: str = preset_option()
     set: dict[str, int | float | str | bool] | None = option(
         None,
         "Settings of the method in place of the preset's, by part and name; docs/preset-paper.md has all.",
         metavar="keyframe.steps=500,continuation.share=0.8",
         max_length=MAX_PATH,
     )
-    device: str = option("auto", "auto takes a CUDA device where there is one.", choices=("auto", "cpu", "cuda"))
+    device: str = device_option()
     seed: int = option(0, "Of everything random.", minimum=0, maximum=2**31 - 1)
     points: str = option(
         "auto",

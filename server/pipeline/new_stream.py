@@ -10,8 +10,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ConfigDict, Field, create_model
 
+from streamlod.core.options import Option
 from streamlod.server.pipeline.job import SOURCES
-from streamlod.server.pipeline.options import Option
 from streamlod.server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
 
 _SOURCES = (*SOURCES, "play")
@@ -29,7 +29,7 @@ def _json_type(kind: Any) -> Any:
 
 
 def _change(option: Option) -> Any:
-    """As `_field`, of a change: absent or null by default."""
+    """The field of a change: absent or null by default."""
     kind, field = _field(option)
     field.default = None
     return kind | None, field
@@ -69,7 +69,7 @@ class NewStream(_StreamOptions):  # type: ignore[misc, valid-type]
 
     @property
     def spec(self) -> StreamSpec:
-        """What the stream is made from; InputError if it cannot be made."""
+        """The specification of the stream; InputError if it cannot be made."""
         return spec_from_json(self.model_dump(exclude={"start"}, exclude_none=True))
 
 

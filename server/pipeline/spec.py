@@ -1,4 +1,4 @@
-"""What a stream is made from: plain values, which are sent to the worker process and kept in the catalogue."""
+"""Specifications of streams: plain values, which are sent to the worker process and kept in the catalogue."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from streamlod.core.errors import InputError
+from streamlod.core.options import option, options_of
 from streamlod.server.pipeline.job import JOB_FIELDS, JOB_OPTIONS, MAX_PATH, SOURCES, TrainJob, job_from_json
-from streamlod.server.pipeline.options import option, options_of
 
 _ID = "^[a-z0-9][a-z0-9_-]{0,63}$"
 
@@ -48,7 +48,7 @@ class StreamSpec:
 
     @property
     def source(self) -> Literal["cameras", "data", "recording"]:
-        """What viewers see: live cameras, pictures taken earlier that are trained now, or a recorded bitstream."""
+        """The kind of source: live cameras, pictures taken earlier that are trained now, or a recorded bitstream."""
         if self.play is not None:
             return "recording"
         return "cameras" if self.is_live else "data"

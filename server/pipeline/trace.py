@@ -38,7 +38,7 @@ def timed(items: Iterator[T], track: str) -> Generator[tuple[T, Span], None, Non
 
 
 def timing(track: str, work: Callable[[], T]) -> tuple[T, Span]:
-    """What `work` returns, with the time it took."""
+    """The result of `work`, with the time it took."""
     begin = time.perf_counter()
     result = work()
     return result, Span(track, track, begin, time.perf_counter())

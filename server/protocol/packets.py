@@ -26,7 +26,7 @@ class Position:
     version: int
 
     def to_json(self) -> dict[str, int]:
-        """As in docs/protocol.md."""
+        """JSON of the position, as in docs/protocol.md."""
         return {"epoch": self.epoch, "version": self.version}
 
 

@@ -1,4 +1,4 @@
-"""What keeps the serving process small: it runs kernels that others have compiled, and needs no compiler for that."""
+"""Measures to keep the serving process small: it runs kernels that others have compiled, and needs no compiler."""
 
 from __future__ import annotations
 

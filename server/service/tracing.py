@@ -105,7 +105,7 @@ class _Exporter(OTLPSpanExporter):
 
 @dataclass(frozen=True, slots=True)
 class _Resources:
-    """What does the work: this process, and the worker that makes its frames."""
+    """The processes that do the work: this one, and the worker that makes its frames."""
 
     here: Resource
     worker: Resource

@@ -1,4 +1,4 @@
-"""What happened to streams and their viewers lately, for programs that want to know without asking."""
+"""The latest events of streams and their viewers, for programs that want to know without asking."""
 
 from __future__ import annotations
 

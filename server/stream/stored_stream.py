@@ -1,4 +1,4 @@
-"""What a state folder keeps of a stream beside its recordings: `streams/ID/stream.json`, for its owner alone.
+"""The file that a state folder keeps of a stream beside its recordings: `streams/ID/stream.json`, for its owner alone.
 
 It is the only copy of what the stream is made from. The catalogue holds nothing that is not in the files, so it can be
 deleted.
@@ -53,7 +53,7 @@ _FIELDS = {each.name for each in fields(StoredStream)} - {"others"}
 
 
 def read_stored(folder: Path) -> StoredStream | None:
-    """What `write_stored` wrote; None where the file is missing or damaged, which is then kept as `stream.damaged`."""
+    """The stream that `write_stored` wrote; None without a whole file, a damaged one is kept as `stream.damaged`."""
     path = folder / _NAME
     try:
         if path.stat().st_size > _MAX_BYTES:

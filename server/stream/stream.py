@@ -28,7 +28,7 @@ Source = Literal["cameras", "data", "recording"]
 
 
 class Stream:
-    """What is common to streams of all sources.
+    """The common part of streams of all sources.
 
     Args:
         name: its id in addresses.

@@ -25,7 +25,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class FrameStages:
-    """What one server knows of a frame's way.
+    """The stages of a frame's way that one server knows.
 
     Attributes:
         stream, incarnation, position: which frame; the same at every server that passes it on.

@@ -92,7 +92,7 @@ class WorkerStream(Stream):
 
     @property
     def is_ready(self) -> bool:
-        """As of `Stream`; one that waits for its first viewer is ready, too."""
+        """Whether viewers can come; a stream that waits for its first viewer is ready, too."""
         return super().is_ready or self._armed
 
     @property
@@ -314,7 +314,7 @@ class WorkerStream(Stream):
             self._enter_live()
 
     def _tell_stages(self, told: list[tuple[str, int, int]]) -> None:
-        """Of the packets that have come since the last report; `told` are the worker's for the newest of them."""
+        """Report the stages of packets since the last report; `told` are the worker's for the newest of them."""
         untold, self._untold = self._untold, {}
         for position, stages in untold.items():
             worker = [Stage(*each) for each in told] if position == self.newest else []
@@ -332,7 +332,7 @@ class WorkerStream(Stream):
             self._tell(event("epoch", epoch=self._epoch))
 
     def _training(self, version: int) -> dict[str, Any]:
-        """What to remember of training, whose newest frame became `version`."""
+        """The note to keep of training, whose newest frame became `version`."""
         if self.spec.job is None or self._frames_done == 0:
             return {"trained_from": ""}
         return {"trained_from": self.etag, "lead": version + 1 - self._frames_done}

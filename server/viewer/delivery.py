@@ -40,7 +40,7 @@ class Transport(Protocol):
 
 
 class Delivery:
-    """What was sent to one viewer, and whether more may be sent.
+    """The account of what was sent to one viewer, and whether more may be sent.
 
     Args:
         transport: its connection.

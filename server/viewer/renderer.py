@@ -90,7 +90,7 @@ class GradeControl:
 
 
 def _work(index: int) -> float:
-    """What a picture of a grade costs, relative to the first: its pixels, and bytes that grow with the quality."""
+    """The cost of a picture of a grade, relative to the first: its pixels, and bytes that grow with the quality."""
     grade = GRADES[index]
     return grade.scale**2 * (grade.quality / GRADES[0].quality) ** 2
 
@@ -197,7 +197,7 @@ def compress(image: UInt8, quality: int) -> bytes:
 def look_along(
     cloud: GaussianCloud, scene: Scene, origin: Float64, direction: Float64
 ) -> tuple[list[float] | None, float]:
-    """What lies along a ray (`core.render.pick`): the point hit, if any, and the median depth of anchors around it."""
+    """The scene along a ray (`core.render.pick`): the point hit, if any, and the median depth of anchors around it."""
     point = pick(cloud, origin, direction)
     anchors = [anchor_positions(scene.header, number, level) for number, level in enumerate(scene.levels)]
     return None if point is None else point.tolist(), depth_along(np.concatenate(anchors), origin, direction)

@@ -95,7 +95,7 @@ class ViewerSession:
 
     @property
     def stream_id(self) -> str:
-        """Of the stream that it watches."""
+        """Identifier of the stream that is watched."""
         return self._stream.id
 
     def describe(self) -> dict[str, Any]:

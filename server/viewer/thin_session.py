@@ -107,24 +107,24 @@ class ThinSession:
 
     @property
     def id(self) -> str:
-        """As of `ViewerSession`."""
+        """See `ViewerSession`."""
         return self._session.id
 
     @property
     def stream_id(self) -> str:
-        """As of `ViewerSession`."""
+        """See `ViewerSession`."""
         return self._stream.id
 
     def describe(self) -> dict[str, Any]:
-        """As of `ViewerSession`; bytes are those of packets, which stay in the server."""
+        """See `ViewerSession`; bytes are those of packets, which stay in the server."""
         return self._session.describe() | {"thin": True}
 
     def drain(self) -> None:
-        """As of `ViewerSession`."""
+        """See `ViewerSession`."""
         self._session.drain()
 
     def end(self, reason: SessionError) -> None:
-        """As of `ViewerSession`."""
+        """See `ViewerSession`."""
         self._session.end(reason)
 
     def on_control(self, message: Control) -> None:

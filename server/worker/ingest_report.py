@@ -1,4 +1,4 @@
-"""What a worker's report on live cameras says to people."""
+"""A worker's report on live cameras, as sentences."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def send_resume(resume: Resume, pipe: Connection) -> None:
 
 
 def receive_resume(pipe: Connection) -> Resume:
-    """What `send_resume` sent."""
+    """The state that `send_resume` sent."""
     told = json.loads(pipe.recv_bytes())
     return Resume(tuple(pipe.recv_bytes() for _ in range(told["packets"])), told["frames"])
 

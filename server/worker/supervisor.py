@@ -186,7 +186,7 @@ class Supervisor:
         return _Worker(process, ours)
 
     def _last_words(self) -> Ending | None:
-        """What the worker itself reported about its end, if anything."""
+        """The reason that the worker itself reported for its end, if any."""
         return self._ending
 
     def _pump(self, pipe: Connection, resume: Resume, loop: asyncio.AbstractEventLoop) -> None:

@@ -2,9 +2,9 @@
 
     python -m tests.bench.dynamic_set_bench [--kinds room bright night theatre outdoor hard --speeds 0 4 --frames 21]
 
-For each clip: recall and precision of the dynamic set (docs/benchmarks.md), how many anchors a frame trains, which
-share of these shows nothing that moves in this frame, and which share has shown nothing that moved in any frame so
-far: what moved leaves a background behind that must be trained, too. `--truth` then trains, of all these, only
+For each clip: recall and precision of the dynamic set (docs/history/benchmarks.md), how many anchors a frame trains,
+which share of these shows nothing that moves in this frame, and which share has shown nothing that moved in any frame
+so far: what moved leaves a background behind that must be trained, too. `--truth` then trains, of all these, only
 anchors that show what has moved so far, and tells what that gains or costs.
 """
 

@@ -5,7 +5,7 @@
 Trains a synthetic clip frame by frame, at each `--speed` in pixels a frame (0: the kind's own pace), and draws the
 frames in between with a held-out camera: as the state before (what a viewer without interpolation still shows), by
 `core.scene.interpolate`, and as the state that was trained there. Tells mean PSNR on moving pixels (true motion,
-dilated; docs/benchmarks.md) and of the whole picture.
+dilated; docs/history/benchmarks.md) and of the whole picture.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ first frame. Four causes of decay can be switched off beside them: `truth=1` tra
 moves or has just moved, `finer=10` makes the steps of residuals so many times finer without a price on bits, `renew=10`
 trains a refresh keyframe of the state every so many frames, and `anew=20` a first frame.
 
-Each run tells PSNR on moving pixels (true motion, dilated; docs/benchmarks.md) of the held-out camera and of the
-training cameras, as means over frames 3 to 10, over the middle and over the last 10; the mean PSNR of the whole
+Each run tells PSNR on moving pixels (true motion, dilated; docs/history/benchmarks.md) of the held-out camera and of
+the training cameras, as means over frames 3 to 10, over the middle and over the last 10; the mean PSNR of the whole
 held-out picture; bytes and seconds a frame (of the CPU; wall time on a GPU); and how many anchors mostly show what
 moves, at the same times.
 `--json FILE` keeps the figures of every frame. `--pictures FILE.jpg --at 3 20 40` draws the held-out camera at these

@@ -1,1 +1,1 @@
-"""What is measured of one scene: quality, bytes, memory, motion."""
+"""Measurements of one scene: quality, bytes, memory, motion."""

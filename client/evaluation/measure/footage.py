@@ -81,7 +81,7 @@ def open_footage(
 def footage_of(
     whole: Dataset, split: Split, *, frames: int | None, testing: Dataset | None = None, points: str = "auto"
 ) -> Footage:
-    """As `open_footage`, of a data set that is open already.
+    """The footage of a data set that is open already; otherwise like `open_footage`.
 
     Args:
         testing: the held-out cameras at another size. points: the way to first points.

@@ -75,7 +75,7 @@ def mean_figure(found: dict[str, Any], place: str, figure: str) -> float | None:
 
 
 def mean_places(found: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """What `places` found of some frames as one: at each camera the mean of its frames, beside them of the first."""
+    """Findings of `places` in some frames as one: at each camera the mean of its frames, beside them of the first."""
     at = {name: [frame["at"][name] for frame in found if name in frame["at"]] for name in _names(found)}
     return {
         "at": {

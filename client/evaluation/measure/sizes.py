@@ -1,4 +1,4 @@
-"""What a frame costs: the bytes of its real packet, and the order-0 entropy that papers mostly report beside it."""
+"""The cost of a frame: the bytes of its real packet, and the order-0 entropy that papers mostly report beside it."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def shown_motion(
     cameras: tuple[Camera, ...],
     filmed: tuple[Camera, ...] | None = None,
 ) -> tuple[Float64, Float64, Float64]:
-    """What each anchor shows to `cameras`, in pixels: [N] in all, of surfaces that move, that visibly move.
+    """Pixels that each anchor shows to `cameras`: [N] in all, of surfaces that move, that visibly move.
 
     Args:
         filmed: as in `dynamic_precision_recall`.

@@ -37,7 +37,7 @@ class Dot:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What is measured along an axis; a logarithmic one needs positive values."""
+    """The quantity along an axis; a logarithmic one needs positive values."""
 
     label: str
     logarithmic: bool = False

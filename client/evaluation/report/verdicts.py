@@ -15,7 +15,7 @@ _MIN_DB, _MIN_RATIO = 0.05, 0.02  # smaller differences count as none, whatever 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Of a row from its base: PSNR in dB, the others as ratios; None where one is not known.
+    """Differences of a row from its base: PSNR in dB, the others as ratios; None where one is not known.
 
     `bytes` are those of a predicted frame, `stream` those of a frame of a stream with its keyframes.
     """

@@ -27,7 +27,7 @@ def program_digest() -> str:
 
 @dataclass(frozen=True, slots=True)
 class CellKey:
-    """What identifies a cell.
+    """The identity of a cell.
 
     Attributes:
         scene: of the zoo. views: training cameras. seed: of the training.

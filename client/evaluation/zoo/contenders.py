@@ -31,7 +31,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contest:
-    """What the contenders of one split have in common."""
+    """A split of a scene, on which all contenders are measured alike."""
 
     footage: Footage
     perception: Perception

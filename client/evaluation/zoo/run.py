@@ -30,7 +30,7 @@ SYSTEMS = ("ours", "plain", "paper")
 
 @dataclass(frozen=True, slots=True)
 class ZooOptions:
-    """What to measure.
+    """The cells to measure.
 
     Attributes:
         scenes: by name. views: numbers of training cameras. seeds: 0, 1, ... so many.

@@ -1,4 +1,4 @@
-"""What COLMAP's files hold, in binary and in text alike."""
+"""The content of COLMAP's files, in binary and in text alike."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class VideoInfo:
 
 
 def probe_video(path: Path) -> VideoInfo:
-    """What the file holds; only its first picture is decoded.
+    """Facts of the file; only its first picture is decoded.
 
     Raises:
         InputError: missing, not a video, cut short, of a size that is refused, or without a picture that decodes.

@@ -144,7 +144,7 @@ def timed_pictures(
 def played_pictures(
     container: av.container.InputContainer, stream: av.video.stream.VideoStream, rate: Fraction
 ) -> Iterator[tuple[int, av.VideoFrame]]:
-    """As `timed_pictures`, for files that are played: nobody waits for a first picture with a time of another clock."""
+    """Pictures of a played file, see `timed_pictures`: nobody waits for a first one with a time of another clock."""
     begin_ns: int | None = None
     for time_ns, frame in timed_pictures(container, stream, rate):
         if begin_ns is None:

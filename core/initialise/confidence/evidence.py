@@ -1,4 +1,4 @@
-"""What speaks for and against the depth of a pixel: how it matches, and what other views and its neighbours say.
+"""Evidence for and against the depth of a pixel: how it matches, and what other views and its neighbours say.
 
 All of it is free of world units, so that a room and a stadium look alike. Texture, windows and parallax are in pixels
 of the working size; the network has learnt from pictures of 135 to 160 rows.
@@ -36,7 +36,7 @@ _STEP = 3  # pixels to the neighbours that a plane is compared with
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """What is known of V views of one size.
+    """Depths, and what is known of them, of V views of one size.
 
     Attributes:
         views: V cameras and their pictures.

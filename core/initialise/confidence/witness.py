@@ -1,4 +1,4 @@
-"""What other views say of the points of one: whether they see them, hold them, or look through them."""
+"""Testimony of other views on the points of one: whether they see them, hold them, or look through them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UNSEEN_COST, _UNSEEN_COSINE = 3.0, -1.0  # where a view does not see the point:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """What a view holds, for others to ask.
+    """A view that others ask.
 
     Attributes:
         depth_map: of the view. normals: [H*W,3] of its planes.
@@ -34,7 +34,7 @@ class Surfaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Witness:
-    """What one other view says of N points: each [N].
+    """Testimony of one other view on N points: each [N].
 
     Attributes:
         sees: the point lies in its picture.
@@ -53,7 +53,7 @@ class Witness:
 
 
 def surfaces(depth_map: SlantedMap, trusted: Bool) -> Surfaces:
-    """What a view holds, of which the pixels `trusted` [H,W] pass the tests."""
+    """A view of which the pixels `trusted` [H,W] pass the tests."""
     sure = np.where(trusted, depth_map.depth, np.float32(np.inf))
     return Surfaces(depth_map, depth_map.normals(), minimum_filter(depth_map.depth, 3), minimum_filter(sure, 3))
 
@@ -66,7 +66,7 @@ def nearest(views: WorkingViews, index: int) -> list[int]:
 
 
 def witness(other: Surfaces, points: Float64, normals: Float64) -> Witness:
-    """What view `other` says of `points` [N,3] with `normals` [N,3]."""
+    """Testimony of view `other` on `points` [N,3] with `normals` [N,3]."""
     depth_map = other.depth_map
     pixels, depth = project(depth_map.camera, points)
     sees = inside(depth_map.camera, pixels, depth)

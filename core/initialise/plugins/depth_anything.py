@@ -48,7 +48,7 @@ class DepthAnythingPoints:
         return predicted_points(sources.views(self.rows), _SIDE, self._predict)
 
     def _predict(self, views: WorkingViews) -> PredictedDepth:
-        """What the model says of views at its size."""
+        """The prediction of the model for views at its size."""
         poses = poses_to_tell(views.cameras)
         intrinsics = np.stack([camera.intrinsics for camera in views.cameras])
         pictures = np.rint(views.images * 255).astype(np.uint8)

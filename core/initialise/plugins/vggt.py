@@ -46,7 +46,7 @@ METHOD = VggtPoints()
 
 
 def _predict(views: WorkingViews) -> PredictedDepth:
-    """What the model says of views at its size."""
+    """The prediction of the model for views at its size."""
     try:
         import torch
         from vggt.models.vggt import VGGT

@@ -18,7 +18,7 @@ from streamlod.core.scene.gaussians import GaussianCloud
 
 
 class _Call:
-    """What one rendering shares between forward and backward; its workspace goes back when either is done with it."""
+    """State of one rendering for forward and backward; its workspace goes back when either is done with it."""
 
     def __init__(self, camera: Camera, gradient_rows: int | None) -> None:
         self.camera = camera

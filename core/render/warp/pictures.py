@@ -18,7 +18,7 @@ _PIXELS = TILE_WIDTH * TILE_HEIGHT
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """What views are drawn with.
+    """The settings that views are drawn with.
 
     Attributes:
         grid: of their pictures. cameras: [C,25] rows of `listing.camera_rows`.
@@ -35,7 +35,7 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnViews:
-    """Of V views: image [V,H,W] vec3, light [V,H,W], the loss's gradient by_image [V,H,W] vec3, sums [V,G,9]."""
+    """Parts of V views: image [V,H,W] vec3, light [V,H,W], the loss's gradient by_image [V,H,W] vec3, sums [V,G,9]."""
 
     image: Any
     light: Any

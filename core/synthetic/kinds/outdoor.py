@@ -75,7 +75,7 @@ def _house(place: Vector, size: float, walls: int, tint: Vector, seeds: object) 
 
 
 def _near(seeds: object) -> list[Part]:
-    """What stands close to the cameras: a bench, stones, two bushes, a post with a letter box."""
+    """Things close to the cameras: a bench, stones, two bushes, a post with a letter box."""
     draw = seeds.__next__  # type: ignore[attr-defined]
     parts = [
         box((-1.7, 5.2, 0.46), (0.75, 0.20, 0.025), T.WOOD, (0.58, 0.40, 0.26), seed=draw()),

@@ -129,7 +129,7 @@ def _feature_decoder(feature: Tensor, step: float) -> Float32:
     """[12,F] latents that each change one channel by `step`: the channels in which features [N,F] differ most.
 
     In the basis in which they are sent (`core.train.keyframe.precision`) features are uncorrelated, and a step of any
-    channel changes the pictures by the same amount. Random directions took more latents for less (docs/history.md).
+    channel changes the pictures by the same amount. Random directions took more latents for less (docs/history/log.md).
     """
     spread = (feature - feature.mean(dim=0)).double().square().sum(dim=0)
     chosen = torch.argsort(spread.cpu(), descending=True, stable=True)[:FEATURE_LATENTS]

@@ -29,7 +29,9 @@ _LATTICE = 2  # every second pixel of every second row is asked
 _PIXELS_A_NODE = 2  # pixels that are looked for in space, for each anchor that may be added
 _AGREEING_SHARE = 0.7  # share of the views that see a node, whose error must lie there
 _AGREEING_ERROR = 0.25  # of the mean error of these views, from which a view agrees
-ANCHOR_BITS = 120.0  # price of an anchor; its numbers really take about 200 (docs/history.md, what a latent changes)
+ANCHOR_BITS = (
+    120.0  # price of an anchor; its numbers really take about 200 (docs/history/log.md, what a latent changes)
+)
 _MENDED = 0.4  # share of its error that an anchor mends
 _OPAQUE, _ALIKE = 0.3, 0.1  # of anchors whose features new ones take: least opacity, largest difference of colours
 

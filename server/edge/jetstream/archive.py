@@ -229,5 +229,5 @@ class Archive:
 
 
 def id_of(message: Msg) -> MessageId | None:
-    """What a message holds, or None where it is none of ours."""
+    """The packet in a message, or None where it is none of ours."""
     return parse_id((message.headers or {}).get(MSG_ID, ""))

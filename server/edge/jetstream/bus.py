@@ -1,4 +1,4 @@
-"""What is retained of a stream of another server: the newest packets in memory, all others in JetStream."""
+"""The retained packets of a stream of another server: the newest packets in memory, all others in JetStream."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class NatsConnection:
 
     @property
     def piece_bytes(self) -> int:
-        """Of a packet in one message, at most."""
+        """Largest number of bytes of a packet in one message."""
         return min(MAX_PIECE_BYTES, self.client.max_payload - MAX_HEADER_BYTES)
 
     @property

@@ -53,7 +53,7 @@ async def create_stream(connection: NatsConnection, config: StreamConfig) -> boo
 
 
 def directory_config(names: Names, settings: Settings) -> StreamConfig:
-    """Of the JetStream stream that holds all descriptions; one goes when its packets are too old."""
+    """Settings of the JetStream stream that holds all descriptions; one goes when its packets are too old."""
     return StreamConfig(
         name=names.directory,
         subjects=[names.description("*")],
@@ -69,7 +69,7 @@ def directory_config(names: Names, settings: Settings) -> StreamConfig:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What a publisher said last.
+    """The last description that a publisher sent.
 
     Attributes:
         description: of the stream.
@@ -99,7 +99,7 @@ class Directory:
         self.fault = "no answer yet"
 
     def find(self, stream: str) -> Told | None:
-        """What is known of a stream; degraded where its publisher is silent."""
+        """The description of a stream; degraded where its publisher is silent."""
         told = self._told.get(stream)
         if told is None or told.description.state not in _CHANGES or not self._is_silent(told):
             return told

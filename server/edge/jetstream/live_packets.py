@@ -14,7 +14,7 @@ _MAX_BYTES = 4 << 20  # of packets sent at once; of more than that, only those f
 
 @dataclass(slots=True)
 class Outgoing:
-    """One of them.
+    """A packet of a live stream.
 
     Attributes:
         packet: to be sent.

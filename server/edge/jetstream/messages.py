@@ -30,7 +30,7 @@ class LiveSubjects:
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What streams and subjects are called.
+    """Names of streams and subjects.
 
     Args:
         prefix: of all of them.
@@ -68,7 +68,7 @@ class Names:
 
 @dataclass(frozen=True, slots=True)
 class MessageId:
-    """What a message holds. JetStream stores two messages of one id as one.
+    """The content of a message. JetStream stores two messages of one id as one.
 
     Attributes:
         incarnation: of the stream.
@@ -85,12 +85,12 @@ class MessageId:
 
     @property
     def kind(self) -> str:
-        """As in the subject."""
+        """Text of the position, as in the subject."""
         return "k" if self.is_key else "r"
 
     @property
     def place(self) -> Place:
-        """Of the packet."""
+        """Position of the packet."""
         return self.position, self.is_key
 
     @property

@@ -1,4 +1,4 @@
-"""What this server trains, published: packets in order, one at a time, each until JetStream has acknowledged it.
+"""The publisher of what this server trains: packets in order, one at a time, each until JetStream has acknowledged it.
 
 What waits long for that is sent to other servers directly, too (`server.edge.jetstream.live`).
 """
@@ -124,7 +124,7 @@ class Publisher:
                 await self._claim.tell(self.stream.describe(), leaving=True)
 
     def stream_config(self) -> StreamConfig:
-        """Of the JetStream stream that holds the packets: limits as of a recording."""
+        """Settings of the JetStream stream that holds the packets, with the limits of a recording."""
         retention = self._settings.retention
         return StreamConfig(
             name=self._names.packets(self.stream.id),

@@ -36,7 +36,7 @@ class CameraState(StrEnum):
 
 @dataclass(slots=True)
 class Counts:
-    """What became of one camera's pictures.
+    """Counts of one camera's pictures, by what became of them.
 
     Attributes:
         received: that came.

@@ -1,4 +1,4 @@
-"""What runs on the cluster: the same worker as in a local process, connected by TCP."""
+"""The program that runs on the cluster: the same worker as in a local process, connected by TCP."""
 
 from __future__ import annotations
 

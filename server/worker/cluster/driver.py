@@ -131,14 +131,14 @@ def _pass_all(
 
 
 def _check_version(found: object) -> None:
-    """What a worker is told and tells is the same in one version only."""
+    """Require one version at both ends, as messages of workers differ between versions."""
     if found != (own := streamlod_version()):
         has = f"has streamlod {found:.40}" if isinstance(found, str) else "does not say which streamlod it has"
         raise BackendUnavailable("a node of the cluster", f"it {has}; install {own}, as the server has")
 
 
 def _log_fault(stream: str, ended: Future[Any]) -> None:
-    """What Ray says about the end of an actor, if that was not as it should be."""
+    """The reason that Ray gives for the end of an actor, if that was not as it should be."""
     if (error := ended.exception()) is not None:
         _LOG.warning("stream %s: its actor: %s", stream, error)
 

@@ -103,7 +103,7 @@ def _try(stream: str, needed: Amounts, avoided: set[str], seconds: float) -> Pla
 
 
 def _holdings() -> list[Holding]:
-    """What is reserved, by streams and by other programs that use placement groups."""
+    """The reservations of streams and of other programs that use placement groups."""
     found = []
     for group in placement_group_table().values():
         mark, _, rest = group["name"].partition(":")

@@ -1,4 +1,4 @@
-"""What a worker needs of a cluster, and why there is no room for it: plain values, for which Ray is not loaded."""
+"""The needs of a worker in a cluster, and why there is no room for it: plain values, for which Ray is not loaded."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class NoRoom(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Holding:
-    """What somebody has reserved on a node.
+    """A reservation on a node.
 
     Attributes:
         holder: a stream's id, or "" for another program.

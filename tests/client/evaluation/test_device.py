@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from streamlod.client.evaluation.options import StudyOptions
 from streamlod.client.evaluation.rows import study_rows
-from streamlod.client.evaluation.study import StudyOptions, run_study
+from streamlod.client.evaluation.study import run_study
 from tests.client.evaluation.conftest import shortened
 from tests.device.pretend import counted
 

@@ -12,12 +12,13 @@ import pytest
 
 from streamlod.client.evaluation.design import one_at_a_time
 from streamlod.client.evaluation.measure.footage import chosen_split
+from streamlod.client.evaluation.options import StudyOptions, TradeoffOptions
 from streamlod.client.evaluation.report.quoted import MEET_ROOM, N3DV
 from streamlod.client.evaluation.resume import earlier_report
 from streamlod.client.evaluation.rows import Row, study_rows
-from streamlod.client.evaluation.study import StudyOptions, run_study
+from streamlod.client.evaluation.study import run_study
 from streamlod.client.evaluation.summary import FIGURES
-from streamlod.client.evaluation.tradeoff import COSTS, TradeoffOptions, beaten_by, run_tradeoff
+from streamlod.client.evaluation.tradeoff import COSTS, beaten_by, run_tradeoff
 from streamlod.core.data.pictures import read_picture
 from streamlod.core.errors import InputError
 from tests.client.evaluation.conftest import SPEC, shortened

@@ -15,13 +15,13 @@ from pydantic import ValidationError
 from streamlod.core.data import LAYOUTS
 from streamlod.core.errors import InputError
 from streamlod.core.initialise import METHODS
+from streamlod.core.options import Option
 from streamlod.core.train import preset
 from streamlod.server.api.reach import POINT_METHODS
 from streamlod.server.cli.main import serve, train
 from streamlod.server.cli.options import TRAINING, takes
 from streamlod.server.pipeline.job import JOB_OPTIONS, TrainJob
 from streamlod.server.pipeline.new_stream import NewStream
-from streamlod.server.pipeline.options import Option
 from streamlod.server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
 from streamlod.server.service.app import create_app
 from streamlod.server.settings import Settings, load_settings

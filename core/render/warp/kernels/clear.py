@@ -1,4 +1,4 @@
-"""What a list must be before Gaussians are listed again."""
+"""The state of a list before Gaussians are listed again."""
 
 from __future__ import annotations
 

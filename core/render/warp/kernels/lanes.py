@@ -1,4 +1,4 @@
-"""What the 32 lanes of a GPU's warp do together. On the CPU a kernel has one lane, and these are no work.
+"""Work that the 32 lanes of a GPU's warp do together. On the CPU a kernel has one lane, and these are no work.
 
 A kernel that uses them is launched for whole warps: what a lane gets from one that is not there is undefined.
 """

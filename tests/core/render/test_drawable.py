@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from streamlod.core.camera import pinhole
+from streamlod.core.render.drawable import DeviceCamera, device_camera, drawable
 from streamlod.core.render.reference import rotation
-from streamlod.core.render.sound import DeviceCamera, device_camera, sound
 from tests.core.render.scenes import NAMES
 from tests.core.render.test_extremes import CAMERA, CULLED, ODD, odd
 
@@ -21,7 +21,7 @@ from tests.core.render.test_extremes import CAMERA, CULLED, ODD, odd
 def test_what_gsplat_cannot_draw_is_moved_out_of_sight(name: str, value: float) -> None:
     leaves = [torch.tensor(getattr(odd(name, value), n), requires_grad=True) for n in NAMES]
     seen = device_camera(CAMERA, torch.device("cpu"))
-    found = sound(leaves, seen)
+    found = drawable(leaves, seen)
     kept = slice(ODD.stop, None)
     weak = name == "opacities" and math.isfinite(value)  # gsplat itself leaves those out
     for old, new in zip(leaves, found, strict=True):
@@ -53,7 +53,7 @@ def test_what_lies_far_beside_the_picture_is_moved_out_of_sight() -> None:
         ]
     )
     parts = [means, torch.ones(4, 4), 0.1 * torch.ones(4, 3), torch.ones(4), torch.ones(4, 3)]
-    found = sound(parts, seen)
+    found = drawable(parts, seen)
     assert (found[0] == 7).all(dim=1).tolist() == [False, True, False, True]
     assert found[3].tolist() == [1, 0, 1, 0]
 
@@ -68,7 +68,7 @@ def test_what_reaches_far_along_the_view_is_moved_out_of_sight() -> None:
     beyond = torch.arange(50) % 2
     at_camera = torch.stack([torch.zeros(50), torch.zeros(50), 2 * spread * (1.01 - 0.02 * beyond)], 1)
     parts = [at_camera @ pose[:3, :3], quaternions, scales, torch.ones(50), torch.ones(50, 3)]
-    found = sound(parts, marking((1, 1), (0, 0), (2, 2), pose.double().numpy()))
+    found = drawable(parts, marking((1, 1), (0, 0), (2, 2), pose.double().numpy()))
     assert torch.equal((found[0] == 7).all(dim=1).long(), beyond)
     assert torch.equal(found[3].long(), 1 - beyond)
 
@@ -77,7 +77,7 @@ def test_strong_opacities_are_held_and_keep_their_gradient() -> None:
     opacities = torch.tensor([0.5, 2.0, 50.0], requires_grad=True)
     others = torch.ones(3, 3)
     parts = [others, torch.ones(3, 4), 0.1 * others, opacities, others]
-    held = sound(parts, marking((1, 1), (0, 0), (2, 2), np.eye(4)))[3]
+    held = drawable(parts, marking((1, 1), (0, 0), (2, 2), np.eye(4)))[3]
     assert held.tolist() == [0.5, 2.0, 2.0]
     held.sum().backward()
     assert opacities.grad is not None

@@ -1,4 +1,4 @@
-"""How an option is described: once, beside its field, for the command line, REST and the configuration file alike.
+"""Options: each described once, beside its field, for the command line, REST and the configuration file alike.
 
 `server.cli.options` makes command-line options of the descriptions, `server.pipeline.new_stream` the model of REST
 bodies and of the configuration file. This module imports no library, as `streamlod --help` loads it.
@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from typing import Any, get_type_hints
 
 from streamlod.core.errors import InputError
+
+MAX_CAMERAS = 256
+PRESETS = ("live", "balanced", "quality", "paper")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +88,28 @@ def option(
         "stream_default": stream_default,
     }
     return dataclasses.field(default=default, metadata=description)
+
+
+def test_option() -> Any:
+    """The cameras that are held out, in whatever trains."""
+    text = "Held-out cameras, never trained on."
+    return option((), text, metavar="cam00[,...]", max_length=MAX_CAMERAS)
+
+
+def downscale_option() -> Any:
+    """The size of the pictures, in whatever trains."""
+    return option(1.0, "Make pictures so many times smaller.", minimum=1, maximum=64)
+
+
+def preset_option() -> Any:
+    """The preset, in whatever trains; a stream that is watched meanwhile has the fastest by default."""
+    text = "What training spends on quality; paper is the published method."
+    return option("balanced", text, choices=PRESETS, stream_default="live")
+
+
+def device_option() -> Any:
+    """The device, in whatever trains."""
+    return option("auto", "auto takes a CUDA device where there is one.", choices=("auto", "cpu", "cuda"))
 
 
 def options_of(owner: type) -> tuple[Option, ...]:

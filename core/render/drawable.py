@@ -1,6 +1,6 @@
 """Which Gaussians gsplat can draw, and should; the others are moved out of sight before it gets them.
 
-Written to launch few kernels: on a GPU, launching them takes longer than their arithmetic (docs/benchmarks.md).
+Written to launch few kernels: on a GPU, launching them takes longer than their arithmetic (docs/history/benchmarks.md).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MAX_ASIDE, _MAX_SLOPE, _MAX_SPREAD = 1.0, 1.0, 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeviceCamera:
-    """A camera as `sound` and gsplat need it, float32 on the device.
+    """A camera as `drawable` and gsplat need it, float32 on the device.
 
     Attributes:
         pose: [4,4] from the world to the camera. intrinsics: [3,3]. centre: [3] in the world. half: [2] pixels, half
@@ -77,7 +77,7 @@ def device_camera(camera: Camera, device: torch.device) -> DeviceCamera:
     return DeviceCamera(**{name: one.view(part.shape) for (name, part), one in zip(parts.items(), sent, strict=True)})
 
 
-def sound(parameters: list[Tensor], camera: DeviceCamera, moving: int | None = None) -> list[Tensor]:
+def drawable(parameters: list[Tensor], camera: DeviceCamera, moving: int | None = None) -> list[Tensor]:
     """The five parameters with those Gaussians moved out of sight that gsplat cannot draw, or should not.
 
     What is not finite, has no direction, is so large that projecting it overflows, lies far beside the picture or
@@ -88,10 +88,10 @@ def sound(parameters: list[Tensor], camera: DeviceCamera, moving: int | None = N
         parameters: as `core.render.cuda.rasterise_cuda` takes them.
         moving: how many of the first rows get gradients; all by default.
     """
-    return list(_Sound.apply(*parameters, camera, moving))  # type: ignore[no-untyped-call]
+    return list(_Drawable.apply(*parameters, camera, moving))  # type: ignore[no-untyped-call]
 
 
-def _is_sound(
+def _is_drawable(
     means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, colours: Tensor, camera: DeviceCamera
 ) -> Tensor:
     """[N] bool which Gaussians can be drawn; every comparison is false for NaN."""
@@ -130,13 +130,13 @@ def _axis_products(axis: Float64) -> Float64:
     return products.reshape(16, 3)
 
 
-class _Sound(torch.autograd.Function):
-    """`sound`, the gradient written down."""
+class _Drawable(torch.autograd.Function):
+    """`drawable`, the gradient written down."""
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> tuple[Tensor, ...]:
         means, quaternions, scales, opacities, colours, camera, moving = given
-        good = wanted = _is_sound(means, quaternions, scales, opacities, colours, camera)
+        good = wanted = _is_drawable(means, quaternions, scales, opacities, colours, camera)
         if moving is not None and moving < len(good):
             wanted = torch.zeros_like(good)
             wanted[:moving] = good[:moving]

@@ -1,0 +1,130 @@
+"""The page docs/results.md: what streamlod achieves, measured now, with date, commit and machine.
+
+    streamlod bench report --out FOLDER [--scenes theatre outdoor] [--presets live balanced quality] [--seeds 2]
+        [--views 5] [--frames 8] [--page docs/results.md]
+
+Scenes are those of the zoo's reporting half, on which nothing was chosen. Goes on where it was stopped: what FOLDER
+holds of the same program is not measured again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from streamlod.client.evaluation.measure.machine import machine
+from streamlod.client.evaluation.report.tables import number, table
+from streamlod.client.evaluation.zoo.cells import Cells, program_digest
+from streamlod.client.evaluation.zoo.run import ZooOptions, run_zoo
+from streamlod.core.files import write_text
+from streamlod.core.options import PRESETS
+
+DOWNSCALE = 2.0  # of pictures of 480x270
+ROOT = Path(__file__).parents[2]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the measurements")
+    parser.add_argument("--scenes", nargs="+", default=["theatre", "outdoor"])
+    parser.add_argument("--presets", nargs="+", default=list(PRESETS))
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--views", type=int, default=5)
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--page", type=Path, help="also write the page here")
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    data = os.environ.get("STREAMLOD_DATA")
+    for preset in options.presets:
+        run_zoo(Path(data) if data else None, options.out, zoo(options, preset))
+    text = page(options, Cells(options.out / "cells.jsonl", program_digest()))
+    if options.page:
+        write_text(options.page, text)
+    print(text)
+
+
+def zoo(options: argparse.Namespace, preset: str) -> ZooOptions:
+    """The zoo's options of one preset."""
+    return ZooOptions(
+        tuple(options.scenes), (options.views,), options.seeds, ("ours",), preset, DOWNSCALE, options.frames
+    )
+
+
+def page(options: argparse.Namespace, cells: Cells) -> str:
+    """The page, from the cells that its options name."""
+    rows = []
+    for scene in options.scenes:
+        for preset in options.presets:
+            found = [
+                figures
+                for key, figures in cells.items()
+                if (key.scene, key.preset, key.views, key.frames) == (scene, preset, options.views, options.frames)
+                and key.seed < options.seeds
+            ]
+            rows.append([scene, f"`{preset}`", *summary(found)])
+    head = (
+        "scene", "preset", "PSNR", "SSIM", "moving PSNR", "KB a frame", "keyframe KB", "CPU s a frame",
+        "first frame, CPU s", "anchors",
+    )  # fmt: skip
+    where = machine("cpu")
+    return f"""# Results
+
+Printed by `{command()}` on {datetime.now(UTC):%d %B %Y}, commit {commit()}, {where["processor"]}, {where["cores"]}
+cores, Python {where["python"]}, torch {where["torch"]}. CPU seconds are of one thread, beside whatever else ran.
+
+Held-out camera, {options.views} of 12 training views, pictures of 240x135, means of {options.frames} frames and \
+{options.seeds} seeds. Scenes are of
+the reporting half of the zoo, on which nothing was chosen. Older figures, with their commands, are in
+[history](history/README.md).
+
+{table(head, rows)}"""
+
+
+def summary(cells: list[dict[str, Any]]) -> list[str]:
+    """Figures of one row: means over seeds, and over frames; bytes and seconds of later frames by themselves."""
+    later = [frame for cell in cells for frame in cell["frames"][1:]]
+    frames = [frame for cell in cells for frame in cell["frames"]]
+    first = [cell["frames"][0] for cell in cells]
+    return [
+        number(mean(frames, "psnr"), 1),
+        number(mean(frames, "ssim"), 3),
+        number(mean(later, "moving_psnr"), 1),
+        number(mean(later, "bytes"), 1, 1000),
+        number(mean(first, "bytes"), 0, 1000),
+        number(mean(later, "cpu_seconds"), 2),
+        number(mean(first, "cpu_seconds"), 0),
+        number(mean(cells, "parts"), 0),
+    ]
+
+
+def mean(frames: Iterable[dict[str, Any]], name: str) -> float | None:
+    """Mean of a figure where it was measured."""
+    found = [frame[name] for frame in frames if frame.get(name) is not None]
+    return fmean(found) if found else None
+
+
+def command() -> str:
+    """The command that runs, without its folders."""
+    given = sys.argv[1:]
+    hidden = {index + step for index, word in enumerate(given) if word in {"--out", "--page"} for step in (0, 1)}
+    words = [word for index, word in enumerate(given) if index not in hidden]
+    return " ".join(["streamlod bench report --out FOLDER", *words])
+
+
+def commit() -> str:
+    """The checkout's commit, and whether it is that."""
+    asked = ["git", "describe", "--always", "--dirty", "--abbrev=10"]
+    done = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "unknown"
+
+
+if __name__ == "__main__":
+    main()
