@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import Grant, Right
 from streamlod.server.ingest.cameras.address import local_file
+from streamlod.server.pipeline.job import POINT_METHODS
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 
@@ -24,7 +25,6 @@ _OPTIONS_IN_QUERY = ("tcp", "udp", "srt")  # whose addresses tell FFmpeg more th
 _HARMLESS = {"mode", "latency", "passphrase", "pbkeylen", "streamid", "timeout", "pkt_size", "fifo_size", "buffer_size"}
 _REDIRECTED = ("rtsp", "rtsps")  # where FFmpeg goes wherever the camera sends it
 _HOLD_IPV4 = [ipaddress.ip_network(text) for text in ("::/96", "64:ff9b::/96")]  # compatible, NAT64
-POINT_METHODS = {"auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "depth-anything", "random"}
 
 
 def check_reach(spec: StreamSpec, settings: Settings, grant: Grant) -> None:

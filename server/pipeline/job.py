@@ -22,6 +22,7 @@ from streamlod.core.options import (
 
 SOURCES = ("data", "live", "synthetic")
 MAX_PATH = 4096
+POINT_METHODS = ("auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "depth-anything", "random")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +66,7 @@ class TrainJob:
     seed: int = option(0, "Of everything random.", minimum=0, maximum=2**31 - 1)
     points: str = option(
         "auto",
-        "First points: auto, colmap, sweep, colmap+sweep, learned, vggt, depth-anything, random, "
-        "or a .ply or .npz file.",
+        f"First points: {', '.join(POINT_METHODS)}, or a .ply or .npz file.",
         metavar="METHOD|FILE",
         max_length=MAX_PATH,
     )
