@@ -127,7 +127,17 @@ def test_no_place_has_an_option_of_its_own() -> None:
     assert declared == {field.name for kind in (StreamSpec, TrainJob) for field in fields(kind)} - {"job"}
     for place, properties in schemas().items():
         assert set(properties) == declared | {"start"}, place
-    server = {"host", "port", "state_dir", "config", "tokens", "metrics_port", "trace_endpoint", "insecure"}
+    server = {
+        "host",
+        "port",
+        "state_dir",
+        "config",
+        "tokens",
+        "metrics_port",
+        "trace_endpoint",
+        "log_format",
+        "insecure",
+    }
     assert set(parameters(serve)) - server == declared
     assert set(parameters(train)) - {"data", "out", "json", "trace"} == {option.name for option in TRAINING}
     assert {option.name for option in JOB_OPTIONS} - {option.name for option in TRAINING} == {
