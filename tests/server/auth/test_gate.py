@@ -319,10 +319,15 @@ def serial_at(port: int) -> int:
     return x509.load_der_x509_certificate(data).serial_number
 
 
+def write_tokens(path: Path, names: str) -> None:
+    """A file of tokens that may read, one for each letter, each its own name."""
+    path.write_text(json.dumps([{"name": name, "sha256": hash_token(name), "rights": ["read"]} for name in names]))
+
+
 def test_certificates_and_tokens_are_renewed_while_viewers_stay(clip: Clip, tmp_path: Path) -> None:
     certificate, key = write_certificate(tmp_path, 1001)
     tokens, config = tmp_path / "tokens.json", tmp_path / "server.toml"
-    tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"]}]))
+    write_tokens(tokens, "ac")
     config.write_text(f'certificate = "{certificate}"\ncertificate_key = "{key}"\ntokens = "{tokens}"\n')
     trust = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     trust.check_hostname, trust.verify_mode = False, ssl.CERT_NONE
@@ -337,13 +342,14 @@ def test_certificates_and_tokens_are_renewed_while_viewers_stay(clip: Clip, tmp_
             viewer.send('{"type":"hello","versions":[1]}')
             assert json.loads(viewer.recv(10))["type"] == "welcome"
             write_certificate(tmp_path, 1002)
-            tokens.write_text(json.dumps([{"name": n, "sha256": hash_token(n), "rights": ["read"]} for n in "ab"]))
+            write_tokens(tokens, "ab")
             process.send_signal(signal.SIGHUP)
             limit = time.monotonic() + 10
             while serial_at(port) != 1002:
                 assert time.monotonic() < limit
                 time.sleep(0.02)
             assert client.get("/v1/streams", headers={"Authorization": "Bearer b"}).status_code == 200
+            assert client.get("/v1/streams", headers={"Authorization": "Bearer c"}).status_code == 401
             before = key.read_bytes()
             write_certificate(tmp_path, 1003)
             after = key.read_bytes()
