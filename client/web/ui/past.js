@@ -7,7 +7,7 @@ const RENEW_MS = 60_000; // old groups leave, new ones come
 
 /**
  * Keep `timeline` told of all epochs that can be sought, and of when they were filmed.
- * @param {string} address - of the stream, as in `https://host/v1/streams/main`
+ * @param {string} address - of the stream, up to its name, `.../v1/streams/main`
  * @param {string | null} token
  * @param {import("../view/viewer.js").Viewer} viewer
  * @param {import("./timeline.js").Timeline} timeline

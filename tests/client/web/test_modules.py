@@ -56,9 +56,9 @@ def test_types() -> None:
 
 
 def test_page_is_small_and_complete(kernel: bytes) -> None:
-    """Under 100 KB compressed, comments and all (test_built.py weighs what is served); nothing comes from elsewhere."""
+    """Under 120 KB compressed, comments and all (test_built.py weighs what is served); nothing comes from elsewhere."""
     files = {path.name: path.read_bytes() for path in WEB.rglob("*.*") if path.suffix not in (".wat", ".py", ".pyc")}
-    assert sum(len(gzip.compress(content)) for content in files.values()) < 100_000
+    assert sum(len(gzip.compress(content)) for content in files.values()) < 120_000
     for name, content in files.items():
         if not name.endswith(".wasm"):
             text = content.decode().replace("http://www.w3.org/2000/svg", "")

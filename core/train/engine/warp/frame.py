@@ -10,7 +10,6 @@ from torch import Tensor
 
 from streamlod.core.camera import Camera
 from streamlod.core.errors import ModelError
-from streamlod.core.render.warp.kernels.rules import Cloud
 from streamlod.core.render.warp.listing import camera_rows, list_gaussians
 from streamlod.core.scene.anchors import FEATURE_LATENTS, HIDDEN
 from streamlod.core.scene.gaussians import MAX_LOG_SCALE
@@ -85,7 +84,7 @@ def load_still(room: StepRoom, splats: Sequence[Splats]) -> None:
     most = max(map(len, splats))
     if most > room.capacity.still:
         raise ModelError(f"{most} Gaussians stand still, and there is room for {room.capacity.still}")
-    for name in Cloud.vars:
+    for name in ("means", "quaternions", "scales", "opacities", "colours"):
         view = view_of(getattr(room.still_cloud, name))
         for number, own in enumerate(splats[: len(view)]):
             values = getattr(own, name)

@@ -99,7 +99,7 @@ class FrameSteps:
         """What the last step left; where steps counted into the mean, the mean."""
         room = self._step.room
         flat = view_of(room.trained.mean if self._counted else room.trained.values)
-        anchors, groups = flat.split([room.capacity.anchors * (LATENTS + 3), room.capacity.groups * 6])
+        anchors, groups = torch.split(flat, [room.capacity.anchors * (LATENTS + 3), room.capacity.groups * 6])
         own = anchors.view(-1, LATENTS + 3)[: self._count].clone()
         shift, turn = groups.view(-1, 2, 3).clone().unbind(dim=1)
         return FrameNumbers(own[:, :LATENTS], own[:, LATENTS:], shift, turn)

@@ -167,10 +167,11 @@ def _decoders(c: Capacity, zeros: Any) -> Any:
 
 
 def _trained(c: Capacity, zeros: Any) -> Trained:
-    flat = [zeros(c.numbers) for _ in range(5)]
-    rows = zeros(c.anchors, wp.vec2)
+    values, gradient, first, second, mean = (zeros(c.numbers) for _ in range(5))
+    steps, rows = zeros(c.anchors, wp.vec3), zeros(c.anchors, wp.vec2)
     pulls = zeros((c.slots, c.anchors, LATENTS + 3))
-    return Trained(*flat, zeros(c.anchors, wp.vec3), rows, pulls, zeros(TOTALS), zeros(c.steps), zeros(1, int))
+    last = zeros(TOTALS), zeros(c.steps), zeros(1, int)
+    return Trained(values, gradient, first, second, mean, steps, rows, pulls, *last)
 
 
 def _planes(c: Capacity, zeros: Any) -> Any:

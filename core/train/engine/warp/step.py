@@ -55,7 +55,8 @@ class TrainingStep:
     def tell(self, number: int, told: Sequence[float], cameras: Sequence[int]) -> None:
         """Write what differs from step to step; no row of host memory is used twice in a frame, so nothing waits."""
         row = [*told[:-1], number]
-        self._told.numpy()[number], self._chosen.numpy()[number] = np.float32(row), np.int32(cameras)
+        self._told.numpy()[number] = np.asarray(row, np.float32)
+        self._chosen.numpy()[number] = np.asarray(cameras, np.int32)
         wp.copy(self.room.told, self._told, src_offset=number * TOLD, count=TOLD)
         views = self.room.capacity.views
         wp.copy(self.room.sight.chosen, self._chosen, src_offset=number * views, count=views)
