@@ -40,7 +40,11 @@ class Similarity:
     origin: Float64
 
     def positions(self, old: Float64) -> Float64:
-        """[N,3] positions in the new coordinates."""
+        """[N,3] positions in the new coordinates; not finite where the old ones are not, or are too large."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            return self._positions(old)
+
+    def _positions(self, old: Float64) -> Float64:
         return np.asarray(self.scale * (old - self.origin) @ self.rotation.T, np.float64)
 
     def camera(self, old: Camera) -> Camera:

@@ -65,7 +65,9 @@ def camera_names(names: Sequence[str]) -> list[str]:
 
 
 def _printable(name: str) -> str:
-    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    """On one line, without what cannot be shown."""
+    text = name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    return "".join(character if character.isprintable() else "\ufffd" for character in text)
 
 
 def _end(name: str, max_bytes: int) -> str:

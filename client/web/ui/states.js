@@ -86,6 +86,6 @@ export const NO_WEBGL = full("Cannot draw", "bad", "This browser cannot show the
 
 /** A time, for people: m:ss.t. @type {(seconds: number) => string} */
 export function clock(seconds) {
-  const tenths = Math.floor(10 * Math.abs(seconds) + 1e-6), minutes = Math.floor(tenths / 600);
+  const tenths = Math.floor(10 * Math.abs(seconds) + 1e-3), minutes = Math.floor(tenths / 600);
   return `${minutes}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`;
 }

@@ -138,7 +138,7 @@ def test_keyboard_reaches_everything(page: Any, clip: Clip) -> None:
         page.keyboard.press("Space")
         shows(page, "s.phase === 'paused'")
         told = "document.getElementById('canvas').ariaDescription"
-        page.wait_for_function(f"{told} === 'Paused, 0:00.3, seen from near cam02'", **WAIT)
+        page.wait_for_function(f"{told} === 'Paused, 0:00.2, seen from near cam02'", **WAIT)
 
 
 def test_reduced_motion_is_honoured(page: Any, clip: Clip) -> None:

@@ -74,8 +74,10 @@ def begin(
     """Start a process; it and its log. For `listening`. `source`: run the code of that folder instead of this one."""
     if source is not None:
         environment["PYTHONPATH"] = str(source)
+    packaged = source is None or (source / "streamlod").is_dir()  # older code has no package of that name
+    module = "streamlod.server.cli" if packaged else "server.cli"
     log = folder / f"{time.monotonic_ns()}.log"
-    command = [sys.executable, "-m", "streamlod.server.cli", *map(str, arguments), "--port", str(port)]
+    command = [sys.executable, "-m", module, *map(str, arguments), "--port", str(port)]
     with log.open("wb") as file:
         process = subprocess.Popen(command, stderr=file, stdout=file, cwd=source, env=os.environ | environment)
     return process, log

@@ -29,14 +29,15 @@ OLDER = "c4b60cff6e21cbb1b0771d840b36039af2663c22"
 ROOT = Path(__file__).parents[3]
 # Watches a stream; a line for each scene, with its version and what it holds.
 VIEWER = """
-import asyncio, json, sys
+import asyncio, json, os, sys
 from contextlib import aclosing
 from hashlib import sha256
-from streamlod.client.events import NewScene
-try:
+if os.path.isdir("streamlod"):
+    from streamlod.client.events import NewScene
     from streamlod.client.connection.watch import watch
-except ImportError:
-    from streamlod.client.connection import watch
+else:
+    from client.events import NewScene
+    from client.connection import watch
 
 def state_hash(scene):
     return sha256(b"".join(bytes(column) for level in scene.levels for column in level.state())).hexdigest()

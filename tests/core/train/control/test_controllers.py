@@ -84,8 +84,8 @@ def unbound(config: TrainConfig, clip: Dataset, pictures: list[UInt8], first: Sc
 
 @pytest.mark.long
 def test_a_burst_holds_the_frame_budget_and_quality_returns(clip: Dataset, pictures: list[UInt8], first: Scene) -> None:
-    budget = 0.035
-    calm = [pictures[-1]] * 14  # with six steps a frame, what is left undone takes a while
+    budget = 0.048  # looks of the clock: some thirty are those of stages, the rest are steps
+    calm = [pictures[-1]] * 14  # with five steps a frame, what is left undone takes a while
     missing = []
     for seed in range(3):  # runs of so few steps differ
         ours, clock = replace(config(), seed=seed), Ticks()
