@@ -1,4 +1,4 @@
-"""Cameras: the geometry of one (`camera`), and the space in which a rig of them is trained (`space`)."""
+"""Cameras: the geometry of one (`camera`), the space in which a rig is trained (`space`), its instants (`grid`)."""
 
 from streamlod.core.camera.camera import Camera, look_at, pinhole
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import av
 
 from streamlod.core.arrays import UInt8
+from streamlod.core.camera.grid import Grid
 from streamlod.core.data.dataset import FPS_OF_PICTURES
 from streamlod.core.data.files import blaming
 from streamlod.core.data.pictures import read_picture
 from streamlod.core.data.video.file import VideoInfo, probe_video, read_video
-from streamlod.core.data.video.grid import Grid
 from streamlod.core.data.video.pairing import nearest, paired, picked
 from streamlod.core.data.video.upright import upright
 

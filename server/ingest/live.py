@@ -17,10 +17,10 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, UInt8
 from streamlod.core.camera import Camera
+from streamlod.core.camera.grid import period_of
 from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.data.dataset import scaled_bounds
 from streamlod.core.data.lens import Development, development
-from streamlod.core.data.video.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.server.ingest.ahead import just_in_time

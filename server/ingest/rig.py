@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from streamlod.core.data.video.grid import period_of
+from streamlod.core.camera.grid import period_of
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.cameras.reader import ENDED, Reader

@@ -13,9 +13,9 @@ from pathlib import Path
 from statistics import median_low
 from typing import TypeVar
 
+from streamlod.core.camera.grid import Grid, best_phase, is_steady, period_of, phase_of
 from streamlod.core.data.names import listed
 from streamlod.core.data.video.file import VideoInfo
-from streamlod.core.data.video.grid import Grid, best_phase, is_steady, period_of, phase_of
 from streamlod.core.errors import InputError
 
 T = TypeVar("T")

@@ -17,7 +17,7 @@ import av.container
 import av.video.stream
 
 from streamlod.core.arrays import UInt8
-from streamlod.core.data.video.grid import period_of
+from streamlod.core.camera.grid import period_of
 from streamlod.core.data.video.times import pictures_of, played_pictures
 from streamlod.core.data.video.upright import upright, upright_size
 from streamlod.core.errors import InputError

@@ -11,8 +11,8 @@ from pathlib import Path
 import av
 import cv2
 
+from streamlod.core.camera.grid import period_of
 from streamlod.core.data.names import files_in, numeric_key
-from streamlod.core.data.video.grid import period_of
 from streamlod.core.data.video.times import pictures_of, played_pictures
 from streamlod.core.data.video.upright import upright
 from streamlod.core.errors import InputError

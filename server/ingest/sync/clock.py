@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
 
-from streamlod.core.data.video.grid import period_of
+from streamlod.core.camera.grid import period_of
 from streamlod.server.ingest.sync.clock_fit import Line
 
 _SECOND_NS = 1_000_000_000

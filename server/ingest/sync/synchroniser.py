@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from statistics import median_low
 
-from streamlod.core.data.video.grid import Grid, best_phase, period_of, phase_of
+from streamlod.core.camera.grid import Grid, best_phase, period_of, phase_of
 from streamlod.server.ingest.sync.picture import Picture
 
 _SECOND_NS = 1_000_000_000

@@ -352,7 +352,7 @@ def test_a_stream_that_cannot_be_created_leaves_the_recording_of_an_earlier_one(
     monkeypatch.setattr("streamlod.server.stream.worker_stream.run_on_ray", _no_room)
     (tmp_path / "data").mkdir()
     again = {"id": "gone", "data": str(tmp_path / "data"), "start": True}
-    with running(Settings(state=tmp_path, jobs="ray")) as server, server.client(timeout=60) as client:
+    with running(Settings(state=tmp_path / "state", jobs="ray")) as server, server.client(timeout=60) as client:
         client.post("/v1/streams", json={"id": "gone", "play": str(clip.path), "start": True})
         server.wait(lambda stream: (stream["version"] or 0) > 3, "gone")
         client.delete("/v1/streams/gone")
@@ -361,7 +361,7 @@ def test_a_stream_that_cannot_be_created_leaves_the_recording_of_an_earlier_one(
         refused = client.post("/v1/streams", json=again)
         assert (refused.status_code, "it needs 1 CPU" in refused.text) == (409, True)
         assert client.get("/v1/recordings").json()["items"] == before
-        (tmp_path / "streams" / "gone" / "stream.new").mkdir()  # so that nothing can be remembered
+        (tmp_path / "state" / "streams" / "gone" / "stream.new").mkdir()  # so that nothing can be remembered
         assert client.post("/v1/streams", json=again).status_code == 507
         assert client.get("/v1/recordings").json()["items"] == before
         assert client.get("/v1/streams").json()["items"] == []

@@ -14,7 +14,7 @@ from tests.bench.idle_bench import cpu_seconds, megabytes, serving
 _RUN = """
 import re, sys
 from pathlib import Path
-import streamlod.server.service.run, server.worker.process
+import streamlod.server.service.run, streamlod.server.worker.process
 from streamlod.server.pipeline.warming import warm_codec
 from streamlod.server.service.memory import leave_out_linear_algebra, page_out_compiler
 

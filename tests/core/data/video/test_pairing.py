@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from streamlod.core.camera.grid import rate_of
 from streamlod.core.data import open_dataset
 from streamlod.core.data.video import VideoInfo
-from streamlod.core.data.video.grid import rate_of
 from streamlod.core.data.video.pairing import nearest, paired, picked
 from streamlod.core.errors import InputError
 from tests.core.data.writers import copy_video, picture, read_back, write_video, write_video_clip

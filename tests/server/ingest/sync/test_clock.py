@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from streamlod.core.data.video.grid import Grid, best_phase, period_of
+from streamlod.core.camera.grid import Grid, best_phase, period_of
 from streamlod.server.ingest.sync.clock import CaptureClock, ClockSource, Sighting, date_timecode, read_timecode
 from streamlod.server.ingest.sync.clock_fit import Line
 
