@@ -124,6 +124,11 @@ export class Renderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
+  /** Whether the browser took the graphics card away. */
+  get isLost() {
+    return this.gl.isContextLost();
+  }
+
   /** Name of the graphics hardware, "" where the browser hides it. */
   get hardware() {
     const info = this.gl.getExtension("WEBGL_debug_renderer_info");
