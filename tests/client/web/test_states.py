@@ -250,6 +250,6 @@ window.bars = [];
 document.addEventListener("DOMContentLoaded", () => {
   const card = document.getElementById("card"), bar = document.getElementById("card-progress");
   const note = () => card.hidden || bars.push(bar.hidden ? null : bar.value);
-  new MutationObserver(note).observe(card, { attributes: true, subtree: true, childList: true });
+  if (card) new MutationObserver(note).observe(card, { attributes: true, subtree: true, childList: true });
 });
 """
