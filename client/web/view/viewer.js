@@ -3,6 +3,7 @@
  * Fires `scene`, `picture`, `status`, `refused`, `frame`, `drawn` and `graphics` events.
  */
 
+import { exposureAt } from "./exposure.js";
 import { between, dot, fromCamera, homeCamera, rigUp, row, target } from "./camera.js";
 import { braked, held, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
@@ -241,7 +242,8 @@ export class Viewer extends EventTarget {
     const translation = [0, 1, 2].map((i) => -dot(row(rotation, i), position));
     const scale = focal * unit;
     return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
-      share: this.resting ? 1 : this.share, range: this.pose.distance };
+      share: this.resting ? 1 : this.share, range: this.pose.distance,
+      exposure: exposureAt(position, this.scene?.cameras ?? [], this.scene?.exposures) };
   }
 
   #frame() {
