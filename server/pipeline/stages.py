@@ -31,11 +31,11 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.residual import Residual
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Progress, TrainedFrame, Trainer, preset
-from streamlod.core.train.draft import draft_scene
 from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.pipeline.bounded_queue import Outlet, made_by
+from streamlod.server.pipeline.draft import draft_scene
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.rehearsal import rehearse
 from streamlod.server.pipeline.trace import Span, timed, timing

@@ -16,8 +16,7 @@ from streamlod.core.initialise.coarse import CoarseSweep
 from streamlod.core.initialise.method import PointSources
 from streamlod.core.initialise.views import working_views
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.train.config import TrainConfig
-from streamlod.core.train.trainer import Trainer
+from streamlod.core.train import TrainConfig, Trainer
 
 _ROWS = 120  # of the pictures
 _STEPS = 60
