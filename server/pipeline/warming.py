@@ -48,8 +48,8 @@ def warm_codec() -> None:
 def warm_rasteriser() -> None:
     """Draw one Gaussian in all ways, forward and backward: about half a minute once."""
     from streamlod.core.camera import pinhole
-    from streamlod.core.render.cpu.backdrop import forward_over, prepare
-    from streamlod.core.render.cpu.dirty_tiles import touched_tiles
+    from streamlod.core.render.cpu.backdrop import canvas_of, forward_over, prepare
+    from streamlod.core.render.cpu.dirty_tiles import reached_tiles, touched_tiles
     from streamlod.core.render.cpu.frame import backward, forward
     from streamlod.core.render.cpu.photometric import photometric_sums
     from streamlod.core.render.cpu.workspace import Workspace
@@ -66,7 +66,9 @@ def warm_rasteriser() -> None:
     backward(workspace, frame, cloud, np.ones_like(frame.image))
     photometric_sums(frame.image, frame.image, 0.2, (Box(0, 0, 8, 8),))
     touched = touched_tiles(camera, cloud, 1.0)  # one tile of two
-    forward_over(workspace, cloud, prepare(cloud, camera, touched, touched, frame.image), background)
+    reached_tiles(camera, cloud, touched)
+    backdrop = prepare(cloud, camera, touched, frame.image)
+    forward_over(workspace, cloud, backdrop, background, canvas_of(backdrop))
 
 
 def warm_trainer() -> None:

@@ -11,8 +11,9 @@ trains a refresh keyframe of the state every so many frames, and `anew=20` a fir
 Each run tells PSNR on moving pixels (true motion, dilated; docs/history/benchmarks.md) of the held-out camera and of
 the training cameras, as means over frames 3 to 10, over the middle and over the last 10; the mean PSNR of the whole
 held-out picture; bytes and seconds a frame (of the CPU; wall time on a GPU); and how many anchors mostly show what
-moves, at the same times.
-`--json FILE` keeps the figures of every frame. `--pictures FILE.jpg --at 3 20 40` draws the held-out camera at these
+moves, at the same times; steps and seconds of each stage.
+`--json FILE` keeps the figures of every frame, and `--against FILE` compares with such figures, of other settings or of
+another version of the program. `--pictures FILE.jpg --at 3 20 40` draws the held-out camera at these
 frames, side by side: the truth above, for each run a row below.
 """
 
@@ -23,6 +24,7 @@ import json
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -48,7 +50,7 @@ from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.cli.options import fields_in
 
 _HELD_OUT = "cam00"
-_FIGURES = ("moving", "fitted", "whole", "size", "seconds", "trained", "anchors")  # of a `Course`
+_FIGURES = ("moving", "fitted", "whole", "size", "seconds", "trained", "steps", "stages", "anchors")  # of a `Course`
 _EARLY, _LATE = slice(3, 11), slice(-10, None)  # frames
 _COUNTED_EVERY = 4  # frames between counts of the anchors that show what moves
 _CAUSES = {"truth", "finer", "renew", "anew"}
@@ -78,6 +80,8 @@ class Course:
     size: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     trained: list[int] = field(default_factory=list)
+    steps: list[int] = field(default_factory=list)
+    stages: dict[str, float] = field(default_factory=dict)
     anchors: dict[int, int] = field(default_factory=dict)
     pictures: dict[int, UInt8] = field(default_factory=dict)
 
@@ -90,8 +94,21 @@ class Course:
             f"moving {early[0]:.2f} {middle[0]:.2f} {late[0]:.2f} (trained {early[1]:.2f} {middle[1]:.2f} "
             f"{late[1]:.2f}), picture {np.mean(self.whole[1:]):.2f} dB, {np.mean(self.size):.0f} bytes, "
             f"{np.mean(self.seconds):.3f} s, {np.mean(self.trained):.0f} trained, "
-            f"movers' anchors {counts[0]} {counts[len(counts) // 2]} {counts[-1]}"
+            f"movers' anchors {counts[0]} {counts[len(counts) // 2]} {counts[-1]}; {np.mean(self.steps):.0f} steps, "
+            + ", ".join(f"{stage} {seconds / len(self.size):.3f} s" for stage, seconds in self.stages.items())
         )
+
+    def against(self, other: dict[str, Any]) -> str:
+        """One line: this run beside the figures of another one, over all frames but the first."""
+        frames = slice(1, len(self.whole))
+        moving, whole = (
+            np.nanmean(mine[frames]) - np.nanmean(theirs[frames])
+            for mine, theirs in ((self.moving, other["moving"]), (self.whole, other["whole"]))
+        )
+        seconds, size = (np.sum(mine) / np.sum(theirs) for mine, theirs in (
+            (self.seconds, other["seconds"]), (self.size, other["size"])
+        ))  # fmt: skip
+        return f"moving {moving:+.2f} dB, picture {whole:+.2f} dB, bytes x{size:.3f}, seconds x{seconds:.2f}"
 
 
 def open_clip(spec: SyntheticSpec, views: int) -> Clip:
@@ -149,7 +166,7 @@ def follow(
     course = Course()
     held, fitted = MovingPixels((clip.held_out,), clip.spec), MovingPixels(clip.cameras, clip.spec)
     clock = time.process_time if device == "cpu" else time.perf_counter
-    trainer = Trainer(clip.cameras, config, clip.fps, device)
+    trainer = Trainer(clip.cameras, config, clip.fps, device, clock=clock)
     truth.before = first
     trainer.resume(first)
     trainer.predict(clip.training[0])  # tells the trainer what the first frame was shown
@@ -164,6 +181,9 @@ def follow(
             course.size.append(len(encode_residual(before, result.residual, time_ns=0)))
             course.seconds.append(clock() - begin)
             course.trained.append(result.report.dynamic)
+            course.steps.append(result.report.steps)
+            for stage, seconds in result.report.seconds.items():
+                course.stages[stage] = course.stages.get(stage, 0.0) + seconds
         scene = trainer.scene
         drawn = draw(scene, clip.held_out)
         course.whole.append(psnr(drawn, test.images[0]))
@@ -223,6 +243,10 @@ def main() -> None:
         )
         rows.append([course.pictures[index] for index in options.at])
         print(f"{changes or options.preset:32s} {course.told()}", flush=True)
+        if options.against:
+            known = [json.loads(line) for line in options.against.read_text().splitlines()]
+            for other in known:
+                print(f"{'against ' + (other['run'] or options.preset):32s} {course.against(other)}", flush=True)
         if options.json:
             with options.json.open("a") as file:
                 file.write(json.dumps({"run": changes, **{n: getattr(course, n) for n in _FIGURES}}) + "\n")
@@ -245,6 +269,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--clip-seed", type=int, default=0)
     parser.add_argument("--first", type=Path, help="packet of the first frame, written where it is absent")
     parser.add_argument("--json", type=Path, help="append the figures of every frame")
+    parser.add_argument("--against", type=Path, help="figures that --json kept, of the same clip and first frame")
     parser.add_argument("--pictures", type=Path, help="JPEG of the frames of --at")
     parser.add_argument("--at", type=int, nargs="+", default=[], help="frames to draw")
     parser.add_argument("--run", action="append", metavar="PART.NAME=VALUE,...")

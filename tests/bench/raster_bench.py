@@ -149,14 +149,14 @@ def dirty(count: int = 200_000) -> dict[str, Any]:
             )
             others = tensors(static, gradients=False)
             base = rasterise(*tensors(cloud, gradients=False), camera, background).image
-            cache = make_tile_cache(camera, _splats(dynamic), _splats(static), background, "cpu", base)
+            cache = make_tile_cache(camera, _splats(dynamic), _splats(static), background, "cpu", base=base)
 
             def whole(loss: Any, dynamic: GaussianCloud = dynamic, others: Any = others) -> None:
                 joined = [torch.cat(pair) for pair in zip(tensors(dynamic), others, strict=True)]
                 loss(rasterise(*joined, camera, background).image, target).backward()
 
             def part(dynamic: GaussianCloud = dynamic, cache: TileCache = cache) -> None:
-                image = cache.render(_splats(dynamic, gradients=True))[0].image
+                image = cache.render(_splats(dynamic, gradients=True)).image
                 photometric_loss(image, target, region=cache.region).backward()
 
             subjects: Subjects = {
@@ -165,7 +165,7 @@ def dirty(count: int = 200_000) -> dict[str, Any]:
                 "full, convolutions": lambda whole=whole: whole(convolution_loss),
             }
             assert cache.backdrop is not None
-            tiles, still = float(cache.backdrop.stale.mean()), len(cache.backdrop.records)
+            tiles, still = float(cache.backdrop.tile_mask.mean()), len(cache.backdrop.records)
             numbers = {"tiles dirty": tiles, "static needed": still / max(1, len(static))}
             found[f"{layout} {share:.0%}"] = numbers | ratios(subjects, "dirty", rounds=3)
     return found

@@ -1,6 +1,5 @@
 /** The worker between socket and splats; `messages.js` says what it hears and tells. */
 
-import { readMetadata } from "../decode/metadata.js";
 import { Connection } from "../stream/connection.js";
 import { Engine } from "./engine.js";
 import { loadKernel, RECORD } from "../decode/expand.js";
@@ -87,8 +86,7 @@ function picture() {
   if (scene.keyframe !== keyframe) {
     ({ keyframe } = scene);
     const { cameras, background, fps, levels, viewDependent } = scene.header;
-    const { exposures } = scene.metadata ? readMetadata(scene.metadata) : { exposures: undefined };
-    tell({ type: "scene", cameras, background: [background[0], background[1], background[2]], fps, levels, viewDependent, exposures });
+    tell({ type: "scene", cameras, background: [background[0], background[1], background[2]], fps, levels, viewDependent });
   }
   if (!view) return;
   const result = engine.picture(view);

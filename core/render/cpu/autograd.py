@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from streamlod.core.arrays import Bool
 from streamlod.core.camera import Camera
-from streamlod.core.render.cpu.backdrop import Backdrop, forward_over
+from streamlod.core.render.cpu.backdrop import Backdrop, Canvas, forward_over
 from streamlod.core.render.cpu.frame import Frame, backward, forward
 from streamlod.core.render.cpu.workspace import POOL, Workspace
 from streamlod.core.render.raster import Probe, Raster
@@ -104,15 +105,19 @@ def rasterise_over(
     colours: Tensor,
     backdrop: Backdrop,
     background: Tensor,
-) -> Raster | None:
-    """Picture and gradients of these Gaussians before still ones: those of `rasterise` for both.
+    canvas: Canvas,
+    tiles: Bool | None = None,
+) -> Raster:
+    """Picture and gradients of these Gaussians before still ones: those of `rasterise` for both, in its tiles.
 
-    Returns:
-        None where a Gaussian reaches a tile that the backdrop was not prepared for.
+    The picture lies on the `canvas`; once another one is drawn there, it is gone and cannot be differentiated.
+
+    Args:
+        tiles: [tiles_y,tiles_x] bool, those to draw; all of the backdrop's by default.
     """
     call, parameters = _Call(backdrop.camera, None), (means, quaternions, scales, opacities, colours)
-    call.frame = forward_over(call.workspace, _cloud(*parameters), backdrop, _array(background))
-    return None if call.frame is None else _raster(parameters, call)
+    call.frame = forward_over(call.workspace, _cloud(*parameters), backdrop, _array(background), canvas, tiles)
+    return _raster(parameters, call)
 
 
 def _raster(parameters: tuple[Tensor, ...], call: _Call) -> Raster:

@@ -23,15 +23,13 @@ class Backdrop:
 
     Attributes:
         camera: whose picture.
-        tile_mask: [tiles_y,tiles_x] bool, tiles where the moving Gaussians may go.
-        stale: [tiles_y,tiles_x] bool, tiles of `tile_mask` where `base` must not be trusted.
-        base: [H,W,3] float32 the picture wherever nothing moves.
+        tile_mask: [tiles_y,tiles_x] bool, tiles that are drawn.
+        base: [H,W,3] float32 the picture in all other tiles.
         records: [S,16] by depth rank, depths: [S] ascending, offsets: [T+1], lists: [pairs] depth ranks.
     """
 
     camera: Camera
     tile_mask: Bool
-    stale: Bool
     base: Float32
     records: Float32
     depths: Float32
@@ -39,7 +37,7 @@ class Backdrop:
     lists: Int32
 
 
-def prepare(cloud: GaussianCloud, camera: Camera, tile_mask: Bool, stale: Bool, base: Float32) -> Backdrop:
+def prepare(cloud: GaussianCloud, camera: Camera, tile_mask: Bool, base: Float32) -> Backdrop:
     """`cloud` as a backdrop; see there for the other arguments.
 
     Raises:
@@ -53,7 +51,6 @@ def prepare(cloud: GaussianCloud, camera: Camera, tile_mask: Bool, stale: Bool, 
     backdrop = Backdrop(
         camera=camera,
         tile_mask=tile_mask,
-        stale=stale,
         base=base,
         records=listing.sorted_records.copy(),
         depths=seen.depths[rows[listing.order]],
@@ -64,46 +61,64 @@ def prepare(cloud: GaussianCloud, camera: Camera, tile_mask: Bool, stale: Bool, 
     return backdrop
 
 
-def forward_over(workspace: Workspace, cloud: GaussianCloud, backdrop: Backdrop, background: Float32) -> Frame | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Canvas:
+    """Memory to draw one camera's pictures in, one after another: image [H,W,3] and transmittance [H,W]."""
+
+    image: Float32
+    transmittance: Float32
+
+
+def canvas_of(backdrop: Backdrop) -> Canvas:
+    """A canvas on which all is drawn but the tiles of the mask."""
+    return Canvas(backdrop.base.copy(), np.ones(backdrop.base.shape[:2], np.float32))
+
+
+def forward_over(
+    workspace: Workspace,
+    cloud: GaussianCloud,
+    backdrop: Backdrop,
+    background: Float32,
+    canvas: Canvas,
+    tiles: Bool | None = None,
+) -> Frame:
     """Render `cloud` together with the backdrop: the picture of `forward` for both, `cloud` first, bit by bit.
 
-    Returns:
-        None where a Gaussian of `cloud` reaches a tile outside the mask.
+    Other tiles stay as they are on the `canvas`, whatever of `cloud` reaches them.
+
+    Args:
+        tiles: [tiles_y,tiles_x] bool, those of the backdrop's mask to draw; all of them by default.
 
     Raises:
         ModelError: the Gaussians are so large that their tile lists would not fit.
     """
     camera, still = backdrop.camera, len(backdrop.records)
+    wanted = backdrop.tile_mask if tiles is None else tiles & backdrop.tile_mask
+    mask = wanted.ravel()
     seen = projected(workspace, cloud, camera)
-    rows = np.flatnonzero(seen.depths > 0).astype(np.int32)
-    everywhere = np.ones(backdrop.tile_mask.size, np.uint8)
-    listing = list_gaussians(workspace, seen, rows, camera, everywhere, room=still)
-    counts, mask = np.diff(listing.offsets), backdrop.tile_mask.ravel()
-    reached = counts > 0
-    if (reached & ~mask).any():
-        return None
-    drawn = reached | backdrop.stale.ravel()
-    counts = np.where(drawn, counts + np.diff(backdrop.offsets), 0)
-    offsets = workspace.take("merged_offsets", (len(counts) + 1,), np.int64)
+    rows = reaching(seen, wanted)
+    listing = list_gaussians(workspace, seen, rows, camera, mask.astype(np.uint8), room=still)
+    offsets = workspace.take("merged_offsets", listing.offsets.shape, np.int64)
+    counts = np.where(mask, np.diff(listing.offsets) + np.diff(backdrop.offsets), 0)
     offsets[0] = 0
     np.cumsum(counts, out=offsets[1:])
     check_pairs(int(offsets[-1]))
     lists = workspace.take("merged_lists", (int(offsets[-1]),), np.int32)
-    tiles, bounds = share_tiles(drawn, counts)
+    numbers, bounds = share_tiles(mask, counts)
     front = (listing.offsets, listing.lists, seen.depths[rows[listing.order]])
     back = (backdrop.offsets, backdrop.lists, backdrop.depths)
-    merge_lists(tiles, bounds, *front, *back, still, offsets, lists)
+    merge_lists(numbers, bounds, *front, *back, still, offsets, lists)
     listing.sorted_records[:still] = backdrop.records
     frame = Frame(
-        image=backdrop.base.copy(),
-        transmittance=np.ones((camera.height, camera.width), np.float32),
+        image=canvas.image,
+        transmittance=canvas.transmittance,
         camera=pack_camera(camera),
         visible=rows,
         rows=rows,
         order=np.concatenate([np.full(still, _NO_GRADIENTS, np.int32), listing.order]),
         records=listing.records,
         sorted_records=listing.sorted_records,
-        tiles=tiles,
+        tiles=numbers,
         bounds=bounds,
         offsets=offsets,
         lists=lists,

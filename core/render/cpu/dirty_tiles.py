@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numba
 import numpy as np
 
-from streamlod.core.arrays import Bool
+from streamlod.core.arrays import Bool, Int32
 from streamlod.core.camera import Camera
 from streamlod.core.render.cpu.frame import contiguous
-from streamlod.core.render.cpu.kernels.dirty import mark_tiles
+from streamlod.core.render.cpu.kernels.dirty import count_reached, mark_tiles
 from streamlod.core.render.cpu.listing import projected
 from streamlod.core.render.cpu.workspace import POOL
 from streamlod.core.render.tiles import tile_grid
@@ -40,3 +41,17 @@ def touched_tiles(camera: Camera, cloud: GaussianCloud, dilation_pixels: float =
     mark_tiles(seen.records, seen.depths, np.float32(padding), np.float32(dilation_pixels), mask)
     POOL.release(workspace)
     return mask.astype(np.bool_)
+
+
+def reached_tiles(camera: Camera, cloud: GaussianCloud, tiles: Bool) -> Int32:
+    """[N,2] how many tiles each Gaussian of `cloud` reaches, and how many of `tiles` [tiles_y,tiles_x] among them.
+
+    Raises:
+        InputError: the camera has lens distortion.
+    """
+    workspace = POOL.acquire()
+    seen = projected(workspace, contiguous(cloud), camera)
+    counts = np.empty((len(cloud), 2), np.int32)
+    count_reached(numba.get_num_threads(), seen.records, seen.boxes, seen.depths, tiles.astype(np.uint8), counts)
+    POOL.release(workspace)
+    return counts

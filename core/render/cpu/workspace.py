@@ -6,6 +6,7 @@ to one rendering at a time; a pool hands them out, so that a viewer and a traine
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Any
 
@@ -23,7 +24,7 @@ class Workspace:
 
     def take(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         """The buffer `name` as an array of `shape`, contents undefined; earlier arrays of that name are overwritten."""
-        count = int(np.prod(shape))
+        count = math.prod(shape)
         buffer = self._buffers.get(name)
         if buffer is None or buffer.size < count:
             buffer = self._buffers[name] = np.empty(count + int(count * _SPARE) + 64, dtype)

@@ -21,6 +21,7 @@ from streamlod.core.train.config import PartSettings, PredictConfig, TrainConfig
 from streamlod.core.train.control.frame_budget import FrameProgress
 from streamlod.core.train.control.rate_control import RatePlan
 from streamlod.core.train.field.exposure import Exposure
+from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active, tiles_near
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks
 from streamlod.core.train.later_frame.references import renewed_references
 from streamlod.core.train.later_frame.state import State
@@ -75,6 +76,7 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         masks = change_masks(state.references, views, config.noise_floor)
     with watch.stage("partition"):
         dynamic, renewed = _selected(state, views, masks, index, config, means)
+        dynamic = _worth_training(state, dynamic, views, masks, means)
     rows = torch.from_numpy(np.flatnonzero(dynamic)).to(state.field.feature.device)
     update, training, hooks = no_update(0), None, list[Hooks]()
     if len(rows):
@@ -124,6 +126,17 @@ def _selected(
         backend=means.backend,
     )
     return cue_of(config).partition(seen), True
+
+
+def _worth_training(state: State, dynamic: Bool, views: Views, masks: Tensor, means: Means) -> Bool:
+    """[N] those of the `dynamic` ones that mostly show what changed; all where the cue looks at still pixels too."""
+    changed = [number for number in views.usable if masks[number].any()]
+    if means.backend != "cpu" or not cue_of(means.config.predict).only_changed_views or not changed:
+        return dynamic
+    active = {number: tiles_near(masks[number].numpy(), BORDER) for number in changed}
+    rows, chosen = np.flatnonzero(dynamic), np.zeros_like(dynamic)
+    chosen[rows] = mostly_active(state.field, torch.from_numpy(rows), views.cameras, active)
+    return chosen
 
 
 def _beginning(state: State, rows: Tensor, views: Views, masks: Tensor, means: Means) -> Beginning:

@@ -61,8 +61,11 @@ class Training(Protocol):
     def splats_at(self, number: int, position: Tensor) -> Splats:
         """Their Gaussians for a camera, if they had gone `position` [n,3] steps."""
 
-    def draw(self, number: int, splats: Splats) -> Tensor:
-        """[H,W,3] what a camera films of `splats` before all that is not trained."""
+    def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
+        """[H,W,3] what a camera films of Gaussians in two places, before all that is not trained.
+
+        They need to be right only where they differ: elsewhere, neither may be drawn.
+        """
 
     def changed(self) -> Field:
         """All n as they are now, without gradients."""

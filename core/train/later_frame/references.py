@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from streamlod.core.train.later_frame.state import State
+from streamlod.core.train.pictures.boxes import around
 from streamlod.core.train.pictures.views import Views
 
 _NEIGHBOURHOOD = 5  # pixels
@@ -33,16 +34,18 @@ def renewed_references(after: State, before: State, views: Views, masks: Tensor,
         return after
     assert after.references is not None
     assert after.filmed is not None
-    known = torch.full_like(shown, torch.nan) if before.shown is None else before.shown.clamp(0, 1)
-    now = shown.clamp(0, 1)
-    ends = stagnant(views.targets, known, now, _GAIN if done else _GAIN_CUT_SHORT)[..., None]
-    reached = torch.where(ends, views.targets, now)
-    reached = torch.where(now.isnan(), views.targets if done else after.references, reached)
-    return replace(
-        after,
-        references=torch.where(masks[..., None], reached, after.references),
-        filmed=torch.where(masks[..., None], views.targets, after.filmed),
-    )
+    references, filmed = after.references.clone(), after.filmed.clone()
+    least_gain = _GAIN if done else _GAIN_CUT_SHORT
+    for number in torch.nonzero(masks.any(dim=2).any(dim=1))[:, 0].tolist():
+        part = (number, *around(masks[number], _NEIGHBOURHOOD // 2))
+        mask, target, now = masks[part][..., None], views.targets[part], shown[part].clamp(0, 1)
+        known = torch.full_like(now, torch.nan) if before.shown is None else before.shown[part].clamp(0, 1)
+        ends = stagnant(target[None], known[None], now[None], least_gain)[0, ..., None]
+        reached = torch.where(ends, target, now)
+        reached = torch.where(now.isnan(), target if done else references[part], reached)
+        references[part] = torch.where(mask, reached, references[part])
+        filmed[part] = torch.where(mask, target, filmed[part])
+    return replace(after, references=references, filmed=filmed)
 
 
 def as_filmed(state: State, views: Views, numbers: list[int]) -> State:
@@ -64,6 +67,9 @@ def stagnant(targets: Tensor, before: Tensor, now: Tensor, least_gain: float) ->
 
     def error(shown: Tensor) -> Tensor:
         difference = (targets - shown).abs().amax(dim=3)[:, None]
-        return functional.avg_pool2d(difference, _NEIGHBOURHOOD, 1, _NEIGHBOURHOOD // 2, count_include_pad=False)[:, 0]
+        for window in ((_NEIGHBOURHOOD, 1), (1, _NEIGHBOURHOOD)):  # one after the other is less work
+            room = (window[0] // 2, window[1] // 2)
+            difference = functional.avg_pool2d(difference, window, 1, room, count_include_pad=False)
+        return difference[:, 0]
 
     return error(now) > (1 - least_gain) * error(before)

@@ -21,6 +21,7 @@ from streamlod.core.train.control.frame_budget import FixedSteps, FrameProgress
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
+from streamlod.core.train.later_frame.active_tiles import tiles_near
 from streamlod.core.train.later_frame.anchors import TrainedAnchors
 from streamlod.core.train.later_frame.part import Beginning, Hooks
 from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
@@ -129,9 +130,10 @@ class FrameTraining:
         """As `Training.splats_at`."""
         return self._filmed(self._anchors.starting_at(position), number)
 
-    def draw(self, number: int, splats: Splats) -> Tensor:
-        """As `Training.draw`."""
-        return self._raster(number, splats).image
+    def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
+        """As `Training.draw_two`."""
+        one, other = self._caches[number].render_two(first, second)
+        return one.image, other.image
 
     @torch.no_grad()
     def changed(self) -> Field:
@@ -143,12 +145,17 @@ class FrameTraining:
         self._anchors.add(new)
 
     def show(self, field: Field, rows: Tensor) -> Tensor:
-        """[C,H,W,3] what the usable cameras film once `field` has taken over at `rows`; NaN for the others."""
-        pictures = torch.full_like(self._views.targets, torch.nan)
+        """[C,H,W,3] what the cameras film once `field` has taken over at `rows`; as before where nothing changed.
+
+        NaN for a camera that nobody had time for, and for one of which nothing was known.
+        """
+        unknown = torch.full_like(self._views.targets, torch.nan)
+        pictures = unknown if self._shown is None else self._shown.clone()
+        pictures[[number for number in self._useful if number not in self._caches]] = torch.nan
         with torch.no_grad():
             for number, cache in self._caches.items():
                 splats = field.decode(self._centres[number], rows)
-                pictures[number] = cache.render(self._exposure.before(splats, number))[0].image
+                pictures[number] = cache.render(self._exposure.before(splats, number)).image
         return pictures
 
     def _prepare(self, pace: FrameProgress, backend: Backend) -> None:
@@ -164,19 +171,16 @@ class FrameTraining:
     def _step(self, number: int, config: PredictConfig, decay: float) -> tuple[Tensor, Raster]:
         """One view, one update; returns the detached loss, and what was drawn."""
         moves = self._anchors.moves
-        raster = self._raster(number, self._splats(number, moves))
+        cache = self._caches[number]
+        raster = cache.render(self._splats(number, moves))
         image, prices = raster.image, list[Tensor]()
         if config.rate_weight:
             prices.append(config.rate_weight * self._anchors.bits(moves) / image.numel())
-        region, weights = self._caches[number].region, self._pixel_weights(number, config.changed_weight)
-        loss = total_loss(image, self._views.targets[number], config.dssim_weight, prices, region, weights)
+        weights = self._pixel_weights(number, config.changed_weight)
+        loss = total_loss(image, self._views.targets[number], config.dssim_weight, prices, cache.region, weights)
         loss.backward()  # type: ignore[no-untyped-call]
         self._anchors.step(config, decay)
         return loss.detach(), raster
-
-    def _raster(self, number: int, splats: Splats) -> Raster:
-        raster, self._caches[number] = self._caches[number].render(splats)
-        return raster
 
     def _pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
         """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
@@ -188,8 +192,9 @@ class FrameTraining:
     def _cache_of(self, number: int, trained: Splats, backend: Backend) -> TileCache:
         camera = self._views.cameras[number]
         known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
-        before = trained if known is None else self._anchors.base.decode(self._centres[number])
-        return make_tile_cache(camera, trained, self._static[number], self._backgrounds[number], backend, known, before)
+        tiles = tiles_near(self._masks[number].cpu().numpy(), 0)
+        behind = self._backgrounds[number]
+        return make_tile_cache(camera, trained, self._static[number], behind, backend, tiles, known)
 
     def _splats(self, number: int, moves: Tensor | None = None) -> Splats:
         """The Gaussians of the anchors in training, as they will be sent, for a camera."""

@@ -12,10 +12,12 @@ from torch import Tensor
 from streamlod.core.arrays import Float32, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.train.field.field import Field
+from streamlod.core.train.pictures.boxes import around
 from streamlod.core.train.pictures.parallel import map_pairs
 from streamlod.core.train.pictures.views import Views
 
 _SMALLEST = 16  # pixels; the method refuses smaller pictures
+_ROOM = 32  # pixels around those that changed, in which flow is looked for
 _VISIBLE = 0.05  # summed opacity of an anchor that shows anything
 
 
@@ -48,9 +50,11 @@ def anchor_flow(field: Field, rows: Tensor, filmed: Tensor, views: Views, masks:
     count, device = len(views.cameras), rows.device
     seen, flow = torch.zeros(count, len(rows), device=device), torch.zeros(count, len(rows), 2, device=device)
     changed = [number for number in views.usable if masks[number].any()]
-    pairs = [(filmed[number].cpu().numpy(), views.targets[number].cpu().numpy()) for number in changed]
-    for number, pixels in zip(changed, map_pairs(picture_flow, pairs), strict=True):
-        moved = torch.from_numpy(pixels).to(device)
+    parts = [(number, *around(masks[number], _ROOM)) for number in changed]
+    pairs = [(filmed[part].cpu().numpy(), views.targets[part].cpu().numpy()) for part in parts]
+    for (number, *box), pixels in zip(parts, map_pairs(picture_flow, pairs), strict=True):
+        moved = torch.zeros(*masks[number].shape, 2, device=device)
+        moved[tuple(box)] = torch.from_numpy(pixels).to(device)
         going = masks[number] & (moved.norm(dim=2) >= least)
         anchors, row, column = _pixels_of(field, rows, views.cameras[number])
         there = going[row, column]

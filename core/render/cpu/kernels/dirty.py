@@ -72,3 +72,21 @@ def find_touching(workers: int, records: Float32, boxes: Int32, depths: Float32,
     for w in prange(workers):
         for i in range(count * w // workers, count * (w + 1) // workers):
             touching[i] = 1 if depths[i] > ZERO and _touches(records[i], boxes[i], mask) else 0
+
+
+@njit(**KERNEL)
+def count_reached(workers: int, records: Float32, boxes: Int32, depths: Float32, mask: UInt8, counts: Int32) -> None:
+    """Tiles that each visible Gaussian reaches into counts [N,2], and those of `mask` [tiles_y,tiles_x] among them."""
+    count = records.shape[0]
+    for w in prange(workers):
+        for i in range(count * w // workers, count * (w + 1) // workers):
+            counts[i, 0] = counts[i, 1] = 0
+            if not depths[i] > ZERO:
+                continue
+            box = boxes[i]
+            single = box[1] - box[0] == 1 or box[3] - box[2] == 1
+            for tile_y in range(box[2], box[3]):
+                start, stop = tile_span(records[i], box[0], box[1], tile_y, single)
+                for tile_x in range(start, stop):
+                    counts[i, 0] += 1
+                    counts[i, 1] += mask[tile_y, tile_x]

@@ -57,7 +57,7 @@ class _Searching(Hooks):
 
     def ready(self, training: Training) -> None:
         assert self._guess is not None
-        parts = (training.position, self._guess, training.splats_at, training.draw, self._seen.views.targets)
+        parts = (training.position, self._guess, training.splats_at, training.draw_two, self._seen.views.targets)
         training.begin_at(better_starts(*parts, training.numbers))
 
 
@@ -90,7 +90,7 @@ def better_starts(
     usual: Tensor,
     guess: Tensor,
     splats_at: Callable[[int, Tensor], Splats],
-    draw: Callable[[int, Splats], Tensor],
+    draw_two: Callable[[int, Splats, Splats], tuple[Tensor, Tensor]],
     targets: Tensor,
     numbers: Iterable[int],
 ) -> Tensor:
@@ -98,7 +98,7 @@ def better_starts(
 
     Args:
         splats_at: the Gaussians of the anchors for a camera's number, if they started there.
-        draw: [H,W,3] what a camera sees of Gaussians, differentiable by their colours.
+        draw_two: [H,W,3] what a camera sees of them in two places, where that differs, differentiable by their colours.
         targets: [C,H,W,3] the pictures as they should be. numbers: of the cameras to ask.
     """
     differs = (usual != guess).any(dim=1)
@@ -106,7 +106,9 @@ def better_starts(
         return usual
     worth = torch.zeros(len(usual), device=usual.device)
     for number in numbers:
-        shots = [_shot(splats_at(number, start), number, draw) for start in (usual, guess)]
+        places = [_tinted(splats_at(number, start)) for start in (usual, guess)]
+        pictures = draw_two(number, *places)
+        shots = [_Shot(image, splats.colours) for image, splats in zip(pictures, places, strict=True)]
         error, guessed = ((shot.image.detach() - targets[number]).abs().sum(dim=2) for shot in shots)
         for shot in shots:
             worth += shot.sums(error - guessed, len(usual))
@@ -128,6 +130,6 @@ class _Shot:
         return gradient[:, 0].reshape(anchors, -1).sum(dim=1)
 
 
-def _shot(splats: Splats, number: int, draw: Callable[[int, Splats], Tensor]) -> _Shot:
-    colours = splats.colours.detach().requires_grad_()
-    return _Shot(draw(number, replace(splats.detached(), colours=colours)), colours)
+def _tinted(splats: Splats) -> Splats:
+    """`splats` whose colours alone are differentiated."""
+    return replace(splats.detached(), colours=splats.colours.detach().requires_grad_())

@@ -44,10 +44,14 @@ def chosen(moved: Moved, usual: Tensor, guess: Tensor) -> Tensor:
         there = replace(field, position=field.position + start * step(moved))
         return there.decode(torch.from_numpy(RIG[number].centre).float())
 
-    def draw(number: int, splats: Splats) -> Tensor:
-        return rasterise(*splats.astuple(), camera=RIG[number], background=background, backend="cpu").image
+    def draw_two(number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
+        one, other = (
+            rasterise(*splats.astuple(), camera=RIG[number], background=background, backend="cpu").image
+            for splats in (first, second)
+        )
+        return one, other
 
-    return better_starts(usual, guess, splats_at, draw, moved.views.targets, range(len(RIG)))
+    return better_starts(usual, guess, splats_at, draw_two, moved.views.targets, range(len(RIG)))
 
 
 def test_flow_takes_most_anchors_to_where_they_went() -> None:

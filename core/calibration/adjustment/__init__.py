@@ -1,1 +1,0 @@
-"""Bundle adjustment: projection, rigid transforms, the minimiser, and what is adjusted."""
