@@ -16,7 +16,7 @@ from streamlod.client.viewpoints import CameraPath
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.errors import InputError
-from streamlod.core.render.splatter import Splatter, draw_cloud
+from streamlod.core.render.splatter import Splatter, draw_cloud, shown_at
 from streamlod.core.scene.anchors import SceneHeader
 from streamlod.core.scene.interpolate import can_interpolate, interpolate
 
@@ -155,7 +155,7 @@ class _Take:
         if not can_interpolate(before.scene, after.scene):
             return self._splatter.picture(before.scene, camera, before.levels)
         cloud = interpolate(before.scene, after.scene, share, camera.centre, after.levels - 1)
-        return draw_cloud(cloud, camera, after.scene.header.background)
+        return draw_cloud(cloud, camera, after.scene.header.background, shown_at(after.scene, camera))
 
     def close(self, error: BaseException | None) -> None:
         """Complete the recording, or discard it after an error."""

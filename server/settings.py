@@ -304,7 +304,7 @@ def load_settings(path: Path) -> Settings:
         InputError: the file cannot be read, or names or values are wrong.
     """
     try:
-        return Settings.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return Settings.model_validate(tomllib.loads(path.read_text(encoding="utf-8-sig")))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(path, f"cannot be read as TOML ({error})") from error
     except ValidationError as error:

@@ -6,15 +6,21 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+from streamlod.core.scene.exposures import CameraExposure
 from streamlod.core.scene.metadata import Metadata, Original
 
 _FIELD = struct.Struct("<HH")  # tag, length
 _LENGTH, _DIRECTION, _TIME, _SIMILARITY = (struct.Struct(form) for form in ("<d", "<3d", "<q", "<8d"))
+_EXPOSURE = struct.Struct("<6f")
 
 
 def _original(data: bytes) -> Original:
     scale, w, x, y, z, *translation = _SIMILARITY.unpack(data)
     return Original(scale, (w, x, y, z), (translation[0], translation[1], translation[2]))
+
+
+def _exposures(data: bytes) -> tuple[CameraExposure, ...]:
+    return tuple(CameraExposure((r, g, b), (x, y, z)) for r, g, b, x, y, z in _EXPOSURE.iter_unpack(data))
 
 
 _TAGS: tuple[tuple[int, str, Callable[[Any], bytes], Callable[[bytes], Any]], ...] = (
@@ -24,6 +30,7 @@ _TAGS: tuple[tuple[int, str, Callable[[Any], bytes], Callable[[bytes], Any]], ..
     (4, "title", str.encode, bytes.decode),
     (5, "licence", str.encode, bytes.decode),
     (6, "original", lambda o: _SIMILARITY.pack(o.scale, *o.rotation, *o.translation), _original),
+    (7, "exposures", lambda found: b"".join(_EXPOSURE.pack(*e.gain, *e.offset) for e in found), _exposures),
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import av
@@ -27,11 +27,13 @@ class Videos:
         files: one a camera.
         grid: the instants at which the cameras filmed.
         numbers: ascending, of those instants on the grid that enough cameras hold.
+        offsets_ns: for each camera, nanoseconds from its file's times to the grid's.
     """
 
     files: tuple[Path, ...]
     grid: Grid
     numbers: tuple[int, ...]
+    offsets_ns: tuple[int, ...]
 
     @property
     def fps(self) -> float:
@@ -50,18 +52,27 @@ class Videos:
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
         """Yield pictures; see `Source.pictures`."""
         with closing(read_video(self.files[camera])) as pictures:
-            yield from shown(self.files[camera], nearest(pictures, self.grid), self.numbers[start:stop])
+            timed = ((time_ns + self.offsets_ns[camera], picture) for time_ns, picture in pictures)
+            yield from shown(self.files[camera], nearest(timed, self.grid), self.numbers[start:stop])
 
 
-def videos(files: Sequence[Path]) -> tuple[Videos, list[VideoInfo]]:
+def videos(files: Sequence[Path], offsets_ns: Sequence[int] | None = None) -> tuple[Videos, list[VideoInfo]]:
     """The source of `files`, and what each of them is like.
+
+    Args:
+        offsets_ns: nanoseconds by which each file began after the others, as a calibration found out; none by default.
 
     Raises:
         InputError: a file that is no sound video, or files that cannot be paired.
     """
     infos = [probe_video(file) for file in files]
+    offsets_ns = [0] * len(files) if offsets_ns is None else offsets_ns
+    infos = [
+        replace(info, times_ns=tuple(time_ns + offset_ns for time_ns in info.times_ns)) if offset_ns else info
+        for info, offset_ns in zip(infos, offsets_ns, strict=True)
+    ]
     grid, numbers = paired(files, infos)
-    return Videos(tuple(files), grid, numbers), infos
+    return Videos(tuple(files), grid, numbers, tuple(offsets_ns)), infos
 
 
 def shown(

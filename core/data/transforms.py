@@ -2,6 +2,7 @@
 
 A frame's ``transform_matrix`` is camera_to_world with OpenGL's axes (x right, y up, z backwards). Intrinsics and
 distortion stand at the top or in the frame: ``fl_x fl_y cx cy w h``, or ``camera_angle_x``; ``k1 k2 p1 p2 k3``.
+A video's ``time_offset`` in seconds, which `streamlod calibrate` writes, is added to the times of its pictures.
 Files that are listed but missing are left out and counted.
 """
 
@@ -28,6 +29,7 @@ from streamlod.core.errors import InputError
 
 FILE = "transforms.json"
 MAX_FRAMES = 4096
+_MAX_OFFSET_S = 86_400
 _log = logging.getLogger(__name__)
 _MODELS = ("OPENCV", "FULL_OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
@@ -60,7 +62,8 @@ def read_transforms(path: Path) -> RawRecording:
         raise InputError(file, f"lists {len(frames)} files, none of which is there: {listed(skipped, 3)}")
     entries.sort(key=lambda entry: numeric_key(entry[0].as_posix()))
     files = [entry[0] for entry in entries]
-    source, sizes = _source(files, file)
+    offsets = [number(settings.get("time_offset", 0), "time_offset", file) for _, settings in entries]
+    source, sizes = _source(files, offsets, file)
     names = [f.stem for f in files]
     if len(set(names)) < len(names):
         names = [f.relative_to(path).with_suffix("").as_posix() for f in files]
@@ -89,12 +92,14 @@ def _spellings(folder: Path, name: object, file: Path) -> list[Path]:
     return [folder / spelling for spelling in spellings]
 
 
-def _source(files: list[Path], file: Path) -> tuple[Source, list[tuple[int, int]]]:
+def _source(files: list[Path], offsets: list[float], file: Path) -> tuple[Source, list[tuple[int, int]]]:
     kinds = {f.suffix.lower() in VIDEO_SUFFIXES for f in files}
     if len(kinds) > 1:
         raise InputError(file, "lists both pictures and videos; use one kind")
     if kinds == {True}:
-        source, infos = videos(files)
+        if not all(abs(offset) <= _MAX_OFFSET_S for offset in offsets):
+            raise InputError(file, f"a time_offset is beyond {_MAX_OFFSET_S} seconds")
+        source, infos = videos(files, [round(offset * 1e9) for offset in offsets])
         return source, [(info.width, info.height) for info in infos]
     return Pictures((tuple(files),)), [picture_size(f) for f in files]
 

@@ -11,6 +11,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.render.cpu import render
 from streamlod.core.scene.anchors import AnchorLevel, Scene
 from streamlod.core.scene.expand import expand, expand_slots, visible, without_near
+from streamlod.core.scene.exposures import NEUTRAL, CameraExposure, exposure_at
 from streamlod.core.scene.gaussians import GaussianCloud, concatenate
 
 
@@ -23,10 +24,17 @@ class _Expanded:
     shown: GaussianCloud
 
 
-def draw_cloud(cloud: GaussianCloud, camera: Camera, background: Float32) -> UInt8:
-    """[H,W,3] uint8 RGB of `cloud` before `background` [3], as `camera` sees it."""
+def draw_cloud(cloud: GaussianCloud, camera: Camera, background: Float32, exposure: CameraExposure = NEUTRAL) -> UInt8:
+    """[H,W,3] uint8 RGB of `cloud` before `background` [3], as `camera` sees it, at an exposure."""
     image = render(cloud, camera, background).image
+    if not exposure.is_neutral:
+        image = exposure.apply(image)
     return np.asarray(np.clip(np.round(image * 255), 0, 255), np.uint8)
+
+
+def shown_at(scene: Scene, camera: Camera) -> CameraExposure:
+    """The exposure at which `camera` is shown `scene`."""
+    return exposure_at(camera.centre, scene.header.cameras, scene.metadata.exposures)
 
 
 class Splatter:
@@ -45,7 +53,7 @@ class Splatter:
         Args:
             levels: how many levels to draw, coarse ones first; all by default.
         """
-        return draw_cloud(self.cloud(scene, camera, levels), camera, scene.header.background)
+        return draw_cloud(self.cloud(scene, camera, levels), camera, scene.header.background, shown_at(scene, camera))
 
     def cloud(self, scene: Scene, camera: Camera, levels: int | None = None) -> GaussianCloud:
         """The Gaussians that `picture` draws: those of `core.scene.expand.expand`."""

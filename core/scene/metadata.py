@@ -1,10 +1,12 @@
-"""Facts about a scene that its pictures do not depend on: unit, upright direction, time, origin, title, licence."""
+"""Facts about a scene that no decoding depends on: unit, upright direction, time, origin, title, exposures."""
 
 from __future__ import annotations
 
 import math
 import unicodedata
 from dataclasses import dataclass, fields
+
+from streamlod.core.scene.exposures import CameraExposure
 
 MAX_TEXT_BYTES = 1024
 _MAX_NUMBER = 1e12
@@ -39,6 +41,7 @@ class Metadata:
         epoch_ns: nanoseconds from 1970 (UTC) to presentation time 0.
         title, licence: one line of text; a licence is an SPDX expression or an address.
         original: leads back to the coordinates of the calibration.
+        exposures: of the rig's cameras, in the order of the scene's header.
 
     Raises:
         ValueError: a value out of range.
@@ -50,6 +53,7 @@ class Metadata:
     title: str | None = None
     licence: str | None = None
     original: Original | None = None
+    exposures: tuple[CameraExposure, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.metres_per_unit is not None:

@@ -89,8 +89,8 @@ class KeyframeConfig:
     )
     opacity_weight: float = setting(
         0.06,
-        "weight in the loss of the mean opacity of the Gaussians, divided by the number of cameras less one: what the"
-        " pictures do not need fades and is pruned",
+        "weight in the loss of the opacity of the Gaussians in view, over the number of all and of cameras less one:"
+        " what the pictures do not need fades and is pruned",
         reading(0.0, "not mentioned: equation 10 has no such term"),
     )
     random_background: bool = setting(

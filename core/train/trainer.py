@@ -16,11 +16,12 @@ from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.render import backends, select
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.keyframe import as_keyframe
+from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
 from streamlod.core.train.control.frame_budget import FixedSteps, FrameBudget, FrameProgress
 from streamlod.core.train.control.rate_control import RateControl
 from streamlod.core.train.field.convert import scene_of
-from streamlod.core.train.field.exposure import fitted, neutral
+from streamlod.core.train.field.exposure import Exposure, exposure_of, fitted, neutral
 from streamlod.core.train.field.field import Field
 from streamlod.core.train.field.rendered import rendered
 from streamlod.core.train.field.rounding import Precision
@@ -106,7 +107,7 @@ class Trainer:
             trainer = KeyframeTrainer(field, views, self._config, self._backend, space=space)
 
         def preview() -> Scene:
-            return self._scene_of(trainer.field, frames.index, trainer.precision)
+            return self._scene_of(trainer.field, frames.index, trainer.precision, trainer.exposure)
 
         with watch.stage("train"):
             losses = _run(trainer, "first frame", on_progress, preview)
@@ -146,8 +147,8 @@ class Trainer:
             config = refresh_config(self._config, field, state.scene.version)
             trainer = KeyframeTrainer(field, views, config, self._backend, self._exposure)
             losses = _run(trainer, "keyframe", on_progress)
-            scene = self._scene_of(trainer.field, state.scene.version, trainer.precision)
             self._exposure = trainer.exposure
+            scene = self._scene_of(trainer.field, state.scene.version, trainer.precision, self._exposure)
             references = torch.full_like(views.targets, torch.nan) if state.references is None else state.references
             fresh = replace(self._fresh(scene, references), filmed=references if state.filmed is None else state.filmed)
             self._state = as_filmed(fresh, views, views.usable)
@@ -171,7 +172,12 @@ class Trainer:
             before = self._state
             self._state = replace(self._fresh(scene, before.references, before.shown), filmed=before.filmed)
         else:
-            self._refit_exposure = self._state is None  # after a crash: exposures do not travel with the scene
+            if self._state is None:  # after a crash
+                known = scene.metadata.exposures
+                if known is not None and len(known) == len(self._cameras):
+                    self._exposure = exposure_of(known, self._device)
+                else:
+                    self._refit_exposure = True
             self._state = self._fresh(scene)
 
     def prepare(self, frames: FrameSet) -> None:
@@ -248,8 +254,11 @@ class Trainer:
             raise ModelError(f"frame {frames.index} has no picture from any camera")
         return Views(self._cameras, self._uploader.take(frames), usable)
 
-    def _scene_of(self, field: Field, version: int, precision: Precision) -> Scene:
-        return scene_of(field, self._config.predict, self._rig, self._fps, version, precision)
+    def _scene_of(self, field: Field, version: int, precision: Precision, exposure: Exposure) -> Scene:
+        scene = scene_of(field, self._config.predict, self._rig, self._fps, version, precision)
+        if not self._config.model.exposure or len(self._rig) != len(self._cameras):
+            return scene
+        return replace(scene, metadata=Metadata(exposures=exposure.of_cameras()))
 
     def _adopt(self, scene: Scene, views: Views) -> None:
         references = torch.full_like(views.targets, torch.nan)

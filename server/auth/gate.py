@@ -199,7 +199,7 @@ def read_tokens(path: Path) -> dict[str, Grant]:
         InputError: the file cannot be read, or is not of that form.
     """
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
+        entries = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read as JSON ({error})") from error
     if not isinstance(entries, list):
@@ -214,7 +214,7 @@ def read_revoked(path: Path) -> frozenset[str]:
         InputError: the file cannot be read, or has too many lines.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read ({error})") from error
     if len(lines) > MAX_REVOKED:
@@ -224,13 +224,12 @@ def read_revoked(path: Path) -> frozenset[str]:
 
 def _read_entry(path: Path, number: int, entry: Any) -> tuple[str, Grant]:
     try:
-        digest, rights = str(entry["sha256"]), frozenset(Right(right) for right in entry["rights"])
-        streams = str(entry.get("streams", "*"))
+        digest, grant = str(entry["sha256"]), _grant(entry)
         if len(bytes.fromhex(digest)) != hashlib.sha256().digest_size:
             raise ValueError("sha256 must have 64 hexadecimal digits")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(path, f"token {number} is not usable: {error}") from error
-    return digest.lower(), Grant(rights, streams)
+    return digest.lower(), grant
 
 
 def _grant_of_claims(claims: dict[str, Any] | None) -> Grant | None:
@@ -238,8 +237,14 @@ def _grant_of_claims(claims: dict[str, Any] | None) -> Grant | None:
     if claims is None:
         return None
     try:
-        claim = claims["lod"]
-        rights = frozenset(Right(right) for right in claim["rights"])
-        return Grant(rights, str(claim.get("streams", "*")), int(claims["exp"]))
+        return _grant(claims["lod"], int(claims["exp"]))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return None
+
+
+def _grant(value: Any, expires: int | None = None) -> Grant:
+    """The grant that a JSON object holds; TypeError where rights are no list, or streams no text, which could match."""
+    rights, streams = value["rights"], value.get("streams", "*")
+    if not isinstance(rights, list) or not isinstance(streams, str):
+        raise TypeError("rights must be a list, and streams one pattern")
+    return Grant(frozenset(Right(right) for right in rights), streams, expires)

@@ -190,7 +190,7 @@ def _parse_key(entry: Any) -> Key | None:
 def _key_of_file(path: Path) -> Key:
     """A PEM public key, or else a secret."""
     try:
-        text = _read(path).decode().strip()
+        text = _read(path).decode("utf-8-sig").strip()
     except UnicodeDecodeError as error:
         raise InputError(path, f"cannot be read ({error})") from error
     if len(text) < _MIN_SECRET_CHARACTERS:

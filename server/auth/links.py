@@ -15,10 +15,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import urlencode
 
-from streamlod.core.errors import InputError
+from streamlod.server.auth.secret_file import read_secret
 
 MAX_LINK_SECONDS = 7 * 24 * 3600
-_MIN_KEY_CHARACTERS = 32
 _DIGITS = re.compile(r"[0-9]{1,12}")
 
 
@@ -39,15 +38,8 @@ class LinkSigner:
         Raises:
             InputError: the file cannot be used; the earlier secret stays.
         """
-        if self._path is None:
-            return
-        try:
-            key = self._path.read_bytes().strip()
-        except OSError as error:
-            raise InputError(self._path, f"cannot be read ({error})") from error
-        if len(key) < _MIN_KEY_CHARACTERS:
-            raise InputError(self._path, f"a key needs at least {_MIN_KEY_CHARACTERS} characters")
-        self._key = key
+        if self._path is not None:
+            self._key = read_secret(self._path)
 
     def sign(self, scope: str, expires: int, incarnation: str) -> str:
         """The query that opens `scope`, a path or one ending in ``/`` for all below, until Unix time `expires`."""

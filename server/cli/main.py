@@ -90,6 +90,44 @@ def synth(
 
 
 @app.command()
+def calibrate(
+    data: Annotated[
+        Path | None, typer.Argument(metavar="DATA", help="Folder of the cameras' videos of a board walk, one each.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder to write; the videos' own by default.")
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="COLUMNSxROWS|FILE.toml", help="The board; by default DATA/charuco.toml, else 7x5."),
+    ] = None,
+    square_mm: Annotated[
+        float | None, typer.Option(min=1, max=5000, help="Side of a square as it was measured.  [default: 55]")
+    ] = None,
+    lenses: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep the lenses of this calibrated recording.")
+    ] = None,
+    print_board: Annotated[
+        Path | None, typer.Option(metavar="A3.pdf|.png", help="Write the board for printing, and nothing else.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier calibration.")] = False,
+) -> None:
+    """Calibrate cameras with a ChArUco board that somebody walks through the scene: lenses, poses, time offsets.
+
+    Writes what train and serve read, rig.json, a report and a picture.
+    """
+    from streamlod.server.cli.calibrate import calibrate as run
+    from streamlod.server.cli.calibrate import print_board as write_board
+
+    if print_board is not None:
+        typer.echo(write_board(print_board, board, square_mm))
+    elif data is None:
+        raise InputError("calibrate", "needs DATA, the folder of the videos, or --print-board FILE.pdf")
+    else:
+        typer.echo(run(data, out, board, square_mm, lenses, overwrite))
+
+
+@app.command()
 @takes(TRAINING)
 def train(
     data: Data,

@@ -23,7 +23,7 @@ from streamlod.codec.refresh import RefreshRule, RefreshSchedule, keyframe_bytes
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import space_of
 from streamlod.core.data import Dataset, linspace_split, open_dataset, prefetch
-from streamlod.core.errors import InputError, StreamlodError, TrainingCutShort
+from streamlod.core.errors import InputError, ModelError, StreamlodError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
@@ -35,6 +35,7 @@ from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.pipeline.bounded_queue import Outlet, made_by
+from streamlod.server.pipeline.draft import draft_scene
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.rehearsal import rehearse
 from streamlod.server.pipeline.trace import Span, timed, timing
@@ -42,7 +43,8 @@ from streamlod.server.pipeline.trace import Span, timed, timing
 _LOG = logging.getLogger(__name__)
 MAX_CAMERAS = 255  # of a scene header (codec/FORMAT.md)
 _PREFETCHED = 2  # frames decoded ahead
-_PREVIEWS_AT = (0.1, 0.3, 0.6, 2.0)  # fractions of the first frame's run; the last one is never reached
+_PREVIEWS_AT = (0.05, 0.15, 0.3, 0.6)  # fractions of the first frame's run
+_POINTS_SHARE = 0.3  # of the time to the first frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,9 +296,10 @@ class _Training:
         self._job, self._dataset, self._opened = opened.job, opened.dataset, opened
         self._previews, self._on_progress, self._outlet = previews, on_progress, outlet
         job, dataset = opened.job, opened.dataset
+        self._config = replace(with_settings(preset(job.preset), job.set or {}), seed=job.seed)
         self._trainer = Trainer(
             dataset.cameras,
-            replace(with_settings(preset(job.preset), job.set or {}), seed=job.seed),
+            self._config,
             dataset.fps,
             job.device,
             opened.rig,
@@ -325,8 +328,33 @@ class _Training:
                 self._outlet.put(replace(trained, spans=(read, *trained.spans), captured=captured))
 
     def _first(self, frame: FrameSet) -> _Trained:
-        """The first keyframe, with previews before it if they are wanted."""
-        dataset, version = self._dataset, frame.index
+        """The first keyframe, with previews before it if they are wanted: a draft, then the training's own."""
+        dataset, version, due = self._dataset, frame.index, list(_PREVIEWS_AT)
+
+        def show(scene: Scene, fraction: float) -> None:
+            nonlocal version
+            scene = replace(scene, keyframe=version, version=version)
+            self._outlet.put(_Trained(scene, frame.time_ns, {"fraction": fraction}, preview=True))
+            version += 1
+
+        def tell(progress: Progress) -> None:
+            self._outlet.check()
+            if self._on_progress is not None:
+                self._on_progress(progress)
+
+        def look_for_depth(done: float) -> None:
+            tell(Progress("looking for depth", _POINTS_SHARE * done, 0.0, 0))
+
+        def train(progress: Progress) -> None:
+            fraction = _POINTS_SHARE + (1 - _POINTS_SHARE) * progress.fraction
+            tell(replace(progress, fraction=fraction))
+            if self._previews and progress.preview is not None and due and progress.fraction >= due[0]:
+                due.pop(0)
+                show(progress.preview(), fraction)
+
+        tell(Progress("first look", 0.0, 0.0, 0))
+        if self._previews and (draft := self._draft(frame)) is not None:
+            show(draft, 0.0)
         points, found = timing(
             "train",
             lambda: first_points(
@@ -336,28 +364,36 @@ class _Training:
                 method=self._job.points,
                 dataset_points=dataset.points(),
                 seed=self._job.seed,
+                progress=look_for_depth,
                 space=dataset.space,
             ),
         )
-
-        def tell(progress: Progress) -> None:
-            nonlocal version
-            self._outlet.check()
-            if self._on_progress is not None:
-                self._on_progress(progress)
-            shown = version - frame.index
-            if self._previews and progress.preview is not None and progress.fraction >= _PREVIEWS_AT[shown]:
-                scene = replace(progress.preview(), keyframe=version, version=version)
-                self._outlet.put(_Trained(scene, frame.time_ns, {"fraction": progress.fraction}, preview=True))
-                version += 1
-
-        trained = self._trainer.keyframe(frame, points, tell)
+        trained = self._trainer.keyframe(frame, points, train)
         scene = trained.scene
         if version != frame.index:
             scene = replace(scene, keyframe=version, version=version)
             self._trainer.resume(scene, keep_references=True)
         spans = (replace(found, name="points"), *_spans(trained))
         return _Trained(scene, frame.time_ns, _report(trained, spans, version), spans=spans)
+
+    def _draft(self, frame: FrameSet) -> Scene | None:
+        """A first picture; None where the cameras cannot give one so fast."""
+        dataset = self._dataset
+        rig = self._opened.rig
+        try:
+            return draft_scene(
+                frame,
+                dataset.cameras,
+                self._config,
+                dataset.fps,
+                self._job.device,
+                rig,
+                dataset.depth_bounds,
+                dataset.points(),
+            )
+        except (InputError, ModelError) as error:
+            _LOG.info("no draft of the first picture: %s", error)
+            return None
 
     def _report_refresh(self, progress: Progress) -> None:
         self._outlet.check()

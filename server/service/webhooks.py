@@ -17,12 +17,11 @@ import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from streamlod.core.errors import InputError
 from streamlod.server.api.reach import is_reachable
+from streamlod.server.auth.secret_file import read_secret
 from streamlod.server.settings import Settings, Webhook
 from streamlod.server.stream.feed import Feed, ServerEvent
 
@@ -33,7 +32,6 @@ _LOG = logging.getLogger(__name__)
 RETRY_SECONDS = (1.0, 5.0, 30.0, 120.0, 600.0)  # pauses after attempts that failed; then an event is given up
 _ANSWER_SECONDS = 10.0
 _MAX_WAITING = 1000  # events of one webhook; the oldest are given up first
-_MIN_KEY_CHARACTERS = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +60,7 @@ async def webhooks(settings: Settings, feed: Feed) -> AsyncIterator[None]:
     Raises:
         InputError: a secret cannot be used.
     """
-    hooks = [_Hook(each, read_key(each.key), asyncio.Queue(_MAX_WAITING)) for each in settings.webhooks]
+    hooks = [_Hook(each, read_secret(each.key), asyncio.Queue(_MAX_WAITING)) for each in settings.webhooks]
     feed.listeners.update(hook.take for hook in hooks)
     tasks = [asyncio.create_task(_deliver_all(hook, settings.networks)) for hook in hooks]
     try:
@@ -71,21 +69,6 @@ async def webhooks(settings: Settings, feed: Feed) -> AsyncIterator[None]:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-
-
-def read_key(path: Path) -> bytes:
-    """The secret in a file.
-
-    Raises:
-        InputError: it cannot be read, or is too short.
-    """
-    try:
-        key = path.read_bytes().strip()
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error})") from error
-    if len(key) < _MIN_KEY_CHARACTERS:
-        raise InputError(path, f"a key needs at least {_MIN_KEY_CHARACTERS} characters")
-    return key
 
 
 def signature(key: bytes, identifier: str, seconds: int, body: bytes) -> str:

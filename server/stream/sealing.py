@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from streamlod.core.errors import InputError
+from streamlod.core.files import put_in_place, temporary_beside
 from streamlod.server.stream.stored_stream import PRIVATE_FILE
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
@@ -86,9 +87,8 @@ class Seal:
         from cryptography.fernet import Fernet
 
         try:
-            if not path.exists():
-                with os.fdopen(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE), "wb") as file:
-                    file.write(Fernet.generate_key())
+            if not path.exists() or path.stat().st_size == 0:  # an earlier version left that on a full disk
+                _write_key(path, Fernet.generate_key())
             self._cipher = Fernet(path.read_bytes().strip())
         except (OSError, ValueError) as error:
             raise InputError(path, f"is no key that passwords can be stored with ({error})") from error
@@ -117,6 +117,17 @@ class Seal:
             except InvalidToken as error:
                 raise InputError("a stored password", "was stored with another key; create the stream again") from error
         return [self.open(item) for item in value] if isinstance(value, list) else value
+
+
+def _write_key(path: Path, key: bytes) -> None:
+    """Write a key file for its owner alone, whole or not at all."""
+    new = temporary_beside(path)
+    try:
+        with os.fdopen(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE_FILE), "wb") as file:
+            file.write(key)
+        put_in_place(new, path)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def _changed(value: Any, change: Callable[[str], Any]) -> Any:

@@ -15,6 +15,7 @@ import re
 import shutil
 import sqlite3
 import sys
+import threading
 import time
 from collections.abc import Callable, Collection
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,12 +24,20 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from streamlod.codec.container import SlodReader, SlodWriter
+from streamlod.codec.container.layout import FILE_HEAD, SIZE
 from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.errors import BitstreamError, InputError, StorageError
 from streamlod.server.protocol.packets import Position, StreamPacket
 from streamlod.server.settings import Retention
 from streamlod.server.stream.sealing import Seal
-from streamlod.server.stream.stored_stream import PRIVATE_FILE, PRIVATE_FOLDER, StoredStream, read_stored, write_stored
+from streamlod.server.stream.stored_stream import (
+    PRIVATE_FILE,
+    PRIVATE_FOLDER,
+    STORED_NAME,
+    StoredStream,
+    read_stored,
+    write_stored,
+)
 
 _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
@@ -85,11 +94,8 @@ class Store:
             self._lock = _lock(folder)
             (folder / "streams").mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
             self.seal = Seal(folder / "secret.key")
-            catalogue = folder / "catalogue.sqlite3"
-            os.close(os.open(catalogue, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
-            catalogue.chmod(PRIVATE_FILE)  # what SQLite keeps beside it gets the same
-            self._catalogue = _open_catalogue(catalogue)
-        except (OSError, sqlite3.Error) as error:
+            self._catalogue = _open_catalogue(folder / "catalogue.sqlite3")
+        except OSError as error:
             raise InputError(folder, f"cannot hold recordings ({error}); choose another --state-dir") from error
         self._recordings: list[Recording] = []
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
@@ -108,11 +114,7 @@ class Store:
             return self._catalogue.execute(statement, values).fetchall()
 
     def recording(self, stream: str) -> Recording:
-        """The recording of a stream, repaired if the last run was interrupted.
-
-        Raises:
-            StorageError: the disk is full or cannot be written.
-        """
+        """The recording of a stream, repaired if the last run was interrupted; what fails is its `fault`."""
         recording = Recording(self, stream)
         self._recordings.append(recording)
         return recording
@@ -157,22 +159,13 @@ class Recording:
     def __init__(self, store: Store, stream: str) -> None:
         self._store, self._stream = store, stream
         self._folder = store.folder / "streams" / stream
-        try:
-            self._folder.mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
-            stored = read_stored(self._folder)
-            if stored is None:  # what is there already is not written again: the disk may be full
-                stored = StoredStream(created_ns=time.time_ns())
-                write_stored(self._folder, stored)
-            self.stored = stored
-        except (OSError, StorageError) as error:
-            with contextlib.suppress(OSError):
-                self._folder.rmdir()  # unless there are recordings
-            raise StorageError(self._folder, f"cannot hold recordings ({error})") from error
         self._writer: SlodWriter | None = None
         self._waiting_bytes = 0
-        self.segments: list[Segment] = self._restore()
+        self._noting = threading.Lock()
         self.fault: str | None = None
         self.lost_packets = 0
+        self.stored = read_stored(self._folder) or StoredStream(created_ns=time.time_ns())
+        self.segments = self._restore() if self._folder.exists() else []
 
     @property
     def last_epoch(self) -> int:
@@ -185,10 +178,11 @@ class Recording:
         Raises:
             StorageError: the disk is full or cannot be written; nothing has changed.
         """
-        stored = replace(self.stored, **changes)
-        if stored != self.stored:
-            write_stored(self._folder, stored)
-            self.stored = stored
+        with self._noting:
+            stored = replace(self.stored, **changes)
+            if stored != self.stored or not (self._folder / STORED_NAME).exists():
+                write_stored(self._folder, stored)
+                self.stored = stored
 
     def append(self, packet: StreamPacket) -> Future[None] | None:
         """Queue a packet for recording, or drop it if the disk is far behind; what is done when it is written."""
@@ -238,7 +232,7 @@ class Recording:
                 self.lost_packets += 1
                 return
             self._writer.append(packet.data)
-        except (OSError, sqlite3.Error) as error:
+        except (OSError, sqlite3.Error, StorageError) as error:
             self.lost_packets += 1
             self._stop(error)
             self._abandon()
@@ -251,6 +245,7 @@ class Recording:
     def _begin(self, packet: StreamPacket) -> None:
         if not self._store.has_room:
             raise OSError("the disk is full except for its reserve")
+        self.note()  # it may be the first that is written of this stream, or the first that the disk takes
         path = self._folder / f"{packet.position.epoch:06d}-{packet.position.version:010d}.slod"
         if path.exists():
             raise OSError(f"{path.name} exists already")
@@ -336,10 +331,7 @@ class Recording:
                 place = Position(epoch, first), Position(epoch, row[2])
                 segments.append(Segment(path, *place, row[3], row[4], row[5], _monotonic(row[5]), True))
                 continue
-            try:
-                segments += filter(None, [self._repair(path, stat.st_mtime_ns)])
-            except (OSError, sqlite3.Error) as error:  # the disk may be full: the next start tries again
-                _LOG.warning("stream %s: %s cannot be repaired now (%s)", self._stream, path.name, error)
+            segments += filter(None, [self._repair(path, stat.st_mtime_ns)])
         with contextlib.suppress(sqlite3.Error):
             for epoch, first in known:
                 statement = "DELETE FROM segments WHERE stream = ? AND epoch = ? AND first = ?"
@@ -347,50 +339,82 @@ class Recording:
         return segments
 
     def _repair(self, path: Path, begun_ns: int) -> Segment | None:
-        """Cut off an incomplete packet and write the index. Without a whole keyframe: None, and no file."""
+        """Cut off an incomplete packet and write the index, where these are not as they should be.
+
+        Without a whole keyframe: None, and no file, if it was cut short; a file that cannot be read is left alone.
+        """
         try:
             with SlodReader(path) as reader:
                 entries = reader.entries
-        except (BitstreamError, InputError):
-            entries = ()
+                is_whole = not reader.torn and reader.records_end < path.stat().st_size
+        except (BitstreamError, InputError, OSError) as error:
+            entries, is_whole, fault = (), False, str(error)
+        else:
+            fault = "its first packet is no keyframe that this version knows"
         if not entries or entries[0].kind is not PacketKind.KEY:
-            _LOG.warning("stream %s: %s holds no whole keyframe and is deleted", self._stream, path.name)
-            path.unlink(missing_ok=True)
+            if _is_cut_short(path):
+                _LOG.warning("stream %s: %s holds no whole keyframe and is deleted", self._stream, path.name)
+                path.unlink(missing_ok=True)
+            else:
+                _LOG.warning("stream %s: %s is left alone: %s", self._stream, path.name, fault)
             return None
-        SlodWriter(path, live=True).close()
         epoch = int(path.stem.split("-")[0])
         first, last = Position(epoch, entries[0].to_version), Position(epoch, entries[-1].to_version)
         size = sum(entry.size_bytes for entry in entries)
         segment = Segment(path, first, last, len(entries), size, begun_ns, _monotonic(begun_ns), True)
-        self._enter(segment)
-        os.utime(path, ns=(begun_ns, begun_ns))
+        try:
+            if not is_whole:
+                SlodWriter(path, live=True).close()
+                os.utime(path, ns=(begun_ns, begun_ns))
+            self._enter(segment)
+        except (OSError, sqlite3.Error) as error:  # it can be read without; the next start tries again
+            _LOG.warning("stream %s: %s cannot be repaired now (%s)", self._stream, path.name, error)
         return segment
 
 
-def _open_catalogue(path: Path) -> sqlite3.Connection:
-    """The catalogue; one that is damaged or of another version is set aside, and made again from the files."""
+def _is_cut_short(path: Path) -> bool:
+    """Whether a file ends before its first packet does, as its size says; False where it cannot be read."""
     try:
-        return _catalogue_at(path)
-    except sqlite3.OperationalError as error:
-        if "no such column" not in str(error) and "no column" not in str(error):
-            raise  # the disk is full, or cannot be read
-        fault: sqlite3.Error = error
-    except sqlite3.DatabaseError as error:
-        fault = error
-    _LOG.warning("%s cannot be used (%s); it is kept as %s.damaged and made again", path, fault, path.stem)
-    for suffix in ("-wal", "-shm"):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
-    path.replace(path.with_suffix(".damaged"))
-    os.close(os.open(path, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
-    return _catalogue_at(path)
+        with path.open("rb") as file:
+            start = file.read(len(FILE_HEAD) + SIZE.size)
+        head, size = start[: len(FILE_HEAD)], start[len(FILE_HEAD) :]
+        if len(size) < SIZE.size:
+            return FILE_HEAD.startswith(head)
+        return head == FILE_HEAD and len(start) + SIZE.unpack(size)[0] > path.stat().st_size
+    except OSError:
+        return False
 
 
-def _catalogue_at(path: Path) -> sqlite3.Connection:
+def _open_catalogue(path: Path) -> sqlite3.Connection:
+    """The catalogue; one that is damaged or of another version is set aside, and made again from the files.
+
+    Where the disk takes none, it is in memory: all it saves is looking into the files.
+    """
+    try:
+        try:
+            return _catalogue_at(path)
+        except sqlite3.DatabaseError as error:
+            if isinstance(error, sqlite3.OperationalError) and "no such column" not in str(error):
+                raise  # the disk is full, or cannot be read or written
+            _LOG.warning("%s cannot be used (%s); it is kept as %s.damaged and made again", path, error, path.stem)
+            for suffix in ("-wal", "-shm"):
+                path.with_name(path.name + suffix).unlink(missing_ok=True)
+            path.replace(path.with_suffix(".damaged"))
+            return _catalogue_at(path)
+    except (OSError, sqlite3.OperationalError) as error:
+        _LOG.warning("%s cannot be opened (%s); until the next start there is one in memory", path, error)
+        return _catalogue_at(":memory:")
+
+
+def _catalogue_at(path: Path | str) -> sqlite3.Connection:
+    if isinstance(path, Path):
+        os.close(os.open(path, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE))
+        path.chmod(PRIVATE_FILE)  # what SQLite keeps beside it gets the same
     connection = sqlite3.connect(path, check_same_thread=False)
     try:
         connection.execute("PRAGMA journal_mode=WAL")
         connection.executescript(_SCHEMA)
-        connection.execute(f"SELECT {_COLUMNS} FROM segments LIMIT 1").fetchall()
+        connection.execute(f"SELECT {_COLUMNS} FROM segments").fetchall()  # all, which finds what is damaged
     except sqlite3.Error:
         connection.close()
         raise

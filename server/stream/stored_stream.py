@@ -19,7 +19,7 @@ from streamlod.core.errors import StorageError
 from streamlod.core.files import put_in_place
 
 _LOG = logging.getLogger(__name__)
-_NAME = "stream.json"
+STORED_NAME = "stream.json"
 _MAX_BYTES = 4 << 20
 PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
 
@@ -54,7 +54,7 @@ _FIELDS = {each.name for each in fields(StoredStream)} - {"others"}
 
 def read_stored(folder: Path) -> StoredStream | None:
     """The stream that `write_stored` wrote; None without a whole file, a damaged one is kept as `stream.damaged`."""
-    path = folder / _NAME
+    path = folder / STORED_NAME
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError("it is too large")
@@ -81,14 +81,15 @@ def read_stored(folder: Path) -> StoredStream | None:
 
 
 def write_stored(folder: Path, stored: StoredStream) -> None:
-    """Replace what is stored, at once or not at all.
+    """Replace what is stored, at once or not at all, in a folder that is made if it is missing.
 
     Raises:
         StorageError: the disk is full, or the folder cannot be written; nothing has changed.
     """
-    path = folder / _NAME
+    path = folder / STORED_NAME
     new = path.with_suffix(".new")
     try:
+        folder.mkdir(exist_ok=True, mode=PRIVATE_FOLDER)
         with os.fdopen(os.open(new, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, PRIVATE_FILE), "w") as file:
             values = asdict(stored)
             json.dump(values.pop("others") | values, file)

@@ -13,10 +13,15 @@ def complaint(figures: dict[str, Any]) -> str:
     Args:
         figures: `server.ingest.statistics.Statistics` in JSON, as `Tag.INGEST` has them.
     """
-    parts = []
-    for name, one in figures["cameras"].items():
-        if one["state"] == CameraState.LOST:
-            parts.append(f"camera {name} is lost" + (f" ({one['fault']})" if one["fault"] else ""))
-        elif one.get("refused"):
-            parts.append(f"camera {name} {one['refused']}")
+    cameras = figures["cameras"]
+    lost = {name: one["fault"] for name, one in cameras.items() if one["state"] == CameraState.LOST}
+    parts = [
+        f"camera {name} {one['refused']}" for name, one in cameras.items() if name not in lost and one.get("refused")
+    ]
+    if lost:
+        faults = sorted({fault for fault in lost.values() if fault})
+        which = f"camera {next(iter(lost))} is lost"
+        if len(lost) > 1:
+            which = f"{len(lost)} of {len(cameras)} cameras are lost: {', '.join(lost)}"
+        parts.insert(0, which + (f" ({'; '.join(faults)})" if faults else ""))
     return "; ".join(parts)

@@ -51,6 +51,7 @@ def facts_of(decoder: SceneDecoder) -> dict[str, Any]:
         "title": facts.title,
         "licence": facts.licence,
         "original": original,
+        "exposures": facts.exposures and [[*exposure.gain, *exposure.offset] for exposure in facts.exposures],
     }
     return {name: value for name, value in named.items() if value is not None}
 

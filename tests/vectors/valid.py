@@ -17,6 +17,7 @@ from streamlod.codec.packet.bytes import build, parse
 from streamlod.codec.packet.levels import drop_levels, select_levels, split_levels
 from streamlod.codec.packet.packet import METADATA, ChunkKind, make_chunk
 from streamlod.core.scene.anchors import AnchorLevel, Scene, empty_level
+from streamlod.core.scene.exposures import CameraExposure
 from streamlod.core.scene.metadata import Metadata, Original
 from streamlod.core.scene.octree import Octree
 from streamlod.core.scene.residual import difference
@@ -79,6 +80,7 @@ def valid_streams() -> Streams:
     yield "change-of-nothing", _nothing()
     yield "one-lane-key", _lanes()
     yield "metadata", _metadata()
+    yield "metadata-exposures", _exposures()
     for name, content in _odd_metadata():
         yield f"metadata-{name}", _with_metadata(content)
 
@@ -369,6 +371,13 @@ def _metadata() -> list[bytes]:
     return [key(first), packet(first, move(first)), key(second), key(third), packet(third, move(third))]
 
 
+def _exposures() -> list[bytes]:
+    """The exposures of a rig of two cameras, of values that float32 has."""
+    found = CameraExposure((1.25, 1.0, 0.75), (0.0, -0.125, 0.5)), CameraExposure((0.75, 1.0, 1.25), (0.0, 0.125, -0.5))
+    scene = replace(small(), metadata=Metadata(exposures=found))
+    return [key(scene), packet(scene, move(scene))]
+
+
 def _with_metadata(content: bytes) -> list[bytes]:
     """A keyframe with this METADATA chunk, and a change with another, which says nothing."""
     scene, other = small(), encode_metadata(Metadata(title="of a change"))
@@ -397,6 +406,9 @@ def _odd_metadata() -> Iterator[tuple[str, bytes]]:
     yield "lengths", field(1, bytes(7)) + field(2, bytes(25)) + field(3, b"") + title + field(6, bytes(63))
     wrong = struct.pack("<d", -1.0), struct.pack("<3d", 0, 0, 0), struct.pack("<8d", 1, 0, 0, 0, 0, 0, 0, 0)
     yield "out-of-bounds", field(1, wrong[0]) + field(2, wrong[1]) + title + field(6, wrong[2])
+    dark = struct.pack("<6f", 0, 1, 1, 0, 0, 0)
+    yield "no-exposures", title + field(7, dark) + field(8, b"")
+    yield "exposures-cut", title + field(7, dark[:23])
     nan = struct.pack("<3d", 1, float("nan"), 0)
     yield "not-finite", field(1, struct.pack("<d", float("inf"))) + field(2, nan) + title
     yield "no-texts", field(4, b"two\nlines") + field(5, b"\xff\xfe")

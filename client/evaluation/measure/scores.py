@@ -14,7 +14,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.errors import BackendUnavailable
 from streamlod.core.metrics import Distance, psnr, ssim
 from streamlod.core.metrics.lpips_weights import MIN_SIDE, Net
-from streamlod.core.render.splatter import draw_cloud
+from streamlod.core.render.splatter import draw_cloud, shown_at
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
 
@@ -73,9 +73,9 @@ def load_perception(*, vgg: bool = True) -> Perception:
 
 
 def draw(scene: Scene, camera: Camera, *, highest_level: int | None = None, by_distance: bool = False) -> UInt8:
-    """[H,W,3] uint8 picture of `scene`; arguments as in `core.scene.expand.expand`."""
+    """[H,W,3] uint8 picture of `scene` at its exposure there; arguments as in `core.scene.expand.expand`."""
     cloud = expand(scene, camera.centre, highest_level, by_distance)
-    return draw_cloud(cloud, camera, scene.header.background)
+    return draw_cloud(cloud, camera, scene.header.background, shown_at(scene, camera))
 
 
 def score(

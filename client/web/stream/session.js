@@ -26,6 +26,7 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  * @property {number | null} newestMs - capture time of the newest frame there is
  * @property {number | null} clockMs - what to add to this side's Unix time to have the server's
  * @property {string} detail - the other side's words, may be empty
+ * @property {string} stage - of training the first frame, in the server's words, may be empty
  * @property {string} trouble - what a degraded stream suffers from, else empty
  * @property {number | null} fraction - of training the first frame
  * @property {{ oldest: Position, newest: Position } | null} window
@@ -47,7 +48,7 @@ export class Session {
   constructor(now) {
     /** @type {Status} */
     this.status = {
-      phase: "connecting", source: "cameras", loops: false, lagSeconds: null, filmedMs: null, newestMs: null, clockMs: null, detail: "", trouble: "", fraction: null,
+      phase: "connecting", source: "cameras", loops: false, lagSeconds: null, filmedMs: null, newestMs: null, clockMs: null, detail: "", stage: "", trouble: "", fraction: null,
       window: null, position: null, mode: "live", levels: null,
       sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0,
     };
@@ -119,15 +120,14 @@ export class Session {
         Object.assign(status, { levels: message.levels, sentLevels: message.levels, fps: message.fps, source: message.source ?? "cameras", loops: message.loop === true });
         this.#window(message.window);
         if (message.server_time_ns) status.clockMs = message.server_time_ns / 1e6 - (unixMs - (now - this.saidHello) / 2);
-        status.fraction = message.progress?.fraction ?? null;
-        this.#streamState(message.state, message.detail || message.progress?.text);
+        this.#progress(message.progress);
+        this.#streamState(message.state, message.detail);
         break;
       case "state":
         this.#streamState(message.state, message.detail);
         break;
       case "progress":
-        status.fraction = message.fraction;
-        status.detail = message.text ?? "";
+        this.#progress(message);
         break;
       case "epoch":
         this.epoch = message.epoch;
@@ -162,6 +162,12 @@ export class Session {
   #window(told) {
     this.status.window = told && { oldest: told.oldest, newest: told.newest };
     this.status.newestMs = told?.newest_time_ns == null ? null : told.newest_time_ns / 1e6;
+  }
+
+  /** @param {{ fraction?: number, text?: string } | null} told */
+  #progress(told) {
+    this.status.fraction = told?.fraction ?? null;
+    this.status.stage = told?.text ?? "";
   }
 
   /** @type {(state: string, detail: string) => void} */

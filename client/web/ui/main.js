@@ -5,7 +5,7 @@ import { Controls } from "../view/controls.js";
 import { createHandle, listenToParent } from "./handle.js";
 import { attachMenu, button, element, menuItem, toast } from "./page.js";
 import { Quality, QUALITIES } from "../view/quality.js";
-import { NO_WEBGL, words } from "./states.js";
+import { lostGraphics, NO_WEBGL, words } from "./states.js";
 import { Delay, describe, hideWhenIdle, show } from "./status.js";
 import { chooseStream, countWatchers, liveAddress, serverPath, showStreams } from "./streams.js";
 import { Flight } from "./fly.js";
@@ -75,7 +75,7 @@ async function start(viewer) {
     const { status } = viewer;
     if (!status) return;
     delay.show(status);
-    show(words(status, viewer.picture !== null, retryAt - performance.now()));
+    show(viewer.isLost ? lostGraphics(recording ? "Reload" : "Let the server draw") : words(status, viewer.picture !== null, retryAt - performance.now()));
     timeline.update(status);
   };
   viewer.addEventListener("status", (event) => {
@@ -109,6 +109,7 @@ async function start(viewer) {
     const { ms, all } = /** @type {CustomEvent} */ (event).detail;
     quality.frame(ms, all);
   });
+  viewer.addEventListener("graphics", refresh);
   const heartbeat = setInterval(() => {
     quality.tick();
     if (viewer.status?.phase === "reconnecting") refresh();
@@ -146,6 +147,13 @@ async function start(viewer) {
     const { enter } = await import("../view/webxr.js");
     await enter(viewer, `immersive-${kind}`).catch((error) => toast(`The headset cannot be used: ${error.message}`));
   };
+  /** Let the server draw from now on, or no longer. @param {boolean} thin */
+  const drawThere = (thin) => {
+    const swap = new URL(location.href);
+    swap.searchParams.set("thin", thin ? "1" : "0");
+    swap.searchParams.set("camera", toText(viewer.pose));
+    location.assign(swap);
+  };
   const statistics = () => {
     const panel = element("stats");
     panel.hidden = !panel.hidden;
@@ -167,7 +175,8 @@ async function start(viewer) {
   button("stream-name").onclick = () => showStreams(options);
   button("card-button").onclick = () => {
     const phase = viewer.status?.phase;
-    if (phase === "reconnecting") viewer.tell({ type: "hurry" });
+    if (viewer.isLost && !recording) drawThere(true);
+    else if (phase === "reconnecting") viewer.tell({ type: "hurry" });
     else if (phase === "missing") showStreams(options);
     else if (phase === "denied") enterToken();
     else location.reload();
@@ -193,11 +202,7 @@ async function start(viewer) {
         quality.choose(name);
         button("b-quality").click();
       })));
-    if (recording) return;
-    const swap = new URL(location.href);
-    swap.searchParams.set("thin", viewer.thin ? "0" : "1");
-    swap.searchParams.set("camera", toText(viewer.pose));
-    qualityMenu.append(menuItem("Server draws", "slow devices", viewer.thin, () => location.assign(swap)));
+    if (!recording) qualityMenu.append(menuItem("Server draws", "slow devices", viewer.thin, () => drawThere(!viewer.thin)));
   });
 
   /** @type {Record<string, () => unknown>} */

@@ -8,6 +8,7 @@
  */
 
 const MAX_CHARACTERS = 60; // characters of the server's words in the chip
+const WAITING_AT = 0.05, TRAINING_FROM = 0.1, TRAINING = 0.8, LOADING_AT = 0.95; // on the bar that leads from the first word to the picture
 const WITHOUT_PICTURE = ["connecting", "reconnecting", "deleted", "failed", "version", "denied", "missing"];
 
 /** @type {(chip: string, tone: Words["tone"], title: string, text: string, more?: object) => Words} */
@@ -32,20 +33,21 @@ export function duration(seconds) {
  * @returns {Words}
  */
 export function words(status, picture, waitMs) {
-  const { phase, detail, trouble, fraction, source } = status;
+  const { phase, detail, stage, trouble, fraction, source } = status;
   const seconds = Math.ceil(waitMs / 1000);
   /** @type {(chip: string, tone: Words["tone"]) => Words} */
   const small = (chip, tone) => ({ chip, tone, card: null });
   if (!picture && status.window && !WITHOUT_PICTURE.includes(phase)) { // decoded, or on its way: say nothing else before it is seen
-    return full("Loading", "busy", "Loading", "The picture is on its way.", { spinner: true });
+    return full("Loading", "busy", "Loading", "The picture is on its way.", { spinner: true, fraction: LOADING_AT });
   }
   switch (phase) {
     case "connecting":
-      return picture ? small("Connecting", "busy") : full("Connecting", "busy", "Connecting", "Looking for the stream.", { spinner: true });
+      return picture ? small("Connecting", "busy") : full("Connecting", "busy", "Connecting", "Looking for the stream.", { spinner: true, fraction: 0 });
     case "waiting":
       if (picture) return small("Loading", "busy");
       return full("Waiting", "busy", fraction === null ? "Waiting for the first frame" : "Training the first frame",
-        detail || "The picture appears as soon as there is one.", { spinner: true, fraction });
+        detail || stage || "The picture appears as soon as there is one.",
+        { spinner: true, fraction: fraction === null ? WAITING_AT : TRAINING_FROM + TRAINING * fraction });
     case "preview":
       return small(`Preview${fraction === null ? "" : `, trained to ${Math.round(100 * fraction)} %`}`, "busy");
     case "live":
@@ -83,6 +85,10 @@ export function words(status, picture, waitMs) {
 /** Shown where the browser cannot draw. @type {Words} */
 export const NO_WEBGL = full("Cannot draw", "bad", "This browser cannot show the scene",
   "WebGL2 is missing or switched off. Turn on hardware acceleration, or use a current browser.");
+
+/** Shown while the browser has taken the graphics card away. @type {(button: string) => Words} */
+export const lostGraphics = (button) => full("No graphics", "bad", "The graphics card was taken away",
+  "The browser, or another program, ended this page's drawing. It goes on by itself as soon as the browser allows.", { button });
 
 /** A time, for people: m:ss.t. @type {(seconds: number) => string} */
 export function clock(seconds) {

@@ -21,7 +21,7 @@
  *   overMs?: number | null, drawn?: { width: number, height: number, quality: number } }
  *   & import("./engine.js").Picture} PictureMessage
  *
- * @typedef {{ cameras: RigCamera[], background: [number, number, number], fps: number, levels: number, viewDependent: boolean }} SceneFacts
+ * @typedef {{ cameras: RigCamera[], background: [number, number, number], fps: number, levels: number, viewDependent: boolean, exposures?: number[][] }} SceneFacts
  *
  * @typedef {PictureMessage
  *   | ({ type: "scene" } & SceneFacts)

@@ -5,6 +5,7 @@
  */
 
 import { RECORD, ROW_SPLATS } from "../decode/expand.js";
+import { NEUTRAL } from "./exposure.js";
 
 const MAX_KEEP = 1.5; // times the share, in the middle and near; at most all
 const MIN_KEEP = 0.03; // a share below would make splats too large to tell anything apart
@@ -21,6 +22,7 @@ uniform vec3 translation;
 uniform vec2 viewport, focal, principal; // pixels
 uniform float share;        // of the splats that are drawn where it matters least to leave some out; 1: all
 uniform float range;        // distance up to which splats count as near
+uniform vec3 gain, lift;    // of the exposure: gain * colour + lift
 uniform float spread;       // area that each splat has to cover, in areas of its own; 1 where no level is missing
 out vec2 offset;            // in standard deviations
 flat out vec4 colour;
@@ -57,7 +59,7 @@ void main() {
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1, 0) : vec2(0, 1)) : normalize(vec2(xy, major - xx));
   offset = corner * sqrt(2. * log(255. * mean.w));     // alpha falls below 1/255 there
   vec2 pixel = focal * way + principal + offset.x * sqrt(major) * axis + offset.y * sqrt(minor) * vec2(-axis.y, axis.x);
-  colour = vec4(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x, mean.w);
+  colour = vec4(gain * vec3(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x) + lift, mean.w);
   gl_Position = vec4(2. * pixel.x / viewport.x - 1., 1. - 2. * pixel.y / viewport.y, 0, 1);
 }`;
 
@@ -78,6 +80,7 @@ void main() {
  * @property {[number, number]} principal - pixels
  * @property {number} [share] - as in the shader
  * @property {number} [range]
+ * @property {import("./exposure.js").Exposure} [exposure] - neutral where none is given
  */
 
 /** 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below it. @type {(splat: number) => number} */
@@ -122,6 +125,11 @@ export class Renderer {
     gl.enable(gl.SCISSOR_TEST); // clearing one eye's part must not clear the other's
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  }
+
+  /** Whether the browser took the graphics card away. */
+  get isLost() {
+    return this.gl.isContextLost();
   }
 
   /** Name of the graphics hardware, "" where the browser hides it. */
@@ -209,11 +217,12 @@ export class Renderer {
   /** @param {View} view @param {Target} [target] - the canvas where none is given */
   draw(view, target) {
     const { gl } = this, { framebuffer, x, y, width, height } = target ?? { framebuffer: null, x: 0, y: 0, width: gl.canvas.width, height: gl.canvas.height };
+    const exposure = view.exposure ?? NEUTRAL, exposed = (/** @type {number} */ i) => exposure[i] * this.background[i] + exposure[i + 3];
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
     if (target?.isSeeThrough) gl.clearColor(0, 0, 0, 0);
-    else gl.clearColor(...this.background, 1);
+    else gl.clearColor(exposed(0), exposed(1), exposed(2), 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (this.uploaded !== (view.share ?? 1)) this.#upload(view.share ?? 1);
     const age = performance.now() - this.movesFrom;
@@ -228,6 +237,8 @@ export class Renderer {
     gl.uniform2f(at("principal"), ...view.principal);
     gl.uniform1f(at("share"), view.share ?? 1);
     gl.uniform1f(at("range"), view.range ?? 1);
+    gl.uniform3fv(at("gain"), exposure.slice(0, 3));
+    gl.uniform3fv(at("lift"), exposure.slice(3));
     gl.uniform1f(at("spread"), SPREAD ** this.missing);
     gl.uniform1i(at("splats"), 1);
     gl.uniform1f(at("moved"), this.moved);

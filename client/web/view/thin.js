@@ -30,6 +30,7 @@ export class Screen {
     this.context = context;
     this.link = link;
     this.hardware = "server";
+    this.isLost = false;
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
     this.missing = this.movesFor = 0;

@@ -1,8 +1,9 @@
 /**
  * The part of the page that draws: worker, renderer and pose, without any controls around them.
- * Fires `scene`, `picture`, `status`, `refused` and `frame` events.
+ * Fires `scene`, `picture`, `status`, `refused`, `frame`, `drawn` and `graphics` events.
  */
 
+import { exposureAt } from "./exposure.js";
 import { between, dot, fromCamera, homeCamera, rigUp, row, target } from "./camera.js";
 import { braked, held, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
@@ -53,6 +54,7 @@ export class Viewer extends EventTarget {
     this.watchers = null;
     /** @type {string[]} cameras of the rig whose own pictures the server shows */
     this.pictured = [];
+    this.isLost = false; // the browser took the graphics card away
     this.posed = false; // someone chose a pose: a new scene does not move the camera
     this.levels = Infinity;
     this.resolution = 1; // fraction of the screen's own, while things move
@@ -77,7 +79,10 @@ export class Viewer extends EventTarget {
     this.presenting = false; // a headset draws, the page does not
     this.lastDraw = 0;
     this.movedAt = 0; // when the view changed last
-    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault(); // else the browser does not give it back
+      this.#lose(true);
+    });
     canvas.addEventListener("webglcontextrestored", () => this.#restore());
     this.resizer = new ResizeObserver(() => this.resize());
     this.resizer.observe(canvas);
@@ -120,6 +125,7 @@ export class Viewer extends EventTarget {
         this.renderer.missing = message.missing;
         this.picture = { ...message, spans: [], quads: new Uint32Array(0) };
         this.dirty = true;
+        if (this.isLost && !this.renderer.isLost) this.#lose(false);
         break;
       }
       case "scene":
@@ -236,7 +242,8 @@ export class Viewer extends EventTarget {
     const translation = [0, 1, 2].map((i) => -dot(row(rotation, i), position));
     const scale = focal * unit;
     return { rotation, translation, focal: [scale * stretch, scale], principal: [width / 2 + shift[0] * unit, height / 2 + shift[1] * unit],
-      share: this.resting ? 1 : this.share, range: this.pose.distance };
+      share: this.resting ? 1 : this.share, range: this.pose.distance,
+      exposure: exposureAt(position, this.scene?.cameras ?? [], this.scene?.exposures) };
   }
 
   #frame() {
@@ -306,6 +313,12 @@ export class Viewer extends EventTarget {
     return (1000 * frames) / ms;
   }
 
+  /** @param {boolean} isLost */
+  #lose(isLost) {
+    this.isLost = isLost;
+    if (this.running) this.dispatchEvent(new CustomEvent("graphics", { detail: { isLost } }));
+  }
+
   #restore() {
     const { background } = this.renderer;
     if (!this.running) return;
@@ -313,6 +326,7 @@ export class Viewer extends EventTarget {
     this.renderer.background = background;
     this.generation = -1;
     this.tell({ type: "texture" });
+    if (!this.picture) this.#lose(false); // else with the next picture, which is on its way
   }
 
   /** What is seen, as an image. @returns {Promise<Blob>} */

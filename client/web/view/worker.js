@@ -1,5 +1,6 @@
 /** The worker between socket and splats; `messages.js` says what it hears and tells. */
 
+import { readMetadata } from "../decode/metadata.js";
 import { Connection } from "../stream/connection.js";
 import { Engine } from "./engine.js";
 import { loadKernel, RECORD } from "../decode/expand.js";
@@ -86,7 +87,8 @@ function picture() {
   if (scene.keyframe !== keyframe) {
     ({ keyframe } = scene);
     const { cameras, background, fps, levels, viewDependent } = scene.header;
-    tell({ type: "scene", cameras, background: [background[0], background[1], background[2]], fps, levels, viewDependent });
+    const { exposures } = scene.metadata ? readMetadata(scene.metadata) : { exposures: undefined };
+    tell({ type: "scene", cameras, background: [background[0], background[1], background[2]], fps, levels, viewDependent, exposures });
   }
   if (!view) return;
   const result = engine.picture(view);

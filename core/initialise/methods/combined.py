@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.completion import Completion
 from streamlod.core.initialise.method import Method, PointSources
 from streamlod.core.initialise.methods.dataset import DatasetPoints
 from streamlod.core.initialise.methods.learned import LearnedSweep
@@ -31,15 +32,17 @@ class Both:
 
 @dataclass(frozen=True, slots=True)
 class Automatic:
-    """The data set's points with those that pictures give, and random ones where pictures give too few.
+    """The data set's points with those that pictures give, and what fills the gaps between them.
 
     Attributes:
         sweep: finds points in the pictures of two cameras or more. last_resort: where that gives too few.
+        completion: fills the gaps that both leave; None leaves them.
         few: points; fewer are no start.
     """
 
     sweep: Method = field(default_factory=LearnedSweep)
     last_resort: Method = field(default_factory=RandomPoints)
+    completion: Completion | None = field(default_factory=Completion)
     few: int = 500
 
     def find(self, sources: PointSources) -> PointCloud:
@@ -47,10 +50,12 @@ class Automatic:
         points = sources.dataset_points or PointCloud(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
         if sources.frame.present.sum() > 1:
             points = merged(points, self.sweep.find(sources))
-        if len(points) >= self.few:
+        if len(points) < self.few:
+            _log.warning("the pictures gave only %d first points", len(points))
+            points = merged(points, self.last_resort.find(sources))
+        if self.completion is None:
             return points
-        _log.warning("the pictures gave only %d first points", len(points))
-        return merged(points, self.last_resort.find(sources))
+        return self.completion.completed(points, sources.views(self.completion.rows))
 
 
 def merged(first: PointCloud, second: PointCloud) -> PointCloud:

@@ -7,12 +7,14 @@ the background sum to one, so that gain and offset of the colours and of the bac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from streamlod.core.scene.exposures import MAX_GAIN, MAX_OFFSET, CameraExposure
 from streamlod.core.train.field.decode import Splats
 
 _FLAT = 1e-4  # variance of grey values in units of [0, 1], below which a picture says nothing about gain
@@ -49,6 +51,12 @@ class Exposure:
             self.gain.sub_(self.gain.mean(dim=0) - 1)
             self.offset.sub_(self.offset.mean(dim=0))
 
+    def of_cameras(self) -> tuple[CameraExposure, ...]:
+        """The values of each camera, as players are told them."""
+        gains = self.gain.detach().clamp(1 / MAX_GAIN, MAX_GAIN).tolist()
+        offsets = self.offset.detach().clamp(-MAX_OFFSET, MAX_OFFSET).tolist()
+        return tuple(CameraExposure(tuple(gain), tuple(offset)) for gain, offset in zip(gains, offsets, strict=True))
+
     def frozen(self) -> Exposure:
         """The same values, no longer trained."""
         return Exposure(self.gain.detach().clone(), self.offset.detach().clone())
@@ -80,6 +88,12 @@ def _at_camera(gain: Tensor, offset: Tensor, camera: int, cameras: int) -> tuple
 def neutral(cameras: int, device: str | torch.device = "cpu") -> Exposure:
     """No correction for any of `cameras`."""
     return Exposure(torch.ones(cameras, 3, device=device), torch.zeros(cameras, 3, device=device))
+
+
+def exposure_of(cameras: Sequence[CameraExposure], device: str | torch.device = "cpu") -> Exposure:
+    """The exposures of `cameras` as players are told them."""
+    gain, offset = (torch.tensor([getattr(c, name) for c in cameras], device=device) for name in ("gain", "offset"))
+    return Exposure(gain, offset)
 
 
 def fitted(shown: Tensor, targets: Tensor, cameras: list[int]) -> Exposure:

@@ -118,7 +118,7 @@ class KeyframeTrainer:
         if config.random_background:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
             raster = self._view_loss.over(raster, number, colour)
-        loss = self._view_loss.loss(raster, number, self._view_loss.penalty(splats))
+        loss = self._view_loss.loss(raster, number, self._view_loss.penalty(splats, raster))
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()

@@ -1,4 +1,4 @@
-"""What Gaussians cost whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity."""
+"""What Gaussians cost whatever they show: volume (Octree-GS; docs/method.md, reading 20) and opacity in view."""
 
 from __future__ import annotations
 
@@ -8,29 +8,33 @@ import torch
 from torch import Tensor
 
 
-def penalty(scales: Tensor, opacities: Tensor, scale_weight: float, opacity_weight: float) -> Tensor:
-    """[] weighted sum of the mean volume of the Gaussians that are drawn and of the mean opacity of all.
+def penalty(scales: Tensor, opacities: Tensor, visible: Tensor, scale_weight: float, opacity_weight: float) -> Tensor:
+    """[] weighted sum of the mean volume of the Gaussians that are drawn and of the opacity of those in view, over G.
 
     Args:
         scales: [G,3]. opacities: [G], at or below zero for those that are not drawn.
+        visible: [V] int64 rows of the Gaussians in view of the picture that is trained.
     """
+    paying = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, 1.0)
     weights = scale_weight, opacity_weight
     if scales.device.type == "cpu":
-        return penalty_reference(scales, opacities, *weights)
-    price: Tensor = _OnDevice.apply(scales, opacities, *weights)  # type: ignore[no-untyped-call]
+        return penalty_reference(scales, opacities, paying, *weights)
+    price: Tensor = _OnDevice.apply(scales, opacities, paying, *weights)  # type: ignore[no-untyped-call]
     return price
 
 
-def penalty_reference(scales: Tensor, opacities: Tensor, scale_weight: float, opacity_weight: float) -> Tensor:
-    """`penalty` differentiated by torch, on any device."""
+def penalty_reference(
+    scales: Tensor, opacities: Tensor, paying: Tensor, scale_weight: float, opacity_weight: float
+) -> Tensor:
+    """`penalty` differentiated by torch, on any device; paying: [G] 1 for Gaussians in view, 0 for others."""
     opacity = opacities.clamp(min=0)
     drawn = (opacity.detach() > 0).float()
     volume = (scales.prod(dim=1) * drawn).sum() / drawn.sum().clamp_min(1)
-    return scale_weight * volume + opacity_weight * opacity.mean()
+    return scale_weight * volume + opacity_weight * (opacity * paying).mean()
 
 
 def _priced(
-    scales: Tensor, opacities: Tensor, drawn: Tensor, scale_weight: float, opacity_weight: float
+    scales: Tensor, opacities: Tensor, paying: Tensor, drawn: Tensor, scale_weight: float, opacity_weight: float
 ) -> tuple[Tensor, Tensor, Tensor]:
     """[G] what each Gaussian adds, and the derivatives by `scales` [G,3] and `opacities` [G].
 
@@ -39,22 +43,22 @@ def _priced(
     """
     x, y, z = scales.unbind(dim=1)
     volume_weight = scale_weight * (opacities > 0) / drawn.clamp_min(1)
-    mean_weight = opacity_weight / len(opacities)
-    price = volume_weight * x * y * z + mean_weight * opacities.clamp(min=0)
+    paid = (opacity_weight / len(opacities)) * paying
+    price = volume_weight * x * y * z + paid * opacities.clamp(min=0)
     by_scales = volume_weight[:, None] * torch.stack([y * z, x * z, x * y], dim=1)
-    return price, by_scales, mean_weight * (opacities >= 0)
+    return price, by_scales, paid * (opacities >= 0)
 
 
 class _OnDevice(torch.autograd.Function):
     """`penalty_reference` in few launches: the gradient is made together with the value."""
 
     @staticmethod
-    def forward(ctx: Any, scales: Tensor, opacities: Tensor, *weights: float) -> Tensor:
-        price, *ctx.gradients = _priced(scales, opacities, (opacities > 0).sum(), *weights)
+    def forward(ctx: Any, scales: Tensor, opacities: Tensor, paying: Tensor, *weights: float) -> Tensor:
+        price, *ctx.gradients = _priced(scales, opacities, paying, (opacities > 0).sum(), *weights)
         total: Tensor = price.sum()
         return total
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        return (*torch._foreach_mul(ctx.gradients, upstream), None, None)
+        return (*torch._foreach_mul(ctx.gradients, upstream), None, None, None)

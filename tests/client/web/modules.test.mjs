@@ -445,7 +445,7 @@ test("session: the welcome tells the progress of the first frame and the server'
   const session = new Session(0);
   session.opened(1000);
   session.control(welcome({ state: "starting", window: null, progress: { fraction: 0.3, loss: null, text: "step 3" }, server_time_ns: 5_000_000_000 }), 1040, 7000);
-  assert.deepEqual([session.status.fraction, session.status.detail], [0.3, "step 3"]);
+  assert.deepEqual([session.status.fraction, session.status.stage], [0.3, "step 3"]);
   assert.equal(session.status.clockMs, 5000 - 6980, "the server wrote it in the middle of the round trip");
 });
 

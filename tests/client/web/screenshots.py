@@ -15,7 +15,7 @@ from playwright.sync_api import sync_playwright
 from streamlod.codec.container import SlodReader, SlodWriter
 from streamlod.codec.decoder import SceneDecoder
 from streamlod.core.scene.anchors import Scene
-from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
+from tests.client.web.conftest import TEST_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 
@@ -137,6 +137,7 @@ def take(browser: Any, shot: Shot, clip: Clip, files: Path, out: Path) -> None:
         if shot.live:
             page.wait_for_function("window.streamlod?.state.version >= 2", timeout=20_000)
         page.add_style_tag(content="#toast { visibility: hidden }")
+        page.mouse.move(shot.size[0] / 3, shot.size[1] / 3)  # controls hide from a hand that rests
         act(page, shot)
         page.wait_for_timeout(700 if shot.live else 1500)
         if not shot.act.startswith("hover"):
@@ -175,14 +176,14 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    clip = recorded(arguments.scene) if arguments.scene else make_clip(make_scene(2500), 31)
+    clip = recorded(arguments.scene) if arguments.scene else make_clip(make_scene(1500), 31)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         files = Path(folder)
         with SlodWriter(files / "clip.slod") as writer:
             writer.append(clip.key())
             for version in range(1, len(clip.states)):
                 writer.append(clip.residual(version - 1, version))
-        browser = playwright.chromium.launch(executable_path=chromium_path(), args=CHROMIUM_FLAGS)
+        browser = playwright.chromium.launch(executable_path=chromium_path(), args=TEST_FLAGS)
         for shot in shots():
             if any(part in shot.name for part in arguments.only.split(",")):
                 take(browser, shot, clip, files, arguments.out)

@@ -13,7 +13,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import INSPECT, WAIT, shows
+from tests.client.web.test_browser import INSPECT, WAIT, comes_to_show, picture, shows
 from tests.server.conftest import running
 
 pytestmark = pytest.mark.browser
@@ -194,3 +194,62 @@ def test_a_stream_that_is_made_again_is_shown_again(page: Any, clip: Clip, tmp_p
         page.clock.fast_forward(10_000)  # after which it asks for the streams again
         chip(page, "Replay")
         shows(page, "s.version === 0")
+
+
+LOSE = """() => {
+  const { getContext } = HTMLCanvasElement.prototype;
+  HTMLCanvasElement.prototype.getContext = function (...all) {
+    const context = getContext.apply(this, all);
+    if (this.id === "canvas" && all[0] === "webgl2") window.card = context.getExtension("WEBGL_lose_context");
+    return context;
+  };
+}"""
+
+
+def test_a_lost_graphics_card_is_said_and_comes_back(page: Any, clip: Clip) -> None:
+    """The card names it while it lasts, twice; afterwards the same picture; the server's drawing is the way out."""
+    page.add_init_script(f"({LOSE})()")
+    with serving(create_app(clip, Behaviour(newest=3))) as url:
+        page.goto(f"{url}/?quality=high&ui=0")
+        shows(page, "s.version === 3")
+        page.evaluate("streamlod.pause()")
+        before = picture(page)
+        for _ in range(2):
+            page.evaluate("card.loseContext()")
+            page.locator("#card-title", has_text="The graphics card was taken away").wait_for(**WAIT)
+            page.evaluate("card.restoreContext()")
+            page.locator("#card").wait_for(state="hidden", **WAIT)
+            comes_to_show(page, before)
+        page.evaluate("card.loseContext()")
+        page.locator("#card-button", has_text="Let the server draw").click(**WAIT)
+        page.wait_for_url("**thin=1**", **WAIT)
+        assert "camera=" in page.url
+        page.goto("about:blank")
+    page.complaints.lines = [line for line in page.complaints.lines if "WebGL" not in line and "WebSocket" not in line]
+
+
+def test_waiting_has_one_bar_and_steady_words(page: Any, clip: Clip) -> None:
+    """The bar stands from the first word on and never goes back; training does not talk over lost cameras."""
+    page.add_init_script(KEEP_BAR)
+    lost = "3 of 5 cameras are lost: cam1, cam2, cam4 (Connection refused)"
+    with serving(create_app(clip, Behaviour(state="starting", detail=lost, progress=(0.4, "step 400 of 1000")))) as url:
+        page.goto(f"{url}/?quality=high")
+        page.locator("#card-title", has_text="Training the first frame").wait_for(**WAIT)
+        assert page.locator("#card-text").inner_text() == lost
+        seen = page.evaluate("bars")
+        assert seen[0] == 0
+        assert all(value is not None for value in seen)
+        assert sorted(seen) == seen
+        assert 0.4 < seen[-1] < 0.5
+        page.goto("about:blank")
+    page.complaints.forgive("WebSocket connection to")
+
+
+KEEP_BAR = """
+window.bars = [];
+document.addEventListener("DOMContentLoaded", () => {
+  const card = document.getElementById("card"), bar = document.getElementById("card-progress");
+  const note = () => card.hidden || bars.push(bar.hidden ? null : bar.value);
+  if (card) new MutationObserver(note).observe(card, { attributes: true, subtree: true, childList: true });
+});
+"""

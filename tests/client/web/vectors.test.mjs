@@ -37,8 +37,8 @@ test("there are vectors of both kinds", () => assert.ok(manifest.valid.length > 
 
 /** Facts by their names in the document. */
 function factsOf({ scene }) {
-  const { metresPerUnit: unit, up, epochNs, title, licence, original: o } = readMetadata(scene.metadata ?? new Uint8Array(0));
-  return JSON.parse(JSON.stringify({ unit, up, epoch: epochNs?.toString(), title, licence, original: o && [o.scale, ...o.rotation, ...o.translation] }));
+  const { metresPerUnit: unit, up, epochNs, title, licence, original: o, exposures } = readMetadata(scene.metadata ?? new Uint8Array(0));
+  return JSON.parse(JSON.stringify({ unit, up, epoch: epochNs?.toString(), title, licence, original: o && [o.scale, ...o.rotation, ...o.translation], exposures }));
 }
 
 for (const { name, file, states, metadata } of manifest.valid) {

@@ -67,7 +67,12 @@ def test_residuals_are_applied_as_on_the_cpu(gpu: str) -> None:
 def test_penalty_equals_the_cpu(gpu: str) -> None:
     scales, opacities = torch.rand(70, 3), torch.rand(70) - 0.3
     opacities[0] = 0
-    _equal_the_cpu(lambda *given: penalty(*given, 0.3, 0.2), (scales, opacities), gpu)
+    visible = torch.arange(0, 70, 3)
+
+    def priced(*given: torch.Tensor) -> torch.Tensor:
+        return penalty(*given, visible.to(given[0].device), 0.3, 0.2)
+
+    _equal_the_cpu(priced, (scales, opacities), gpu)
 
 
 def test_exposures_equal_the_cpu(gpu: str) -> None:

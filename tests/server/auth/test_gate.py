@@ -31,8 +31,9 @@ from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import Gate, Right, hash_token
 from streamlod.server.auth.keys import parse_keys
 from streamlod.server.auth.links import LinkSigner
+from streamlod.server.auth.secret_file import read_secret
 from streamlod.server.pipeline.spec import StreamSpec
-from streamlod.server.settings import Settings
+from streamlod.server.settings import Settings, load_settings
 from tests.e2e.test_server_process import serving
 from tests.server.conftest import Clip, running
 
@@ -102,6 +103,39 @@ def test_key_files_are_secrets_or_ed25519_keys(tmp_path: Path) -> None:
     path.write_bytes(b"-----BEGIN PUBLIC KEY-----\nnothing\n-----END PUBLIC KEY-----\n")
     with pytest.raises(InputError, match="Ed25519"):
         gate.reload()
+
+
+BOM = b"\xef\xbb\xbf"
+
+
+def test_files_of_windows_editors_are_read(tmp_path: Path) -> None:
+    """They begin with a byte order mark, and their lines end with CR LF."""
+    secret = "k" * 40
+    (tmp_path / "key").write_bytes(BOM + secret.encode() + b"\r\n")
+    entry = {"name": "a", "sha256": hash_token("open"), "rights": ["read"]}
+    (tmp_path / "tokens").write_bytes(BOM + json.dumps([entry]).encode() + b"\r\n")
+    (tmp_path / "revoked").write_bytes(BOM + b"gone\r\n")
+    (tmp_path / "server.toml").write_bytes(
+        BOM + f"tokens = '{tmp_path}/tokens'\r\njwt_key = '{tmp_path}/key'\r\n".encode()
+    )
+    settings = load_settings(tmp_path / "server.toml").model_copy(
+        update={"revoked": tmp_path / "revoked", "link_key": tmp_path / "key"}
+    )
+    gate = Gate(settings)
+    assert rights(gate, "open") == {Right.READ}
+    assert rights(gate, token(secret, "HS256")) == {Right.READ}
+    assert rights(gate, token(secret, "HS256", jti="gone")) is None
+    assert read_secret(tmp_path / "key") == secret.encode()
+
+
+@pytest.mark.parametrize("claim", [{"rights": {"read": 1}}, {"rights": "read"}, {"rights": ["read"], "streams": ["a"]}])
+def test_a_grant_of_another_form_is_none(tmp_path: Path, claim: dict[str, Any]) -> None:
+    """A list of streams would be taken for a pattern, whose brackets match single letters."""
+    (tmp_path / "key").write_text("k" * 40)
+    assert rights(Gate(Settings(jwt_key=tmp_path / "key")), token("k" * 40, "HS256", lod=claim)) is None
+    (tmp_path / "tokens").write_text(json.dumps([{"name": "a", "sha256": hash_token("x"), **claim}]))
+    with pytest.raises(InputError, match="token 0"):
+        Gate(Settings(tokens=tmp_path / "tokens"))
 
 
 def test_a_withdrawn_web_token_stays_withdrawn_in_every_spelling(tmp_path: Path) -> None:

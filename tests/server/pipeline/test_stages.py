@@ -174,10 +174,11 @@ def test_previews_come_first_and_the_chain_holds(job: TrainJob) -> None:
     with brief_training(steps=60):
         frames = list(train_stream(open_job(job), previews=True))
     previews = [frame for frame in frames if frame.preview]
-    assert len(previews) == 2  # one for each progress report of so short a run
+    assert len(previews) == 3  # the draft, and one for each progress report of so short a run
+    assert previews[0].report["fraction"] == 0
     assert frames[: len(previews)] == previews
-    assert [frame.version for frame in frames] == list(range(6))
-    assert decoded(frames).version == 5
+    assert [frame.version for frame in frames] == list(range(7))
+    assert decoded(frames).version == 6
 
 
 def test_the_seed_reaches_the_training(job: TrainJob, trained: tuple[Path, list[EncodedFrame]]) -> None:

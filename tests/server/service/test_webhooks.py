@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 from streamlod.core.errors import InputError
+from streamlod.server.auth.secret_file import read_secret
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.service.app import create_app
-from streamlod.server.service.webhooks import read_key, signature
+from streamlod.server.service.webhooks import signature
 from streamlod.server.settings import Settings, Webhook
 from tests.server.conftest import running
 
@@ -104,7 +105,7 @@ def test_unusable_webhooks_are_refused(tmp_path: Path) -> None:
     (tmp_path / "short").write_text("secret")
     for path in (tmp_path / "none", tmp_path / "short"):
         with pytest.raises(InputError, match=str(path)):
-            read_key(path)
+            read_secret(path)
     for url in ("ftp://x/y", "http://user:word@x/", "//x", "http:///x"):
         with pytest.raises(ValueError, match="url"):
             Webhook(url=url, key=tmp_path)

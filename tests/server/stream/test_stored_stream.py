@@ -14,6 +14,13 @@ from streamlod.server.stream.stored_stream import StoredStream, read_stored, wri
 from tests.server.conftest import Clip
 
 
+def with_folder(state: Path) -> None:
+    """Make a state folder with a stream in it."""
+    store = Store(state, Retention())
+    store.recording("a").note()
+    store.close()
+
+
 def test_fields_of_another_version_are_kept_for_it(tmp_path: Path) -> None:
     write_stored(tmp_path, StoredStream(epoch=3, definition={"play": "x"}))
     path = tmp_path / "stream.json"
@@ -68,10 +75,10 @@ def test_a_strange_catalogue_is_set_aside_and_made_again(tmp_path: Path, kind: s
 
 
 @pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), sqlite3.OperationalError("disk is full")])
-def test_a_full_disk_at_the_start_costs_no_stream(
+def test_a_group_that_cannot_be_repaired_is_played_all_the_same(
     tmp_path: Path, clip: Clip, monkeypatch: pytest.MonkeyPatch, fault: Exception
 ) -> None:
-    """A group that was cut short by a crash is repaired when there is room."""
+    """A group that was cut short by a crash gets its index when there is room."""
     store = Store(tmp_path, Retention())
     store.recording("a").note(definition={"play": "x"})
     store.close()
@@ -85,8 +92,62 @@ def test_a_full_disk_at_the_start_costs_no_stream(
         patch.setattr(Recording, "_enter", full)
         store = Store(tmp_path, Retention())
         recording = store.recording("a")
-        assert (recording.segments, recording.stored.definition) == ([], {"play": "x"})
+        assert (len(recording.segments), recording.stored.definition) == (1, {"play": "x"})
         store.close()
     store = Store(tmp_path, Retention())
     assert len(store.recording("a").segments) == 1
+    store.close()
+
+
+def test_groups_that_this_version_cannot_read_are_left_alone(tmp_path: Path, clip: Clip) -> None:
+    """A rollback, and a disk that reads badly, cost no recording; only what a crash cut short is deleted."""
+    with_folder(tmp_path)
+    whole = clip.path.read_bytes()
+    folder = tmp_path / "streams" / "a"
+    kept = {
+        "000001-0000000000.slod": whole[:4] + b"\2" + whole[5:],  # of a newer file version
+        "000002-0000000000.slod": whole[:16] + rb"\9" + whole[17:],  # whose packets are of a newer version
+        "000003-0000000000.slod": b"zeros" * 1000,
+    }
+    cut = {"000004-0000000000.slod": whole[:200], "000005-0000000000.slod": b"", "000006-0000000000.slod": whole[:10]}
+    for name, data in (kept | cut).items():
+        (folder / name).write_bytes(data)
+    (folder / "000007-0000000000.slod").write_bytes(whole)
+    store = Store(tmp_path, Retention())
+    assert [segment.first.epoch for segment in store.recording("a").segments] == [7]
+    store.close()
+    found = {path.name: path.read_bytes() for path in folder.glob("*.slod")}
+    assert found == kept | {"000007-0000000000.slod": whole}
+
+
+def test_a_whole_group_is_not_written_again_without_a_catalogue(tmp_path: Path, clip: Clip) -> None:
+    with_folder(tmp_path)
+    path = tmp_path / "streams" / "a" / "000001-0000000000.slod"
+    path.write_bytes(clip.path.read_bytes())
+    (tmp_path / "catalogue.sqlite3").unlink()
+    before = path.stat()
+    store = Store(tmp_path, Retention())
+    assert len(store.recording("a").segments) == 1
+    store.close()
+    assert (path.stat().st_mtime_ns, path.stat().st_ino) == (before.st_mtime_ns, before.st_ino)
+
+
+def test_a_catalogue_that_is_damaged_in_its_middle_is_made_again(tmp_path: Path) -> None:
+    store = Store(tmp_path, Retention())
+    for epoch in range(400):
+        store.execute("INSERT INTO segments VALUES (?, ?, 0, 0, 0, 0, 0, 0)", (f"s{epoch:050}", epoch))
+    store.close()
+    path = tmp_path / "catalogue.sqlite3"
+    data = path.read_bytes()
+    path.write_bytes(data[:8192] + b"\xff" * 12288 + data[20480:])
+    store = Store(tmp_path, Retention())
+    assert store.recording("a").segments == []
+    store.close()
+    assert (tmp_path / "catalogue.damaged").exists()
+
+
+def test_an_empty_key_that_a_full_disk_left_is_made_anew(tmp_path: Path) -> None:
+    (tmp_path / "secret.key").touch()
+    store = Store(tmp_path, Retention())
+    assert store.seal.open(store.seal.close("rtsp://a:b@c/")) == "rtsp://a:b@c/"
     store.close()

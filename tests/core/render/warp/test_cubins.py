@@ -9,6 +9,8 @@ import pytest
 from streamlod.core.render.warp.kernels import blend, blend_adjoint, clear, project, project_adjoint
 from tests.device.cubins import ARCHITECTURES, usage
 
+pytestmark = pytest.mark.long  # compiling the kernels takes a minute
+
 MODULES = {module.__name__.split(".")[-1]: module for module in (blend, blend_adjoint, clear, project, project_adjoint)}
 # 64 registers let four blocks of 256 onto a multiprocessor, 96 two.
 MOST = {
@@ -21,9 +23,7 @@ MOST = {
 }
 
 
-@pytest.mark.parametrize(
-    "architecture", [pytest.param(a, marks=() if a == 90 else pytest.mark.long) for a in ARCHITECTURES]
-)
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
 @pytest.mark.parametrize("name", MODULES)
 def test_kernels_fit_into_registers(name: str, architecture: int, tmp_path: Path) -> None:
     found = usage(MODULES[name], architecture, tmp_path)

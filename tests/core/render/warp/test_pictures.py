@@ -16,6 +16,8 @@ from tests.core.render.scenes import BACKGROUND, NAMES, make_camera, make_cloud
 from tests.core.render.test_gradients import SCENES
 from tests.core.render.warp.drawing import drawing
 
+pytestmark = pytest.mark.long  # compiling the kernels takes a minute
+
 BOUND = 1e-4
 
 

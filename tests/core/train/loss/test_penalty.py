@@ -11,6 +11,7 @@ import torch
 from streamlod.core.frames import PointCloud
 from streamlod.core.metrics import psnr
 from streamlod.core.render.cpu import render
+from streamlod.core.render.raster import Probe, Raster
 from streamlod.core.scene.expand import expand
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.config import KeyframeConfig
@@ -26,15 +27,30 @@ def splats(opacities: torch.Tensor, scales: torch.Tensor) -> Splats:
     return Splats(torch.zeros(count, 3), torch.ones(count, 4), scales, opacities, torch.zeros(count, 3))
 
 
+def seen(*rows: int) -> Raster:
+    """A picture with the Gaussians `rows` in view."""
+    return Raster(torch.zeros(2, 4, 3), torch.ones(2, 4), Probe(torch.tensor(rows)))
+
+
+def test_gaussians_out_of_view_pay_nothing() -> None:
+    config = KeyframeConfig(scale_weight=0.0, opacity_weight=0.4)
+    loss = ViewLoss(Views(ring(3), torch.zeros(3, 32, 48, 3), [0, 1, 2]), neutral(3), config, "cpu")
+    opacities = torch.full((5,), 0.5, requires_grad=True)
+    loss.penalty(splats(opacities, torch.ones(5, 3)), seen(1, 3)).backward()  # type: ignore[no-untyped-call]
+    price = 0.4 / 2 / 5
+    torch.testing.assert_close(opacities.grad, torch.tensor([0.0, price, 0.0, price, 0.0]))
+
+
 def test_each_shown_gaussian_pays_for_its_opacity_and_volume() -> None:
     opacities = torch.tensor([0.5, -0.2, 0.1, 0.9], requires_grad=True)
     scales = torch.tensor([[1.0, 2.0, 3.0], [9.0, 9.0, 9.0], [1.0, 1.0, 1.0], [2.0, 1.0, 1.0]], requires_grad=True)
     config = KeyframeConfig(scale_weight=0.1, opacity_weight=0.4)
     views = Views(ring(3), torch.zeros(3, 32, 48, 3), [0, 1, 2])
-    penalty = ViewLoss(views, neutral(3), config, "cpu").penalty(splats(opacities, scales))
+    all_seen = seen(0, 1, 2, 3)
+    penalty = ViewLoss(views, neutral(3), config, "cpu").penalty(splats(opacities, scales), all_seen)
     assert penalty.item() == pytest.approx(0.1 * (6 + 1 + 2) / 3 + 0.4 / 2 * (0.5 + 0.1 + 0.9) / 4)
     alone = ViewLoss(Views(ring(1), torch.zeros(1, 32, 48, 3), [0]), neutral(1), config, "cpu")
-    assert alone.penalty(splats(opacities, scales)).item() == pytest.approx(0.1 * 3 + 0.4 * 1.5 / 4)
+    assert alone.penalty(splats(opacities, scales), all_seen).item() == pytest.approx(0.1 * 3 + 0.4 * 1.5 / 4)
     penalty.backward()  # type: ignore[no-untyped-call]
     torch.testing.assert_close(opacities.grad, torch.tensor([0.05, 0.0, 0.05, 0.05]))
     assert scales.grad is not None

@@ -9,14 +9,14 @@ import pytest
 from streamlod.core.train.engine.warp.kernels import adam, decode, loss, rate
 from tests.device.cubins import ARCHITECTURES, usage
 
+pytestmark = pytest.mark.long  # compiling the kernels takes a minute
+
 MODULES = {module.__name__.split(".")[-1]: module for module in (adam, decode, loss, rate)}
 # Registers; 64 for the others. Decoding happens once a Gaussian and not once a pixel: latency matters little.
 MOST = {"decode": 128, "differentiate_decode": 128}
 
 
-@pytest.mark.parametrize(
-    "architecture", [pytest.param(a, marks=() if a == 90 else pytest.mark.long) for a in ARCHITECTURES]
-)
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
 @pytest.mark.parametrize("name", MODULES)
 def test_kernels_fit_into_registers(name: str, architecture: int, tmp_path: Path) -> None:
     found = usage(MODULES[name], architecture, tmp_path)

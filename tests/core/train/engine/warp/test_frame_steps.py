@@ -13,6 +13,8 @@ from streamlod.core.train.optimise.adam import RowAdam
 from tests.bench.step_subject import Sizes, make_step
 from tests.core.train.engine.warp.rooms import DSSIM, PRICE, small_frame
 
+pytestmark = pytest.mark.long  # compiling the kernels takes a minute
+
 SETTINGS = StepSettings(0.3, 0.7, 1.4, 0.6, PRICE, DSSIM)
 MIDDLE = Sizes(anchors=300, moving=12, slots=4, width=96, height=54, cameras=3)
 

@@ -24,6 +24,8 @@ from streamlod.core.train.engine.warp.step import TrainingStep
 from streamlod.core.train.optimise.adam import update_reference
 from tests.core.train.engine.warp.rooms import ANCHORS, GROUPS, RATES, TOLD, SmallFrame, relative, small_frame
 
+pytestmark = pytest.mark.long  # compiling the kernels takes a minute
+
 BOUND = 1e-4
 
 

@@ -1,0 +1,1 @@
+"""Bundle adjustment: projection, rigid transforms, the minimiser, and what is adjusted."""

@@ -1,0 +1,225 @@
+"""Bundle adjustment: lenses, camera poses, time offsets and board poses that explain all corners best.
+
+The residual of a corner is its projection less the camera's curve of that corner at the instant, by the camera's own
+clock (Triggs et al., Bundle adjustment: a modern synthesis, 1999). Weak priors hold what the corners do not tell, so
+that a lens is not bent where the board never was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+
+from streamlod.core.arrays import Bool, Float64, Int64
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.minimise import minimise
+from streamlod.core.calibration.adjustment.projection import projected
+from streamlod.core.calibration.track import Track
+
+_NOISE = 0.3  # pixels of a corner, against which priors are weighed
+_ROBUST = 1.0  # pixels from which a corner counts less
+_ASPECT = 5e-4  # of the focal lengths' deviation: 0.5 % between that across and that down
+_PER_CAMERA = 16  # lens 9, pose 6, offset 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AdjustedRig:
+    """Everything that is adjusted.
+
+    Attributes:
+        lenses: [C,9]. cameras: [C,6] world to camera. offsets: [C] seconds from a camera's clock to the common time.
+        boards: [I,6] board to world.
+    """
+
+    lenses: Float64
+    cameras: Float64
+    offsets: Float64
+    boards: Float64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Corners that are explained, N of them.
+
+    Attributes:
+        camera, instant, corner: [N] numbers.
+        point: [N,3] of the board, metres.
+        value, slope, bend: [N,2] the camera's curve of the corner, see `track.CornerCurve`.
+        since: [N] seconds from the curve's picture to the instant, by the common time.
+    """
+
+    camera: Int64
+    instant: Int64
+    corner: Int64
+    point: Float64
+    value: Float64
+    slope: Float64
+    bend: Float64
+    since: Float64
+
+    def kept(self, rows: Bool) -> Observations:
+        """Those of the mask `rows` [N]."""
+        return Observations(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """An adjustment's outcome.
+
+    Attributes:
+        scene: the best one.
+        misses: [N,2] pixels of each observation.
+        camera_errors: [C,6] standard errors of the cameras' poses relative to the root's, radians and metres.
+    """
+
+    scene: AdjustedRig
+    misses: Float64
+    camera_errors: Float64
+
+
+def observed(tracks: Sequence[Track], times: Float64, offsets: Float64, board: Float64) -> Observations:
+    """The corners at the common `times` [I], on curves about the pictures that are nearest with these `offsets` [C]."""
+    parts = []
+    for number, (track, offset) in enumerate(zip(tracks, offsets, strict=True)):
+        curve = track.near(times - offset)
+        instant, corner = np.nonzero(np.isfinite(curve.value[..., 0]))
+        camera = np.full(len(instant), number)
+        since = (times - curve.picture_time)[instant]
+        rows = [values[instant, corner] for values in (curve.value, curve.slope, curve.bend)]
+        parts.append((camera, instant, corner, board[corner], *rows, since))
+    return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def adjust(
+    scene: AdjustedRig,
+    seen: Observations,
+    sizes: Sequence[tuple[int, int]],
+    root: int,
+    *,
+    lenses_known: Bool | None = None,
+    offsets_known: bool = False,
+) -> Adjusted:
+    """The scene that explains `seen` best, beginning at `scene`.
+
+    Args:
+        sizes: (width, height) of each camera's pictures.
+        root: camera that keeps its pose and clock.
+        lenses_known: [C] cameras whose lenses stay; none by default.
+        offsets_known: whether all clocks stay.
+    """
+    count = len(scene.cameras)
+    start = _flat(scene)
+    free = np.ones(len(start), bool)
+    by_camera = free[: count * _PER_CAMERA].reshape(count, _PER_CAMERA)
+    if lenses_known is not None:
+        by_camera[lenses_known, :9] = False
+    by_camera[root, 9:] = False
+    if offsets_known:
+        by_camera[:, 15] = False
+    columns = np.flatnonzero(free)
+    mean, deviation = _priors(sizes)
+    first = count * _PER_CAMERA
+
+    def full(values: Float64) -> Float64:
+        whole = start.copy()
+        whole[columns] = values
+        return whole
+
+    def residuals(values: Float64) -> Float64:
+        whole = full(values)
+        held = (whole[: count * _PER_CAMERA].reshape(count, -1)[:, :9] - mean) / deviation * _NOISE
+        aspect = (whole[:first:_PER_CAMERA] - whole[1:first:_PER_CAMERA]) / (deviation[:, 0] * _ASPECT) * _NOISE
+        return np.concatenate([misses_of(_scene(whole, count), seen).ravel(), held.ravel(), aspect])
+
+    def slopes(values: Float64) -> csr_matrix:
+        jacobian = _jacobian(_scene(full(values), count), seen, len(start))
+        rows = np.arange(count * 9)
+        places = (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9)).ravel()
+        held = csr_matrix(((_NOISE / deviation).ravel(), (rows, places)), (len(rows), len(start)))
+        each = np.arange(count) * _PER_CAMERA
+        weight = _NOISE / (deviation[:, 0] * _ASPECT)
+        rows, places = np.tile(np.arange(count), 2), np.concatenate([each, each + 1])
+        aspect = csr_matrix((np.concatenate([weight, -weight]), (rows, places)), (count, len(start)))
+        return vstack([jacobian, held, aspect]).tocsr()[:, columns]
+
+    found = minimise(start[columns], residuals, slopes, _ROBUST, len(scene.boards))
+    best = _scene(full(found.values), count)
+    misses = misses_of(best, seen)
+    places = np.searchsorted(columns, (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9, 15)).ravel())
+    inside = np.repeat(np.arange(count) != root, 6)
+    errors = np.zeros(count * 6)
+    errors[inside] = np.sqrt(np.diag(found.covariance)[places[inside]]) * max(spread(misses), 0.05)
+    return Adjusted(best, misses, errors.reshape(count, 6))
+
+
+def spread(misses: Float64) -> float:
+    """Standard deviation of misses in pixels, outliers apart."""
+    return 1.4826 * float(np.median(np.abs(misses))) if misses.size else 0.0
+
+
+def _priors(sizes: Sequence[tuple[int, int]]) -> tuple[Float64, Float64]:
+    """[C,9] means and standard deviations of lenses: any focal length, the centre near the middle, little bending."""
+    means, deviations = [], []
+    for width, height in sizes:
+        long = max(width, height)
+        means.append([long, long, (width - 1) / 2, (height - 1) / 2, 0, 0, 0, 0, 0])
+        deviations.append([long * 10, long * 10, long * 0.02, long * 0.02, 0.3, 0.3, 0.002, 0.002, 0.1])
+    return np.array(means), np.array(deviations)
+
+
+def _flat(scene: AdjustedRig) -> Float64:
+    cameras = np.concatenate([scene.lenses, scene.cameras, scene.offsets[:, None]], axis=1)
+    return np.concatenate([cameras.ravel(), scene.boards.ravel()])
+
+
+def _scene(values: Float64, count: int) -> AdjustedRig:
+    cameras = values[: count * _PER_CAMERA].reshape(count, _PER_CAMERA)
+    boards = values[count * _PER_CAMERA :].reshape(-1, 6)
+    return AdjustedRig(cameras[:, :9], cameras[:, 9:15], cameras[:, 15], boards)
+
+
+def _curve(scene: AdjustedRig, seen: Observations) -> tuple[Float64, Float64]:
+    """[N,2] corners by the cameras' curves, and their derivatives by the offsets."""
+    t = (seen.since - scene.offsets[seen.camera])[:, None]
+    return seen.value + t * (seen.slope + t * seen.bend), -(seen.slope + 2 * t * seen.bend)
+
+
+def misses_of(scene: AdjustedRig, seen: Observations) -> Float64:
+    """[N,2] pixels by which the scene's projections miss the corners."""
+    _, moved = _turned(scene, seen)
+    return projected(scene.lenses[seen.camera], moved)[0] - _curve(scene, seen)[0]
+
+
+def _turned(scene: AdjustedRig, seen: Observations) -> tuple[tuple[Float64, Float64], Float64]:
+    """Points turned by their boards, and then by their cameras, [N,3] each; and points in camera axes [N,3]."""
+    by_board = np.einsum("nij,nj->ni", rigid.rotations(scene.boards[:, :3])[seen.instant], seen.point)
+    world = by_board + scene.boards[seen.instant, 3:]
+    by_camera = np.einsum("nij,nj->ni", rigid.rotations(scene.cameras[:, :3])[seen.camera], world)
+    return (by_board, by_camera), by_camera + scene.cameras[seen.camera, 3:]
+
+
+def _jacobian(scene: AdjustedRig, seen: Observations, width: int) -> csr_matrix:
+    """[2N,width] derivatives of the residuals by all values in the order of `_flat`."""
+    (by_board, by_camera), moved = _turned(scene, seen)
+    _, by_point, by_lens = projected(scene.lenses[seen.camera], moved)
+    camera_turn = -rigid.cross_matrices(by_camera) @ rigid.left_jacobians(scene.cameras[:, :3])[seen.camera]
+    by_world = by_point @ rigid.rotations(scene.cameras[:, :3])[seen.camera]
+    board_turn = -rigid.cross_matrices(by_board) @ rigid.left_jacobians(scene.boards[:, :3])[seen.instant]
+    by_offset = -_curve(scene, seen)[1][:, :, None]
+    values = np.concatenate(
+        [by_lens, by_point @ camera_turn, by_point, by_offset, by_world @ board_turn, by_world], axis=2
+    )
+    first = len(scene.cameras) * _PER_CAMERA
+    places = np.concatenate(
+        [
+            seen.camera[:, None] * _PER_CAMERA + np.arange(_PER_CAMERA),
+            first + seen.instant[:, None] * 6 + np.arange(6),
+        ],
+        axis=1,
+    )
+    count = values.shape[2]
+    columns = np.repeat(places, 2, axis=0).ravel()
+    return csr_matrix((values.ravel(), columns, np.arange(0, len(columns) + 1, count)), (2 * len(moved), width))

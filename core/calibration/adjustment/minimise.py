@@ -1,0 +1,119 @@
+"""Levenberg and Marquardt's method for robust least squares over cameras and many small boards.
+
+The normal equations are solved by their Schur complement: the boards' blocks are eliminated, and what is left has the
+size of the cameras (Triggs et al., Bundle adjustment: a modern synthesis, 1999, section 6.1). The solvers for sparse
+steps of `scipy.optimize.least_squares` iterate (LSMR), and take many times longer where focal lengths and distances
+exchange.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_matrix, diags
+
+from streamlod.core.arrays import Float64
+
+BLOCK = 6  # values of a board
+_MAX_ROUNDS = 50
+_SETTLED = 1e-7  # relative gain of a round
+_MAX_DAMPING = 1e8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Minimum:
+    """A minimum.
+
+    Attributes:
+        values: [P] where it lies.
+        covariance: [A,A] of the first values, where residuals have a variance of 1.
+    """
+
+    values: Float64
+    covariance: Float64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normal:
+    """J^T W J in blocks: first [A,A], mixed [A,I,6], boards [I,6,6]."""
+
+    first: Float64
+    mixed: Float64
+    boards: Float64
+
+    def damped(self, damping: float) -> _Normal:
+        """Larger diagonals by this part."""
+        first = self.first + np.diag(damping * np.diag(self.first) + 1e-9)
+        each = np.einsum("nii->ni", self.boards) * damping + 1e-9
+        return _Normal(first, self.mixed, self.boards + each[:, :, None] * np.eye(BLOCK))
+
+    def reduced(self) -> tuple[Float64, Float64]:
+        """The Schur complement [A,A], and mixed boards^-1 [A,I,6]."""
+        ratio = np.einsum("anj,njk->ank", self.mixed, np.linalg.inv(self.boards))
+        flat = self.mixed.reshape(len(self.first), -1)
+        return self.first - ratio.reshape(len(self.first), -1) @ flat.T, ratio
+
+    def solve(self, gradient: Float64) -> Float64:
+        """[P] x of N x = gradient."""
+        count = len(self.first)
+        schur, ratio = self.reduced()
+        boards = gradient[count:].reshape(-1, BLOCK)
+        first = cho_solve(cho_factor(schur), gradient[:count] - np.einsum("ank,nk->a", ratio, boards))
+        rest = boards - np.einsum("anj,a->nj", self.mixed, first)
+        return np.concatenate([first, np.linalg.solve(self.boards, rest[..., None]).ravel()])
+
+
+def minimise(
+    start: Float64,
+    residuals: Callable[[Float64], Float64],
+    jacobian: Callable[[Float64], csr_matrix],
+    scale: float,
+    boards: int,
+) -> Minimum:
+    """The nearest minimum of the sum over residuals r of scale^2 (sqrt(1 + (r / scale)^2) - 1), the pseudo-Huber loss.
+
+    Args:
+        start: [P] values, at the end of which the boards stand, `BLOCK` each.
+        scale: residuals beyond it count by their size, not by its square.
+    """
+    values, damping, settled = start, 1e-4, 0
+    rest, slopes = residuals(values), jacobian(values)
+    cost = _cost(rest, scale)
+    for _ in range(_MAX_ROUNDS):
+        normal, gradient = _normal(slopes, rest, scale, boards)
+        while damping < _MAX_DAMPING:
+            tried = values - normal.damped(damping).solve(gradient)
+            found = residuals(tried)
+            better = _cost(found, scale)
+            if better <= cost:
+                break
+            damping *= 8
+        else:
+            break
+        settled = settled + 1 if cost - better <= _SETTLED * cost else 0
+        values, rest, cost, damping = tried, found, better, max(1e-10, damping / 8)
+        slopes = jacobian(values)
+        if settled == 2:
+            break
+    normal, _ = _normal(slopes, rest, scale, boards)
+    return Minimum(values, np.linalg.inv(normal.damped(1e-12).reduced()[0]))
+
+
+def _normal(slopes: csr_matrix, rest: Float64, scale: float, boards: int) -> tuple[_Normal, Float64]:
+    """J^T W J and J^T W r."""
+    weighted = diags(1 / np.sqrt(1 + (rest / scale) ** 2)) @ slopes
+    count = slopes.shape[1] - boards * BLOCK
+    first = slopes[:, :count].T @ weighted
+    mixed = first[:, count:].toarray().reshape(count, boards, BLOCK)
+    own = slopes[:, count:]
+    product = (own.T @ weighted[:, count:]).tocoo()
+    blocks = np.zeros((boards, BLOCK, BLOCK))
+    blocks[product.row // BLOCK, product.row % BLOCK, product.col % BLOCK] = product.data
+    return _Normal(first[:, :count].toarray(), mixed, blocks), weighted.T @ rest
+
+
+def _cost(rest: Float64, scale: float) -> float:
+    return float((scale**2 * (np.sqrt(1 + (rest / scale) ** 2) - 1)).sum())

@@ -1,0 +1,1 @@
+"""The board: its description, its print at true size, and its corners in pictures."""

@@ -1,0 +1,135 @@
+"""The track of the board in one camera's footage, and why there is none."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from streamlod.core.arrays import UInt8
+from streamlod.core.calibration.board.description import Board
+from streamlod.core.calibration.board.detect import Detector, variants
+from streamlod.core.calibration.track import MIN_CORNERS, Track
+from streamlod.core.calibration.walk import WalkFootage
+from streamlod.core.errors import InputError
+
+_log = logging.getLogger(__name__)
+_MAX_RATE = 32.0  # pictures a second that are searched: a person with a board is not faster
+_MAX_PICTURES = 5400  # of a camera: three minutes
+_SAMPLES = 16
+_FEW = 3  # pictures with the board below which the reason is looked for
+_DOUBLED = 0.1  # part of the pictures in which a marker may be seen twice, by a mirror or a misreading
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sample:
+    """Pictures of one camera, a few from all of its time."""
+
+    camera: str
+    pictures: Sequence[UInt8]
+
+
+def board_as_seen(footage: Sequence[WalkFootage], board: Board) -> Board:
+    """The board as described where the pictures show it, else the variant (inverted, legacy) that most of them show.
+
+    Raises:
+        InputError: no camera sees it, for a reason that is named where it can be found.
+    """
+    samples = [_Sample(each.camera, tuple(_sampled(each))) for each in footage]
+    if _corners(samples, board) >= MIN_CORNERS * len(samples):
+        return board
+    counts = {variant: _corners(samples, variant) for variant in variants(board)}
+    best = max(counts, key=counts.__getitem__)
+    if counts[best] < MIN_CORNERS:
+        raise InputError("board", _why_unseen(samples, board))
+    if best != board:
+        _log.warning("the board is taken as inverted = %s, legacy_pattern = %s", best.inverted, best.legacy)
+    return best
+
+
+def track_of(footage: WalkFootage, board: Board, on_picture: Callable[[], None] = lambda: None) -> Track:
+    """The corners that one camera saw.
+
+    Args:
+        on_picture: called for each picture that was searched.
+
+    Raises:
+        InputError: it saw no board, another one, or two.
+    """
+    detect, step = Detector(board), picture_step(footage)
+    rows, corners, doubled, foreign = [], [], 0, Counter[int]()
+    for row, picture in enumerate(footage.pictures()):
+        if row % step or picture is None:
+            continue
+        sighting = detect(picture)
+        rows.append(row)
+        corners.append(sighting.corners)
+        ids, counts = np.unique(sighting.markers, return_counts=True)
+        doubled += bool((counts > 1).any())
+        foreign.update(int(marker) for marker in ids if marker >= board.marker_count)
+        on_picture()
+    _check_one_board(footage.camera, board, len(rows), doubled, foreign)
+    shape = len(rows), board.corner_count, 2
+    track = Track(footage.camera, footage.size, footage.times[rows], np.reshape(corners, shape).astype(np.float64))
+    if (track.seen >= MIN_CORNERS).sum() < _FEW:
+        sample = _Sample(footage.camera, tuple(_sampled(footage)))
+        raise InputError(f"camera {footage.camera}", _why_unseen([sample], board))
+    return track
+
+
+def picture_step(footage: WalkFootage) -> int:
+    """Every how manieth picture of a camera is searched."""
+    seconds = max(1e-3, float(footage.times[-1] - footage.times[0])) if len(footage.times) else 1.0
+    return max(1, int(len(footage.times) / seconds / _MAX_RATE + 0.5), -(-len(footage.times) // _MAX_PICTURES))
+
+
+def _check_one_board(camera: str, board: Board, count: int, doubled: int, foreign: Counter[int]) -> None:
+    if doubled > max(_FEW, _DOUBLED * count):
+        raise InputError(
+            f"camera {camera}", f"sees two boards at once in {doubled} of {count} pictures; walk with one board alone"
+        )
+    often = [marker for marker, times in foreign.items() if times > max(_FEW, _DOUBLED * count)]
+    if often:
+        raise InputError(
+            "board",
+            f"camera {camera} sees its marker {max(often)}, but a board of {board.columns}x{board.rows} squares has "
+            f"markers 0 to {board.marker_count - 1}; count the squares of yours and give them with --board",
+        )
+
+
+def _sampled(footage: WalkFootage) -> Iterable[UInt8]:
+    step = max(1, len(footage.times) // _SAMPLES)
+    return (picture for picture in islice(footage.pictures(), 0, None, step) if picture is not None)
+
+
+def _corners(samples: Sequence[_Sample], board: Board, *, mirrored: bool = False) -> int:
+    detect = Detector(board)
+    pictures = (np.ascontiguousarray(p[:, ::-1]) if mirrored else p for each in samples for p in each.pictures)
+    return sum(detect(picture).count for picture in pictures)
+
+
+def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
+    """One sentence about a board that these pictures do not show as described."""
+    if any(_corners(samples, variant, mirrored=True) >= MIN_CORNERS for variant in variants(board)[:2]):
+        return "its pictures show the board mirrored; switch the mirroring of the camera off, or print the board anew"
+    detect = Detector(board)
+    markers = [marker for each in samples for picture in each.pictures for marker in detect(picture).markers.tolist()]
+    if len(markers) >= 2 * _FEW:
+        other = board.columns != board.rows and max(markers) >= 0.75 * board.marker_count
+        turned = Board(board.rows, board.columns, board.square_m, board.marker_ratio, board.dictionary, board.inverted)
+        if other and _corners(samples, turned) >= MIN_CORNERS:
+            return (
+                f"has {board.rows}x{board.columns} squares, not {board.columns}x{board.rows}; exchange columns and rows"
+            )
+        return (
+            f"its markers are seen (0 to {max(markers)}), but do not lie as on a board of "
+            f"{board.columns}x{board.rows} squares; count the squares of yours and give them with --board"
+        )
+    return (
+        f"no board of {board.columns}x{board.rows} squares with markers of {board.dictionary} is seen in its pictures; "
+        "hold it nearer to the camera and slower, with more light, or describe yours with --board"
+    )

@@ -1,0 +1,117 @@
+"""First poses: the board in each camera, pairs of cameras that see it together, and the tree that joins all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import cv2
+import numpy as np
+
+from streamlod.core.arrays import Float64
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.projection import matrix_of
+from streamlod.core.calibration.track import MIN_CORNERS
+from streamlod.core.data.names import listed
+from streamlod.core.errors import InputError
+
+MIN_SHARED = 5  # instants that two cameras need to see together
+_MAX_ERROR = 10.0  # pixels, of a board before adjustment
+_AGREE = 10.0  # degrees within which views of one pair of cameras agree
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstPoses:
+    """Poses before adjustment.
+
+    Attributes:
+        root: number of the camera whose axes are the world's.
+        cameras: [C,6] world to camera.
+        boards: [I,6] board to world; NaN where no camera saw it.
+        shared: [C,C] instants that two cameras saw the board at together, and agree about.
+    """
+
+    root: int
+    cameras: Float64
+    boards: Float64
+    shared: Float64
+
+
+def board_poses(corners: Float64, lens: Float64, board: Float64) -> Float64:
+    """[I,6] board to camera from corners [I,J,2] of one camera; NaN where too few are seen."""
+    matrix, poses = matrix_of(lens), np.full((len(corners), 6), np.nan)
+    for number, points in enumerate(corners):
+        known = np.isfinite(points[:, 0])
+        if known.sum() < MIN_CORNERS:
+            continue
+        try:
+            found, turns, moves, errors = cv2.solvePnPGeneric(
+                board[known], points[known], matrix, lens[4:], flags=cv2.SOLVEPNP_IPPE
+            )
+        except cv2.error:  # corners on one line
+            continue
+        options = [
+            (float(np.ravel(error)[0]), np.concatenate([np.ravel(turn), np.ravel(move)]))
+            for turn, move, error in zip(turns[:found], moves, errors, strict=False)
+        ]
+        usable = [each for each in options if np.isfinite(each[1]).all() and each[1][5] > 0 and each[0] < _MAX_ERROR]
+        if usable:
+            poses[number] = min(usable, key=lambda each: each[0])[1]
+    return poses
+
+
+def first_poses(names: Sequence[str], seen: Sequence[Float64], lenses: Float64, board: Float64) -> FirstPoses:
+    """Poses of all cameras, chained along the pairs that saw the board together most often.
+
+    Args:
+        names: of the cameras. seen: for each, its corners [I,J,2] at the instants. lenses: [C,9].
+        board: [J,3] corners in metres.
+
+    Raises:
+        InputError: cameras that never saw the board together with the others, named.
+    """
+    views = [board_poses(corners, lens, board) for corners, lens in zip(seen, lenses, strict=True)]
+    count = len(names)
+    shared = np.zeros((count, count))
+    between: dict[tuple[int, int], Float64] = {}
+    for a, b in combinations(range(count), 2):
+        both = np.flatnonzero(np.isfinite(views[a][:, 0]) & np.isfinite(views[b][:, 0]))
+        if not len(both):
+            continue
+        from_a_to_b, away = rigid.median_pose(rigid.after(views[b][both], rigid.inverse(views[a][both])))
+        shared[a, b] = shared[b, a] = int((away < _AGREE).sum())
+        between[a, b], between[b, a] = from_a_to_b, rigid.inverse(from_a_to_b)[0]
+    root = int(shared.sum(axis=1).argmax())
+    placed = {root: rigid.IDENTITY}
+    while len(placed) < count:
+        ways = [(shared[a, b], a, b) for a in placed for b in range(count) if b not in placed]
+        most, a, b = max(ways)
+        if most < MIN_SHARED:
+            raise _apart(names, placed, most)
+        placed[b] = rigid.after(between[a, b], placed[a])[0]
+    cameras = np.array([placed[number] for number in range(count)])
+    return FirstPoses(root, cameras, _boards(views, cameras), shared)
+
+
+def _boards(views: Sequence[Float64], cameras: Float64) -> Float64:
+    """[I,6] board to world: of the cameras' opinions at each instant, the one that the others agree with best."""
+    opinions = np.stack([rigid.after(rigid.inverse(camera), view) for camera, view in zip(cameras, views, strict=True)])
+    boards = np.full(opinions.shape[1:], np.nan)
+    for instant in range(opinions.shape[1]):
+        known = opinions[np.isfinite(opinions[:, instant, 0]), instant]
+        if len(known):
+            spread = [float(rigid.angles(each, known).sum() + np.abs(known[:, 3:] - each[3:]).sum()) for each in known]
+            boards[instant] = known[int(np.argmin(spread))]
+    return boards
+
+
+def _apart(names: Sequence[str], placed: dict[int, Float64], most: float) -> InputError:
+    inside = listed((names[number] for number in sorted(placed)), 8)
+    outside = listed((name for number, name in enumerate(names) if number not in placed), 8)
+    often = "never" if most == 0 else f"at {most:.0f} instants only"
+    return InputError(
+        f"camera {outside}",
+        f"saw the board together with {inside} {often}, and {MIN_SHARED} are needed; "
+        "hold the board where both see it, or film all cameras in one walk",
+    )

@@ -1,0 +1,95 @@
+"""The instants of a walk that the adjustment uses: few, and yet all parts of all pictures and all pairs of cameras."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Hashable, Iterable, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from streamlod.core.arrays import Float64, Int64
+from streamlod.core.calibration.track import MIN_CORNERS, Track
+
+MAX_INSTANTS = 400
+_ACROSS, _DOWN = 6, 4  # cells of a picture
+_ENOUGH = 30  # times that a cell or a pair of cameras is wanted
+
+
+def cells_of(corners: Float64, size: tuple[int, int]) -> frozenset[Hashable]:
+    """Cells of a picture of `size` that corners [J,2] lie in, and how large and how turned the board is seen."""
+    known = corners[np.isfinite(corners[:, 0])]
+    if not len(known):
+        return frozenset()
+    across = np.clip(known[:, 0] / size[0] * _ACROSS, 0, _ACROSS - 1).astype(int)
+    down = np.clip(known[:, 1] / size[1] * _DOWN, 0, _DOWN - 1).astype(int)
+    extent = np.ptp(known, axis=0) / max(size)
+    shape = ("shape", round(float(extent[0]) * 8), round(float(extent[1]) * 8))
+    return frozenset({*zip(across.tolist(), down.tolist(), strict=True), shape})
+
+
+def covering(wishes: Sequence[Iterable[Hashable]], at_most: int, enough: int = _ENOUGH) -> Int64:
+    """Ascending numbers of at most so many items that together fulfil each wish `enough` times, rarest first.
+
+    Args:
+        wishes: what each item fulfils.
+    """
+    sets = [frozenset(wish) for wish in wishes]
+    counts: Counter[Hashable] = Counter()
+
+    def gain(item: int) -> float:
+        return sum(1 / (1 + counts[wish]) for wish in sets[item] if counts[wish] < enough)
+
+    heap = [(-gain(item), item) for item in range(len(sets))]
+    heapq.heapify(heap)
+    chosen: list[int] = []
+    while heap and len(chosen) < at_most:
+        _, item = heapq.heappop(heap)
+        now = gain(item)  # gains only fall: one that is still the largest is the largest
+        if now <= 0:
+            continue
+        if heap and now < -heap[0][0]:
+            heapq.heappush(heap, (-now, item))
+            continue
+        chosen.append(item)
+        counts.update(sets[item])
+    return np.array(sorted(chosen), np.int64)
+
+
+def candidates(tracks: Sequence[Track], offsets: Float64) -> Float64:
+    """[I] common times, ascending: those of pictures with the board, none nearer to another than half a period."""
+    period = min(track.period for track in tracks)
+    found = np.zeros(0)
+    for track, offset in zip(tracks, offsets, strict=True):
+        times = track.times[track.seen >= MIN_CORNERS] + offset
+        if len(found):
+            place = np.searchsorted(found, times)
+            gap = np.minimum(
+                np.abs(found[np.clip(place, 0, len(found) - 1)] - times),
+                np.abs(times - found[np.maximum(place - 1, 0)]),
+            )
+            times = times[gap > period / 2]
+        found = np.sort(np.concatenate([found, times]))
+    return found
+
+
+def chosen_instants(tracks: Sequence[Track], offsets: Float64, at_most: int = MAX_INSTANTS) -> Float64:
+    """[I] common times, ascending, at which the board is used.
+
+    Args:
+        offsets: [C] seconds that lead from each camera's clock to the common time.
+    """
+    times = candidates(tracks, offsets)
+    wishes: list[set[Hashable]] = [set() for _ in times]
+    sees = np.zeros((len(tracks), len(times)), bool)
+    for number, (track, offset) in enumerate(zip(tracks, offsets, strict=True)):
+        corners = track.near(times - offset).at(times - offset)
+        sees[number] = np.isfinite(corners[..., 0]).sum(axis=1) >= MIN_CORNERS
+        for instant in np.flatnonzero(sees[number]):
+            wishes[instant] |= {(number, cell) for cell in cells_of(corners[instant], track.size)}
+    for instant in range(len(times)):
+        together = np.flatnonzero(sees[:, instant])
+        if len(together) > 1:  # a board that one camera sees alone says something of its lens only
+            wishes[instant] |= {("pair", *pair, weight) for pair in combinations(together, 2) for weight in range(4)}
+    return times[covering(wishes, at_most)]

@@ -1,0 +1,133 @@
+"""From tracks of a board walk to calibrated cameras."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from streamlod.core.arrays import Bool, Float64
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.adjust import (
+    Adjusted,
+    AdjustedRig,
+    Observations,
+    adjust,
+    misses_of,
+    observed,
+    spread,
+)
+from streamlod.core.calibration.adjustment.projection import matrix_of
+from streamlod.core.calibration.board.description import Board
+from streamlod.core.calibration.first_lens import first_lens
+from streamlod.core.calibration.graph import first_poses
+from streamlod.core.calibration.instants import chosen_instants
+from streamlod.core.calibration.sync import first_offsets
+from streamlod.core.calibration.track import Track
+from streamlod.core.calibration.trust import check_agreement, check_certainty, near_enough
+from streamlod.core.calibration.world import find_floor
+from streamlod.core.camera import Camera
+from streamlod.core.data.lens import opencv_camera
+
+_log = logging.getLogger(__name__)
+_ROUNDS = 2  # after the first: outliers left out, and curves about the pictures nearest by the offsets found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A calibrated rig.
+
+    Attributes:
+        cameras: with distortion, world to camera in metres, z up.
+        root: number of the camera that the errors are relative to, and whose clock is the common one.
+        offsets: [C] seconds to add to each camera's clock to get the root's.
+        periods: [C] seconds between each camera's pictures.
+        errors: [C,2] standard errors of directions in degrees and of places in metres.
+        floor_by_board: whether the board lay on the floor; else up is as the cameras are held.
+        times: [I] common seconds of the instants used.
+        boards: [I,3] the board's centre at these, in the world.
+        seen: the corners used. misses: [N,2] pixels by which they lie off.
+    """
+
+    cameras: tuple[Camera, ...]
+    root: int
+    offsets: Float64
+    periods: Float64
+    errors: Float64
+    floor_by_board: bool
+    times: Float64
+    boards: Float64
+    seen: Observations
+    misses: Float64
+
+    def rms(self, camera: int | None = None) -> float:
+        """Root mean square of the distances in pixels, of one camera or all."""
+        rows = slice(None) if camera is None else self.seen.camera == camera
+        return float(np.sqrt((self.misses[rows] ** 2).sum(axis=1).mean()))
+
+    def median(self, camera: int | None = None) -> float:
+        """Median of the distances in pixels, of one camera or all."""
+        rows = slice(None) if camera is None else self.seen.camera == camera
+        return float(np.median(np.linalg.norm(self.misses[rows], axis=1)))
+
+
+def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64] | None = None) -> Calibration:
+    """The rig whose cameras saw `tracks`.
+
+    Args:
+        known: lenses [9] by camera that are kept.
+
+    Raises:
+        InputError: a camera that saw too little, or does not agree with the others; it is named.
+    """
+    names, known = [track.camera for track in tracks], known or {}
+    fixed = np.array([name in known for name in names])
+    lenses = np.array([known[t.camera] if t.camera in known else first_lens(t, board.corners) for t in tracks])
+    offsets = first_offsets(tracks, lenses, board.corners, board.centre)
+    times = chosen_instants(tracks, offsets)
+    seen = [t.near(times - o).at(times - o) for t, o in zip(tracks, offsets, strict=True)]
+    first = first_poses(names, seen, lenses, board.corners)
+    placed = np.isfinite(first.boards[:, 0])
+    times = times[placed]
+    scene = AdjustedRig(lenses, first.cameras, offsets, first.boards[placed])
+    found, corners = _adjusted(tracks, times, scene, board, first.root, fixed)
+    check_certainty(names, found, corners)
+    return _calibration(tracks, board, times, found, corners, first.root)
+
+
+def _adjusted(
+    tracks: Sequence[Track], times: Float64, scene: AdjustedRig, board: Board, root: int, fixed: Bool
+) -> tuple[Adjusted, Observations]:
+    sizes = [track.size for track in tracks]
+    corners = observed(tracks, times, scene.offsets, board.corners)
+    found = adjust(scene, corners, sizes, root, lenses_known=fixed)
+    check_agreement([track.camera for track in tracks], corners, found.misses)
+    for _ in range(_ROUNDS):
+        corners = observed(tracks, times, found.scene.offsets, board.corners)
+        at_start = misses_of(found.scene, corners)
+        corners = corners.kept(near_enough(at_start, spread(at_start)))
+        found = adjust(found.scene, corners, sizes, root, lenses_known=fixed)
+    return found, corners
+
+
+def _calibration(
+    tracks: Sequence[Track], board: Board, times: Float64, found: Adjusted, corners: Observations, root: int
+) -> Calibration:
+    scene = found.scene
+    floor = find_floor(scene.cameras, scene.boards, times, board.centre)
+    placed = rigid.after(scene.cameras, rigid.inverse(floor.to_world))
+    cameras = [
+        opencv_camera(track.camera, matrix_of(lens), rigid.matrix(pose), track.size, lens[4:].copy())
+        for track, lens, pose in zip(tracks, scene.lenses, placed, strict=True)
+    ]
+    centre = np.concatenate([np.zeros(3), board.centre])
+    boards = rigid.after(floor.to_world, rigid.after(scene.boards, centre))[:, 3:]
+    errors = np.linalg.norm(found.camera_errors.reshape(-1, 2, 3), axis=2) * [np.degrees(1), 1]
+    periods = np.array([track.period for track in tracks])
+    offsets = scene.offsets - scene.offsets[root]
+    by_board = floor.by_board
+    return Calibration(
+        tuple(cameras), root, offsets, periods, errors, by_board, times, boards, corners, found.misses
+    )  # fmt: skip

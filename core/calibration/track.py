@@ -1,0 +1,93 @@
+"""Corners that one camera saw, as curves in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from streamlod.core.arrays import Float64, Int64
+
+MIN_CORNERS = 6  # of a picture that is used
+_STILL = 0.02  # of a period: so near to its picture's time, a corner without neighbours in time may be used
+_GAP = 2.5  # periods: pictures farther apart are no neighbours
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerCurve:
+    """Corners near some times, as parabolas about the nearest picture: value + slope * t + bend * t^2.
+
+    Attributes:
+        picture_time: [N] seconds by the camera's clock; t counts from there.
+        value, slope, bend: [N,J,2] pixels, pixels a second, and half the acceleration; NaN where not known.
+    """
+
+    picture_time: Float64
+    value: Float64
+    slope: Float64
+    bend: Float64
+
+    def at(self, times: Float64) -> Float64:
+        """[N,J,2] pixels at `times` [N] by the camera's clock."""
+        t = (times - self.picture_time)[:, None, None]
+        return np.asarray(self.value + t * (self.slope + t * self.bend), np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Corners that one camera saw.
+
+    Attributes:
+        camera: name. size: (width, height) of its pictures in pixels.
+        times: [K] seconds by the camera's own clock, ascending.
+        corners: [K,J,2] pixels, NaN where not seen.
+    """
+
+    camera: str
+    size: tuple[int, int]
+    times: Float64
+    corners: Float64
+
+    @property
+    def seen(self) -> Int64:
+        """[K] number of corners seen in each picture."""
+        return np.isfinite(self.corners[..., 0]).sum(axis=1)
+
+    @property
+    def period(self) -> float:
+        """Median seconds between pictures."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
+
+    def near(self, times: Float64) -> CornerCurve:
+        """Curves of all corners near `times` [N], ascending, by the camera's clock.
+
+        A parabola goes through the nearest picture's corner and those before and after, a line where only one of these
+        is known. Where neither is, the corner is used only at its picture's time.
+        """
+        after = np.clip(np.searchsorted(self.times, times), 1, max(1, len(self.times) - 1))
+        nearest = np.where(
+            np.abs(self.times[after - 1] - times) <= np.abs(self.times[np.minimum(after, len(self.times) - 1)] - times),
+            after - 1,
+            np.minimum(after, len(self.times) - 1),
+        )
+        here = self.corners[nearest]
+        before, h = self._neighbour(nearest, -1)
+        behind, k = self._neighbour(nearest, 1)
+        back, ahead = (here - before) / h[:, None, None], (behind - here) / k[:, None, None]
+        total = (h + k)[:, None, None]
+        bend = (ahead - back) / total
+        slope = (back * k[:, None, None] + ahead * h[:, None, None]) / total
+        alone = np.isfinite(here) & ~np.isfinite(back) & ~np.isfinite(ahead)
+        line = np.where(np.isfinite(back), back, ahead)
+        slope = np.where(np.isfinite(slope), slope, np.where(alone, 0.0, line))
+        bend = np.where(np.isfinite(bend), bend, 0.0)
+        away = np.abs(times - self.times[nearest])
+        unusable = (away > self.period)[:, None, None] | (alone & (away > _STILL * self.period)[:, None, None])
+        return CornerCurve(self.times[nearest], np.where(unusable, np.nan, here), slope, bend)
+
+    def _neighbour(self, rows: Int64, step: int) -> tuple[Float64, Float64]:
+        """[N,J,2] corners in the picture before or after, and [N] seconds between."""
+        other = np.clip(rows + step, 0, len(self.times) - 1)
+        seconds = np.abs(self.times[other] - self.times[rows])
+        usable = (seconds > 0) & (seconds < _GAP * self.period)
+        return np.where(usable[:, None, None], self.corners[other], np.nan), np.where(usable, seconds, 1.0)

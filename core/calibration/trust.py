@@ -1,0 +1,57 @@
+"""Refusals of what cannot be trusted, each naming the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from streamlod.core.arrays import Bool, Float64
+from streamlod.core.calibration.adjustment.adjust import Adjusted, Observations
+from streamlod.core.errors import InputError
+
+_FAR = 6.0  # pixels, of a corner that is not where the other cameras say
+_MOST_FAR = 0.3  # part of a camera's corners
+_MAX_DEGREES, _MAX_PART = 3.0, 0.05  # standard errors: of the direction, and of the place as a part of the distance
+_MAX_RMS = 3.0  # pixels
+
+
+def near_enough(misses: Float64, spread: float) -> Bool:
+    """[N] the corners that are no outliers, which a marker read wrongly or blur makes."""
+    return np.asarray(np.linalg.norm(misses, axis=1) < max(1.5, 5 * spread), np.bool_)
+
+
+def check_agreement(names: Sequence[str], seen: Observations, misses: Float64) -> None:
+    """Raise InputError for the camera whose corners lie elsewhere than the others say, if there is one."""
+    far = np.linalg.norm(misses, axis=1) > _FAR
+    parts = np.bincount(seen.camera, far, len(names)) / np.maximum(np.bincount(seen.camera, minlength=len(names)), 1)
+    worst = int(parts.argmax())
+    if parts[worst] > _MOST_FAR:
+        raise InputError(
+            f"camera {names[worst]}",
+            f"does not agree with the others: {100 * parts[worst]:.0f} % of its corners lie more than {_FAR:g} pixels "
+            "off; it moved, its video is of another walk, there are two boards, or its times are wrong",
+        )
+
+
+def check_certainty(names: Sequence[str], adjusted: Adjusted, seen: Observations) -> None:
+    """Raise InputError for a camera whose place does not follow from what it saw."""
+    scene = adjusted.scene
+    for number, name in enumerate(names):
+        mine = seen.camera == number
+        degrees = float(np.degrees(np.linalg.norm(adjusted.camera_errors[number, :3])))
+        metres = float(np.linalg.norm(adjusted.camera_errors[number, 3:]))
+        rms = float(np.sqrt((adjusted.misses[mine] ** 2).sum(axis=1).mean())) if mine.any() else np.inf
+        distance = max(0.5, float(np.linalg.norm(scene.boards[:, 3:].mean(axis=0) - scene.cameras[number, 3:])))
+        if not (degrees <= _MAX_DEGREES and metres <= _MAX_PART * distance):
+            raise InputError(
+                f"camera {name}",
+                f"saw too little of the board: its place is uncertain by {1000 * metres:.0f} mm and {degrees:.2f} "
+                "degrees; walk the board through more of its picture, together with another camera",
+            )
+        if rms > _MAX_RMS:
+            raise InputError(
+                f"camera {name}",
+                f"its corners lie {rms:.1f} pixels off; its lens bends more than five coefficients describe, or the "
+                "board is not flat",
+            )

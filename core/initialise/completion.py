@@ -1,0 +1,113 @@
+"""First points where no depth could be told: on the smoothest surface between those whose depth is known.
+
+Cameras far apart share little. Much of a picture is then seen by one camera alone, or has no texture, and no match
+says how deep it is. Without first points there, a scene shows mush even to a viewer who stands where that camera stood,
+though any surface at all would show what the camera filmed. Inverse depths are spread from known pixels into the gaps
+as heat spreads in a plate, slower across edges of the picture (a Dirichlet problem; weights after Levin et al. 2004).
+Between known pixels of a plane lies that plane, and no depth leaves the range of the known ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import spsolve
+
+from streamlod.core.arrays import Bool, Float32, Float64
+from streamlod.core.camera import Camera
+from streamlod.core.frames import PointCloud
+from streamlod.core.initialise.views import WorkingViews, inside, pixel_centres, project, unproject
+
+_EDGE = 0.08  # difference of colours, in [0, 1], across which depths spread e times slower
+_LEAST = 0.02  # of the weight within one colour, that depths spread with across any edge
+_SURE = 1e3  # weight of a known depth, in neighbours of the same colour
+_BEFORE = 0.05  # relative depth by which a point before another camera's known surface hides it
+
+
+@dataclass(frozen=True, slots=True)
+class Completion:
+    """How gaps are filled.
+
+    Attributes:
+        rows: of the grid of cells in which depths are spread; each cell of a gap gets a point, and a cell with a known
+            point, or beside one, is no gap.
+    """
+
+    rows: int = 45
+
+    def completed(self, points: PointCloud, views: WorkingViews) -> PointCloud:
+        """`points`, and further ones in the gaps that they leave in each view, coloured by it.
+
+        Views are completed one after the other: what one adds is known to the next. A point that would hide what
+        `points` show another view is left out.
+        """
+        grid = views.resized(self.rows)
+        known = [nearest_depths(points.positions, camera) for camera in grid.cameras]
+        found = points
+        for number, camera in enumerate(grid.cameras):
+            depths = nearest_depths(found.positions, camera)
+            if not np.isfinite(depths).any():
+                continue  # nothing says how deep this view is
+            inverse = spread(depths, grid.images[number])
+            new = in_gaps(inverse, depths, camera, grid.images[number])
+            others = [pair for other, pair in enumerate(zip(grid.cameras, known, strict=True)) if other != number]
+            kept = ~np.any([hides(new.positions, *other) for other in others], axis=0) if others else np.s_[:]
+            found = PointCloud(
+                np.concatenate([found.positions, new.positions[kept]]),
+                np.concatenate([found.colours, new.colours[kept]]),
+            )
+        return found
+
+
+def in_gaps(inverse: Float64, depths: Float64, camera: Camera, image: Float32) -> PointCloud:
+    """Points at `inverse` depths [H,W] in the pixels of `image` [H,W,3] round which no depth of `depths` is finite."""
+    gap = cv2.dilate(np.isfinite(depths).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+    positions = unproject(camera, pixel_centres(camera)[gap.ravel()], 1 / inverse[gap])
+    return PointCloud(positions.astype(np.float32), image[gap])
+
+
+def nearest_depths(positions: Float32, camera: Camera) -> Float64:
+    """[H,W] depth of the nearest of `positions` [N,3] in each pixel of `camera`, infinite where there is none."""
+    depths = np.full((camera.height, camera.width), np.inf)
+    pixels, depth = project(camera, positions.astype(np.float64))
+    seen = inside(camera, pixels, depth)
+    column, row = pixels[seen].astype(np.int64).T
+    np.minimum.at(depths, (row, column), depth[seen])
+    return depths
+
+
+def spread(depths: Float64, image: Float32) -> Float64:
+    """[H,W] inverse depth of every pixel, from those of finite `depths` [H,W], of which there must be one.
+
+    Solves for the inverse depths that differ least between neighbours, these weighted by how alike their colours in
+    `image` [H,W,3] are.
+    """
+    known: Bool = np.isfinite(depths)
+    count, number = depths.size, np.arange(depths.size).reshape(depths.shape)
+    firsts, seconds, weights = [], [], []
+    for before, after in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        difference = np.abs(image[before] - image[after]).max(axis=2)
+        firsts.append(number[before].ravel())
+        seconds.append(number[after].ravel())
+        weights.append((np.exp(-difference / _EDGE) + _LEAST).ravel().astype(np.float64))
+    first, second, weight = np.concatenate(firsts), np.concatenate(seconds), np.concatenate(weights)
+    sure = _SURE * known.ravel()
+    own = sure + np.bincount(first, weight, count) + np.bincount(second, weight, count)
+    every = np.arange(count)
+    system = coo_matrix(
+        (np.concatenate([own, -weight, -weight]), (np.r_[every, first, second], np.r_[every, second, first]))
+    )
+    values = np.where(known, 1 / np.where(known, depths, 1.0), 0.0)
+    return np.asarray(spsolve(system.tocsc(), sure * values.ravel()), np.float64).reshape(depths.shape)
+
+
+def hides(positions: Float32, camera: Camera, depths: Float64) -> Bool:
+    """[N] which of `positions` [N,3] lie before the finite `depths` [H,W] that `camera` knows in their pixels."""
+    pixels, depth = project(camera, positions.astype(np.float64))
+    seen = inside(camera, pixels, depth)
+    column, row = np.where(seen[:, None], pixels, 0).astype(np.int64).T
+    there = depths[row, column]
+    return np.asarray(seen & np.isfinite(there) & (depth < there * (1 - _BEFORE)), np.bool_)

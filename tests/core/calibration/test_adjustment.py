@@ -1,0 +1,66 @@
+"""Derivatives of projection and of bundle adjustment, against differences; rotations; parabolas of tracks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from streamlod.core.calibration.adjustment import adjust as bundle
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.projection import matrix_of, projected
+from streamlod.core.calibration.track import Track
+from tests.core.calibration.walks import BOARD, board_at, rig, walked
+
+LENS = np.array([500.0, 510, 320, 240, -0.2, 0.05, 0.002, -0.003, 0.01])
+
+
+def test_projection_is_opencv_s_with_its_derivatives() -> None:
+    points = np.random.default_rng(0).normal([0, 0, 3], [0.7, 0.7, 0.4], (40, 3))
+    pixels, by_point, by_lens = projected(LENS, points)
+    wanted, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix_of(LENS), LENS[4:])
+    np.testing.assert_allclose(pixels, wanted[:, 0], atol=1e-9)
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        slope = (projected(LENS, points + step)[0] - projected(LENS, points - step)[0]) / 2e-6
+        np.testing.assert_allclose(by_point[:, :, axis], slope, rtol=1e-5, atol=1e-4)
+    for value in range(9):
+        step = 1e-6 * np.eye(9)[value]
+        slope = (projected(LENS + step, points)[0] - projected(LENS - step, points)[0]) / 2e-6
+        np.testing.assert_allclose(by_lens[:, :, value], slope, rtol=1e-5, atol=1e-4)
+
+
+def test_jacobian_of_the_adjustment_is_that_of_its_residuals() -> None:
+    truth, times = rig(2), np.array([1.02, 2.03, 3.01])
+    tracks = walked(truth, seconds=5)
+    scene = bundle.AdjustedRig(truth.lenses, truth.poses, np.array([0.01, -0.02]), board_at(times))
+    seen = bundle.observed(tracks, times, scene.offsets, BOARD.corners)
+    flat = bundle._flat(scene)
+    jacobian = bundle._jacobian(scene, seen, len(flat)).toarray()
+    for place in range(len(flat)):
+        step = np.zeros(len(flat))
+        step[place] = 1e-6
+        after, before = (bundle.misses_of(bundle._scene(flat + s, 2), seen).ravel() for s in (step, -step))
+        np.testing.assert_allclose(jacobian[:, place], (after - before) / 2e-6, rtol=1e-4, atol=2e-3)
+
+
+def test_transforms_compose_and_turn_back() -> None:
+    random = np.random.default_rng(1)
+    a, b = random.normal(0, 1, (5, 6)), random.normal(0, 1, (5, 6))
+    for one, other, both in zip(a, b, rigid.after(a, b), strict=True):
+        np.testing.assert_allclose(rigid.matrix(both), rigid.matrix(one) @ rigid.matrix(other), atol=1e-12)
+    np.testing.assert_allclose(rigid.after(a, rigid.inverse(a)), 0, atol=1e-12)
+    assert np.isnan(rigid.after(a[0], np.full((1, 6), np.nan))).all()
+
+
+def test_tracks_are_parabolas_between_pictures() -> None:
+    times = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    path = 5 + 30 * times - 40 * times**2
+    corners = np.broadcast_to(path[:, None, None], (5, 1, 2)).copy()
+    track = Track("a", (100, 100), times, corners)
+    wanted = np.array([0.13, 0.24])
+    found = track.near(wanted).at(wanted)[:, 0, 0]
+    np.testing.assert_allclose(found, 5 + 30 * wanted - 40 * wanted**2, atol=1e-9)
+    corners[[1, 3]] = np.nan  # the corner at 0.2 s stands alone: it counts at its picture's time only
+    alone = track.near(np.array([0.2, 0.24]))
+    assert np.isfinite(alone.value[0]).all()
+    assert np.isnan(alone.value[1]).all()

@@ -1,0 +1,109 @@
+"""Calibration of board walks whose truth is known, from their corners."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from streamlod.core.arrays import Float64
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.solve import Calibration, calibrate
+from streamlod.core.calibration.track import Track
+from streamlod.core.errors import InputError
+from tests.core.calibration.alignment import differences
+from tests.core.calibration.walks import BOARD, Rig, board_at, rig, walked
+
+FPS = 8.0
+
+
+def poses_of(found: Calibration) -> Float64:
+    return np.array([rigid.pose(camera.world_to_camera) for camera in found.cameras])
+
+
+def known_lenses(truth: Rig) -> dict[str, Float64]:
+    return dict(zip(truth.names, truth.lenses, strict=True))
+
+
+def half(track: Track, begin: float, end: float) -> Track:
+    """The track with the board hidden outside of a part of its time."""
+    length = track.times[-1]
+    hidden = (track.times < begin * length) | (track.times > end * length)
+    return replace(track, corners=np.where(hidden[:, None, None], np.nan, track.corners))
+
+
+@pytest.mark.long
+def test_poses_lenses_and_offsets_of_distorted_cameras_are_found() -> None:
+    truth = rig()
+    offsets = np.array([0.0, 0.5, -0.35, 0.2]) / FPS
+    found = calibrate(walked(truth, fps=FPS, seconds=75, offsets=offsets), BOARD)
+    degrees, metres = differences(poses_of(found), truth.poses)
+    assert degrees.max() < 0.1
+    assert metres.max() < 0.002
+    assert np.abs(found.offsets - (offsets - offsets[found.root])).max() * FPS < 0.1
+    assert found.rms() == pytest.approx(0.15 * np.sqrt(2), rel=0.15)  # nothing but the noise is left
+    assert np.abs(np.array([c.intrinsics[0, 0] for c in found.cameras]) / truth.lenses[:, 0] - 1).max() < 0.005
+
+
+def test_standard_errors_say_how_well_poses_are_known() -> None:
+    truth = rig()
+    found = calibrate(walked(truth, fps=FPS, seconds=20), BOARD, known_lenses(truth))
+    aligned = rigid.after(poses_of(found), rigid.inverse(poses_of(found)[found.root]))
+    wanted = rigid.after(truth.poses, rigid.inverse(truth.poses[found.root]))
+    degrees = rigid.angles(aligned, wanted)
+    others = np.arange(len(truth.names)) != found.root
+    assert (degrees[others] < 5 * found.errors[others, 0]).all()
+    assert (found.errors[others, 0] > 0).all()
+
+
+def test_clips_that_began_seconds_apart_are_brought_to_one_time() -> None:
+    truth = rig(3)
+    offsets = np.array([0.0, 3.04, -2.29])
+    found = calibrate(walked(truth, fps=FPS, seconds=24, offsets=offsets), BOARD, known_lenses(truth))
+    assert np.abs(found.offsets - (offsets - offsets[found.root])).max() * FPS < 0.1
+
+
+def test_upside_down_and_sideways_cameras_are_ordinary() -> None:
+    truth = rig()
+    turns = np.radians([180.0, 0.0, 90.0, 0.0])
+    about_z = np.stack([np.zeros(4), np.zeros(4), turns, *np.zeros((3, 4))], axis=1)
+    truth = replace(truth, poses=rigid.after(about_z, truth.poses), size=(640, 640))
+    found = calibrate(walked(truth, fps=FPS, seconds=20), BOARD, known_lenses(truth))
+    assert differences(poses_of(found), truth.poses)[0].max() < 0.1
+    heights = np.array([camera.centre[2] for camera in found.cameras])
+    assert np.abs(np.diff(heights) - 0.15).max() < 0.05  # z is up although two cameras are not upright
+
+
+def test_a_board_that_lay_on_the_floor_is_the_floor() -> None:
+    truth = rig()
+
+    def boards(times: Float64) -> Float64:
+        lying = np.concatenate([rigid.pose(np.diag([1.0, -1.0, -1.0, 1.0]))[:3], [-0.2, 0.1, 0.0]])
+        return np.where((times > 20)[:, None], lying, board_at(times))
+
+    found = calibrate(walked(truth, fps=FPS, seconds=23, boards=boards), BOARD, known_lenses(truth))
+    assert found.floor_by_board
+    heights = np.array([camera.centre[2] for camera in found.cameras])
+    assert np.abs(heights - [1.6, 1.75, 1.9, 2.05]).max() < 0.01
+
+
+def test_cameras_that_never_see_the_board_together_are_named() -> None:
+    tracks = walked(rig(), fps=FPS, seconds=24)
+    parted = [*(half(track, 0, 0.45) for track in tracks[:3]), half(tracks[3], 0.55, 1)]
+    with pytest.raises(InputError, match=r"camera cam_3: saw the board together with .*cam_2 never"):
+        calibrate(parted, BOARD, known_lenses(rig()))
+
+
+def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
+    tracks = walked(rig(), fps=FPS, seconds=15)
+    with pytest.raises(InputError, match=r"camera cam_2: saw the board in [0-5] of 120 pictures well enough"):
+        calibrate([*tracks[:2], half(tracks[2], 0.5, 0.53), tracks[3]], BOARD)
+
+
+def test_a_video_of_another_walk_is_named() -> None:
+    truth = rig()
+    tracks = walked(truth, fps=FPS, seconds=24)
+    other = walked(truth, fps=FPS, seconds=24, boards=lambda times: board_at(1.37 * times + 50))
+    with pytest.raises(InputError, match="camera cam_1: "):
+        calibrate([tracks[0], other[1], *tracks[2:]], BOARD, known_lenses(truth))

@@ -1,0 +1,95 @@
+"""Board walks whose truth is known: corners as distorted cameras would see them, with noise and time offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from streamlod.core.arrays import Float64
+from streamlod.core.calibration.adjustment import rigid
+from streamlod.core.calibration.adjustment.projection import project
+from streamlod.core.calibration.board.description import Board
+from streamlod.core.calibration.track import Track
+from streamlod.core.camera import look_at
+
+BOARD = Board()
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras as they truly are: [C,9] lenses, [C,6] world to camera, (width, height), names."""
+
+    lenses: Float64
+    poses: Float64
+    size: tuple[int, int]
+    names: tuple[str, ...]
+
+
+def rig(count: int = 4, size: tuple[int, int] = (640, 480), radius: float = 3.0, arc: float = 150.0) -> Rig:
+    """Cameras on an arc of `arc` degrees about the z axis, 1.6 m high; z is up."""
+    lenses, poses = [], []
+    for number in range(count):
+        angle = np.radians(arc * (number / max(1, count - 1) - 0.5))
+        eye = np.array([radius * np.cos(angle), radius * np.sin(angle), 1.6 + 0.15 * number])
+        poses.append(rigid.pose(look_at(eye, np.array([0, 0, 1.0]), np.array([0, 0, 1.0]))))
+        focal = size[0] * (0.8 + 0.03 * number)
+        middle = [(size[0] - 1) / 2 + 3 * number, (size[1] - 1) / 2 - 2 * number]
+        lenses.append([focal, focal * 1.003, *middle, -0.2 + 0.06 * number, 0.04, 0.0006, -0.0008, 0.0])
+    return Rig(np.array(lenses), np.array(poses), size, tuple(f"cam_{number}" for number in range(count)))
+
+
+def board_at(times: Float64) -> Float64:
+    """[N,6] board to world of a person who walks about with it, holding it upright and turning; smooth in time."""
+    t = np.asarray(times, np.float64)
+    place = np.stack(
+        [1.1 * np.sin(0.71 * t) + 0.15 * np.sin(2.3 * t), 1.1 * np.cos(0.53 * t), 1.1 + 0.5 * np.sin(1.1 * t)], axis=1
+    )
+    yaw = 0.9 * np.sin(0.37 * t + 1) + 0.2 * np.sin(1.9 * t)
+    pitch, roll = 0.5 * np.sin(0.83 * t), 0.4 * np.sin(0.61 * t + 2)
+    poses = []
+    for centre, a, b, c in zip(place, yaw, pitch, roll, strict=True):
+        # the board's x to the right as seen by the cameras, its y down, its z away from them
+        facing = np.array([[0, 0, -1.0], [1.0, 0, 0], [0, -1.0, 0]])
+        turn = rigid.rotations(np.array([[0, 0, a]]))[0] @ facing @ rigid.rotations(np.array([[b, 0.5 * b, c]]))[0]
+        full = np.eye(4)
+        full[:3, :3], full[:3, 3] = turn, centre - turn @ BOARD.centre
+        poses.append(rigid.pose(full))
+    return np.array(poses)
+
+
+def corners_of(lens: Float64, pose: Float64, boards: Float64, size: tuple[int, int], board: Board = BOARD) -> Float64:
+    """[K,J,2] pixels of the corners that lie inside the picture and face the camera; NaN for others."""
+    found = np.full((len(boards), board.corner_count, 2), np.nan)
+    to_camera = rigid.after(pose, boards)
+    for number, each in enumerate(to_camera):
+        turn = rigid.rotations(each[:3])[0]
+        points = board.corners @ turn.T + each[3:]
+        facing = turn[:, 2] @ (points.mean(axis=0) / np.linalg.norm(points.mean(axis=0)))
+        if facing < 0.3 or points[:, 2].min() < 0.2:
+            continue
+        pixels = project(lens, points)
+        inside = ((pixels > 4) & (pixels < np.array(size) - 5)).all(axis=1)
+        found[number, inside] = pixels[inside]
+    return found
+
+
+def walked(
+    rig: Rig,
+    seconds: float = 40.0,
+    fps: float = 15.0,
+    noise: float = 0.15,
+    offsets: Float64 | None = None,
+    seed: int = 1,
+    boards: Callable[[Float64], Float64] = board_at,
+) -> list[Track]:
+    """Tracks of a walk; a camera's clock shows the common time less its offset."""
+    random = np.random.default_rng(seed)
+    offsets = np.zeros(len(rig.names)) if offsets is None else offsets
+    tracks = []
+    for number, name in enumerate(rig.names):
+        clock = np.arange(int(seconds * fps)) / fps
+        corners = corners_of(rig.lenses[number], rig.poses[number], boards(clock + offsets[number]), rig.size)
+        tracks.append(Track(name, rig.size, clock, corners + random.normal(0, noise, corners.shape)))
+    return tracks

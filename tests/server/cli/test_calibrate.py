@@ -1,0 +1,37 @@
+"""`streamlod calibrate` from videos of a rendered board walk, and what the data set then holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from streamlod.core.errors import InputError
+from streamlod.server.cli.main import app
+
+FPS = 10
+OFFSETS = np.array([0.0, 0.04, -0.03])  # seconds
+
+
+def test_the_board_is_printed_with_its_description(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["calibrate", "--print-board", str(tmp_path / "A4.pdf")])
+    assert done.exit_code == 0, done.output
+    assert "7x5 squares of 38 mm on A4" in done.output
+    assert "square_size_override_cm = 3.8" in (tmp_path / "charuco.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "needs DATA"),
+        (["nowhere"], "nowhere: does not exist"),
+        (["nowhere", "--board", "7by5"], "neither COLUMNSxROWS"),
+        (["nowhere", "--board", "2x5"], "needs 3 to 40 squares"),
+    ],
+)
+def test_unusable_arguments_are_refused(arguments: list[str], sentence: str) -> None:
+    refused = CliRunner().invoke(app, ["calibrate", *arguments])
+    assert isinstance(refused.exception, InputError)
+    assert sentence in str(refused.exception)
