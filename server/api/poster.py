@@ -7,7 +7,7 @@ import hashlib
 import html
 from functools import partial
 from typing import Annotated, Any
-from urllib.parse import parse_qs, urlencode, urlsplit
+from urllib.parse import parse_qs, quote, urlencode, urlsplit
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,6 +17,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
 from streamlod.server.api.access import StreamOf, need, refusal, registry_of
+from streamlod.server.api.looks import PREVIEW_SIZE, Look, Looks, camera_of
 from streamlod.server.api.ranges import FRESH, Download, respond
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.problems import PROBLEMS, Problem
@@ -25,6 +26,7 @@ from streamlod.server.viewer.renderer import Grade, PictureRenderer, RenderedPic
 
 MAX_POSTER_PIXELS = 640 * 480
 _GRADE = Grade(1, 80)
+_MAX_NUMBER = 2**32 - 1
 _WIDTH, _HEIGHT = 640, 360  # of the frame, where the asking site gives no bounds
 _ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
 
@@ -36,16 +38,19 @@ class Posters:
 
     def __init__(self) -> None:
         self._made: WeakKeyDictionary[Stream, tuple[object, asyncio.Task[RenderedPicture]]] = WeakKeyDictionary()
+        self._looks = Looks()
 
-    async def of(self, stream: Stream, renderer: PictureRenderer) -> bytes:
-        """A JPEG file of `stream` as the camera in the middle of its rig sees it.
+    async def of(self, stream: Stream, renderer: PictureRenderer, look: Look) -> bytes:
+        """A JPEG file of `stream` as the camera in the middle of its rig sees it, or as `look` says.
 
         Raises:
-            Problem: 404, there is nothing to draw yet.
+            Problem: 404, there is nothing to draw; 503, not now.
         """
         scene = stream.hub.scene
         if scene is None or not scene.header.cameras:
             raise Problem(404, "the stream has no picture yet")
+        if not look.is_plain:
+            return await self._looks.draw(stream, look, renderer, fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS))
         made = self._made.get(stream)
         if made is None or made[0] is not scene.weights:
             camera = fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS)
@@ -66,9 +71,19 @@ def middle_camera(scene: Scene) -> Camera:
     "/v1/streams/{stream_id}/poster.jpg", summary="A picture of a stream", response_class=Response,
     dependencies=[need(Right.READ)],
 )  # fmt: skip
-async def poster(stream: StreamOf, request: Request) -> Response:
-    """A JPEG file, made anew with each keyframe."""
-    jpeg = await request.app.state.posters.of(stream, registry_of(request).renderer)
+async def poster(
+    stream: StreamOf,
+    request: Request,
+    camera: Annotated[
+        str, Query(max_length=400, description="from where: a text of the page's `state.camera`; the middle of the rig")
+    ] = "",
+    t: Annotated[int | None, Query(ge=0, le=_MAX_NUMBER, description="version that is shown; the newest")] = None,
+    epoch: Annotated[int | None, Query(ge=0, le=_MAX_NUMBER, description="its encoder run; the newest")] = None,
+) -> Response:
+    """A JPEG file, made anew with each keyframe; of a view and moment as a link of the page names them."""
+    if camera and camera_of(camera) is None:
+        raise Problem(422, "camera: not a view as the page's links have it")
+    jpeg = await request.app.state.posters.of(stream, registry_of(request).renderer, Look(camera, t, epoch))
     etag = hashlib.sha256(jpeg).hexdigest()[:32]
     return respond(request, Download((jpeg,), etag, "image/jpeg", FRESH, f"{stream.id}.jpg"))
 
@@ -100,11 +115,13 @@ async def oembed(
     width = min(maxwidth, maxheight * _WIDTH // _HEIGHT) or 1
     height = max(1, width * _HEIGHT // _WIDTH)
     page = html.escape(f"{request.base_url}?{urlencode({**query, 'embed': '1'})}")
-    camera = None if stream.hub.scene is None else fitted(middle_camera(stream.hub.scene), 1, MAX_POSTER_PIXELS)
-    picture: dict[str, str | int] = {} if camera is None else {
-        "thumbnail_url": f"{request.base_url}v1/streams/{stream.id}/poster.jpg",
-        "thumbnail_width": camera.width, "thumbnail_height": camera.height,
-    }  # fmt: skip
+    look, scene = Look.of(query), stream.hub.scene
+    picture: dict[str, str | int] = {}
+    if scene is not None and scene.header.cameras:
+        middle = fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS)
+        seen = PREVIEW_SIZE if look.camera else (middle.width, middle.height)
+        address = f"{request.base_url}v1/streams/{quote(stream.id, safe='')}/poster.jpg{look.query}"
+        picture = {"thumbnail_url": address, "thumbnail_width": seen[0], "thumbnail_height": seen[1]}
     answer: dict[str, str | int] = {
         "version": "1.0", "type": "rich", "provider_name": "streamlod", "provider_url": str(request.base_url),
         "title": stream.id, "width": width, "height": height,

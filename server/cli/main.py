@@ -257,6 +257,9 @@ def view(
     camera: Annotated[str | None, typer.Option(metavar="cam00", help="Stand at a camera of the rig.")] = None,
     orbit: Annotated[bool, typer.Option("--orbit", help="Circle inside the rig.")] = False,
     pose: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Stand at poses of a file.")] = None,
+    path: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Go along a camera path that the page saved.")
+    ] = None,
     frames: Frames = None,
     levels: Annotated[int | None, typer.Option(min=1, help="Ask for so many levels only.")] = None,
     fps: Annotated[
@@ -269,7 +272,7 @@ def view(
     """Watch a live stream from Python and record what a viewpoint sees. A token comes from STREAMLOD_TOKEN."""
     from streamlod.client.commands import view as watch
 
-    typer.echo(watch(url, out, camera, orbit, pose, frames, levels, fps))
+    typer.echo(watch(url, out, camera, orbit, pose, frames, levels, fps, path))
 
 
 @app.command()

@@ -40,9 +40,18 @@ class PageFiles(StaticFiles):
     def _previewed(self, scope: Scope, accepted: set[str]) -> Response:
         """The page with what makers of link previews look for, which is no browser of today: those send Sec-Fetch-Dest.
         It takes whole addresses, so it cannot be part of a file."""
-        stream = quote(parse_qs(scope["query_string"].decode("latin-1")).get("stream", ["main"])[0], safe="")
-        facts = {"og:type": "video.other", "og:title": "Free-viewpoint video",
-                 "og:image": f"{_base(scope)}v1/streams/{stream}/poster.jpg"}  # fmt: skip
+        query = {name: values[0] for name, values in parse_qs(scope["query_string"].decode("latin-1")).items()}
+        stream = query.get("stream", "main")
+        shown = {name: query[name] for name in ("camera", "t", "epoch") if name in query}
+        picture = f"{_base(scope)}v1/streams/{quote(stream, safe='')}/poster.jpg"
+        facts = {
+            "og:type": "video.other",
+            "og:title": f"{stream}: free-viewpoint video",
+            "og:site_name": "streamlod",
+            "og:url": str(URL(scope=scope).remove_query_params("token")),
+            "og:image": f"{picture}?{urlencode(shown)}" if shown else picture,
+            "twitter:card": "summary_large_image",
+        }
         tags = "".join(f'<meta property="{name}" content="{html.escape(value)}">' for name, value in facts.items())
         place, _ = self.lookup_path("index.html")
         page = Path(place).read_text(encoding="utf-8").replace("</title>", f"</title>{tags}", 1).encode()

@@ -18,6 +18,7 @@ PROTOCOL_VERSION = 1
 LIVE = "live"
 ACK_EVERY = 32  # packets
 
+_MIN_SPEED, _MAX_SPEED = 0.125, 8.0  # of a replay
 _MAX_INTEGER = 2**53  # the largest integers that every JSON reader keeps exactly
 
 
@@ -50,6 +51,7 @@ class Set:
     levels: int | None
     kilobytes_per_second: float | None
     given: frozenset[str]
+    speed: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +108,8 @@ def parse_control(text: str) -> Control:
         case "ack" if "picture" not in message:
             return Ack(_integer(message.get("bytes"), "bytes"))
         case "set":
-            given = frozenset(message) & {"levels", "kilobytes_per_second"}
-            return Set(_levels(message), _rate(message), given)
+            given = frozenset(message) & {"levels", "kilobytes_per_second", "speed"}
+            return Set(_levels(message), _rate(message), given, _speed(message))
         case "seek":
             return Seek(_target(message.get("to"), "to"), _flag(message, "stop"))
         case "pause":
@@ -190,6 +192,13 @@ def _levels(message: dict[str, Any]) -> int | None:
     if type(value) is not int or not 1 <= value <= 64:
         raise SessionError(CloseCode.BAD_MESSAGE, "levels must be an integer from 1 to 64")
     return value
+
+
+def _speed(message: dict[str, Any]) -> float:
+    value = message.get("speed", 1)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _MIN_SPEED <= value <= _MAX_SPEED:
+        raise SessionError(CloseCode.BAD_MESSAGE, f"speed must be a number from {_MIN_SPEED} to {_MAX_SPEED}")
+    return float(value)
 
 
 def _rate(message: dict[str, Any]) -> float | None:

@@ -27,12 +27,14 @@ class Replay:
 
     Attributes:
         is_over: whether nothing more is retained.
+        speed: seconds of filming that are played a second.
     """
 
     def __init__(self, bus: Bus, delivery: Delivery, levels: LevelControl) -> None:
         self._bus, self._delivery, self._levels = bus, delivery, levels
         self._ahead: deque[StreamPacket] = deque()
-        self._clock = 0.0  # monotonic time of presentation time 0
+        self._clock = 0.0  # monotonic time of presentation time 0, at this speed
+        self.speed = 1.0
         self._epoch = 0  # whose times the clock is set to
         self.is_over = False
 
@@ -40,6 +42,12 @@ class Replay:
         """Discard what was read ahead."""
         self._ahead.clear()
         self.is_over = False
+
+    def play_at(self, speed: float, now: float) -> None:
+        """Go on at another speed from where it is."""
+        played = (now - self._clock) * self.speed
+        self.speed = speed
+        self._clock = now - played / speed
 
     def seconds_to_next(self, now: float) -> float | None:
         """Time until the next packet is due, if one was read ahead."""
@@ -105,10 +113,10 @@ class Replay:
 
     def _set_clock(self, packet: StreamPacket, now: float) -> None:
         self._epoch = packet.position.epoch
-        self._clock = now - packet.info.time_ns / 1e9
+        self._clock = now - packet.info.time_ns / 1e9 / self.speed
 
     def _due(self, packet: StreamPacket) -> float:
-        return self._clock + packet.info.time_ns / 1e9
+        return self._clock + packet.info.time_ns / 1e9 / self.speed
 
     async def _send(self, packet: StreamPacket) -> None:
         await self._delivery.send(BinaryMessage(packet.restricted(self._levels.levels)), packet)

@@ -138,12 +138,14 @@ class ViewerSession:
             return
         self._notify()
         match message:
-            case Set(levels, rate_kilobytes, given):
+            case Set(levels, rate_kilobytes, given, speed):
                 if "levels" in given:
                     self._levels.want(levels or _MAX_LEVELS, now)
                     self._tell_levels = True
                 if "kilobytes_per_second" in given:
                     self._delivery.limit_rate(rate_kilobytes)
+                if "speed" in given:
+                    self._replay.play_at(speed, now)
             case Seek(to):
                 self._playhead.seek(to)
             case Pause():

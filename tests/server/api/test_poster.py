@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from collections.abc import Iterator
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 import httpx
 import numpy as np
@@ -15,6 +16,7 @@ from PIL import Image
 from streamlod.codec.container import SlodWriter
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
+from streamlod.server.api.looks import PREVIEW_SIZE, camera_of
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.client.web.miniserver import make_clip
@@ -30,8 +32,11 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def client(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     recording = tmp_path_factory.mktemp("poster") / "clip.slod"
+    clip = make_clip(scene, 6)
     with SlodWriter(recording) as writer:
-        writer.append(make_clip(scene, 1).key())
+        writer.append(clip.key())
+        for version in range(1, 6):
+            writer.append(clip.residual(version - 1, version))
     played, idle = StreamSpec(play=recording, loop=False), StreamSpec(id="idle", play=recording, loop=False)
     with running(Settings(), played, idle) as server:
         server.wait(lambda stream: stream["state"] == "ended")
@@ -43,11 +48,44 @@ def test_the_poster_is_what_the_middle_camera_sees(client: httpx.Client, scene: 
     answer = client.get("/v1/streams/main/poster.jpg")
     assert answer.headers["content-type"] == "image/jpeg"
     seen = np.asarray(Image.open(io.BytesIO(answer.content)), np.float64)
-    expected = Splatter().picture(scene, scene.header.cameras[2])
-    assert -10 * np.log10(np.mean((seen - expected) ** 2) / 255**2) > 30
+    newest = make_clip(scene, 6).states[5]
+    expected = Splatter().picture(newest, scene.header.cameras[2])
+    assert _psnr(seen, expected) > 30
     again = client.get("/v1/streams/main/poster.jpg", headers={"If-None-Match": answer.headers["etag"]})
     assert again.status_code == 304
     assert client.get("/v1/streams/none/poster.jpg").status_code == 404
+
+
+VIEW = "0.5,-0.4,-2.6,-0.19,0.15,0.97,0.03,0.99,-0.15,2.6,1.25,0,0,1"
+
+
+def test_a_link_shows_its_view_and_moment(client: httpx.Client, scene: Scene) -> None:
+    """Both in the preview's picture and in oEmbed's; another moment is another picture; nonsense is refused."""
+    address = f"{client.base_url}/?{urlencode({'stream': 'main', 'camera': VIEW, 't': 1, 'token': 'secret'})}"
+    page = client.get(address).text
+    found = html.unescape(re.search('og:image" content="(.+?)"', page)[1])  # type: ignore[index]
+    assert 'og:title" content="main: ' in page
+    assert "secret" not in page
+    seen = np.asarray(Image.open(io.BytesIO(client.get(found).content)), np.float64)
+    camera = camera_of(VIEW)
+    assert camera is not None
+    states = make_clip(scene, 6).states
+    early, late = (_psnr(seen, Splatter().picture(states[number], camera)) for number in (1, 5))
+    assert early > 30
+    assert early > late + 1
+    told = client.get("/oembed", params={"url": address}).json()
+    assert client.get(told["thumbnail_url"]).content == client.get(found).content
+    assert (told["thumbnail_width"], told["thumbnail_height"]) == PREVIEW_SIZE
+    for query, status in (
+        ({"camera": "1,2"}, 422), ({"camera": VIEW.replace("0.5", "nan", 1)}, 422), ({"t": 6}, 404),
+        ({"t": 1, "epoch": 9}, 404), ({"t": -1}, 422), ({"camera": ",".join(["0"] * 14)}, 422),
+    ):  # fmt: skip
+        assert client.get("/v1/streams/main/poster.jpg", params=query).status_code == status, query
+
+
+def _psnr(seen: np.ndarray, expected: np.ndarray) -> float:
+    """In decibels, of pictures in [0, 255]."""
+    return float(-10 * np.log10(np.mean((seen - np.asarray(expected, np.float64)) ** 2) / 255**2))
 
 
 def test_other_sites_learn_how_to_show_the_page(client: httpx.Client) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from streamlod.core.errors import SessionError
 from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.protocol.messages import parse_control
 from streamlod.server.protocol.packets import BinaryMessage, Position, StreamPacket, stream_packet
 from streamlod.server.settings import Limits, Settings
 from streamlod.server.stream.bus import Bus
@@ -156,3 +159,27 @@ def test_a_new_epoch_follows_at_once_whatever_its_times_say(small: Clip) -> None
     assert replay.seconds_to_next(time.monotonic()) == 0.0
     assert asyncio.run(replay.step(time.monotonic()))
     assert len(screen.packets) == 2
+
+
+def test_the_past_can_be_played_faster_and_slower(small: Clip) -> None:
+    """Eight seconds of filming last two at four times the speed, also where the speed changes half-way."""
+    bus, gap_ns = Bus(10**7), 8 * 10**9
+    for number, data in enumerate(small.packets[:4]):
+        packet = stream_packet(number, 1, data)
+        bus.publish(replace(packet, info=replace(packet.info, time_ns=number * gap_ns)))
+    replay, _, _ = replaying(bus)
+    asyncio.run(replay.load(Position(1, 0)))
+    begin = time.monotonic()
+    asyncio.run(replay.step(begin))
+    first = replay.seconds_to_next(begin)
+    assert first is not None
+    replay.play_at(4, begin + first - 4)
+    assert replay.seconds_to_next(begin + first - 4) == pytest.approx(1)
+    replay.play_at(0.5, begin + first - 4)
+    assert replay.seconds_to_next(begin + first - 4) == pytest.approx(8)
+
+
+@pytest.mark.parametrize("speed", [0, -1, 9, True, "2", None])
+def test_nonsense_as_speed_is_refused(speed: object) -> None:
+    with pytest.raises(SessionError, match="speed must be a number"):
+        parse_control(json.dumps({"type": "set", "speed": speed}))
