@@ -17,6 +17,7 @@ from streamlod.client.evaluation.file_scores import DecodedScore, evaluate_file
 from streamlod.client.evaluation.measure.places import places_table
 from streamlod.client.evaluation.report.plots import frames_plot
 from streamlod.client.inspection import describe_file
+from streamlod.client.paths import along, read_path
 from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
 from streamlod.client.viewpoints import CameraPath, camera_named, orbit, read_poses
@@ -27,6 +28,7 @@ from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
 from streamlod.core.scene.anchors import Scene, SceneHeader
 
+_PATH_SIZE = 1280, 720  # pixels, where the scene has no camera
 AVERAGE = "average"
 TOKEN_VARIABLE = "STREAMLOD_TOKEN"
 
@@ -45,14 +47,17 @@ def view(
     frames: int | None = None,
     levels: int | None = None,
     fps: float | None = None,
+    path: Path | None = None,
 ) -> str:
-    """Record a live stream from a camera of the rig (the first by default), on an orbit, or from poses of a file.
+    """Record a live stream from a camera of the rig (the first by default), on an orbit, from poses of a file, or along
+    a camera path of the page, once unless `frames` says otherwise.
 
     A token is taken from the environment variable STREAMLOD_TOKEN. At another rate than the stream's (`fps`), pictures
     between its frames are interpolated.
     """
-    if sum((camera is not None, orbiting, pose is not None)) > 1:
-        raise InputError("view", "--camera, --orbit and --pose exclude each other")
+    if sum((camera is not None, orbiting, pose is not None, path is not None)) > 1:
+        raise InputError("view", "--camera, --orbit, --pose and --path exclude each other")
+    route = None if path is None else read_path(path)
     if frames is not None and frames < 1:
         raise InputError("--frames", f"must be at least 1, not {frames}")
 
@@ -61,6 +66,9 @@ def view(
             return orbit(header, frames)
         if pose is not None:
             return read_poses(pose, header)
+        if route is not None:
+            first = header.cameras[0] if header.cameras else None
+            return along(route, (first.width, first.height) if first else _PATH_SIZE, fps or header.fps)
         if camera is None and not header.cameras:
             raise InputError("view", "the scene has no cameras; give --pose")
         chosen = camera_named(header, camera or header.cameras[0].name)
