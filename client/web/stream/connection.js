@@ -39,6 +39,11 @@ export class Connection extends Link {
     super.open();
   }
 
+  /** @param {object[]} messages */
+  opened(messages) {
+    super.opened(this.speed === 1 ? messages : [...messages, { type: "set", speed: this.speed }]);
+  }
+
   /** @param {string | ArrayBuffer} data */
   hear(data) {
     if (typeof data !== "string") this.session.arrived(data.byteLength, performance.now());
@@ -111,9 +116,10 @@ export class Connection extends Link {
   send(messages) {
     const { position, window } = this.session.status;
     for (const { stop, ...wanted } of messages) {
+      if (wanted.type === "speed") this.speed = wanted.value;
       const isPlay = wanted.type === "play", isPause = wanted.type === "pause";
       // The server stopped a few packets after what is shown: to go on is a seek.
-      const message = isPlay && position ? { type: "seek", to: position } : wanted;
+      const message = isPlay && position ? { type: "seek", to: position } : wanted.type === "speed" ? { type: "set", speed: wanted.value } : wanted;
       if (this.aim !== null && (isPlay || isPause)) {
         this.stopAt = isPause ? this.aim : null; // where the seek leads
         continue;

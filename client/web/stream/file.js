@@ -20,7 +20,7 @@ export class FileReader {
   async #fetch(range) {
     const { origin } = new URL(this.url);
     const answer = await fetch(this.url, { headers: { ...this.headers, Range: `bytes=${range}` } }).catch(() => {
-      throw new Error(`${origin} does not answer${origin === location.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`);
+      throw new Error(`${origin} does not answer${origin === globalThis.location?.origin ? "" : ", or does not let pages of other sites read its files (CORS)"}`);
     });
     if (!answer.ok) throw new Error(`the recording cannot be read: ${answer.status} ${answer.statusText}`);
     return answer;

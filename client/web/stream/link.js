@@ -47,7 +47,7 @@ export class Link {
       return this.open();
     }
     const wait = this.session.closed(code, reason, performance.now(), Math.random());
-    if (wait !== null) this.retry = self.setTimeout(() => this.#move(), wait);
+    if (wait !== null) this.retry = setTimeout(() => this.#move(), wait);
     this.tell();
   }
 

@@ -2,6 +2,7 @@
 
 import { checkEntry, levelOf, moments, plan } from "../decode/container.js";
 import { KEY, LIMITS, must } from "../decode/packet.js";
+import { BitstreamError } from "../decode/scene.js";
 import { FileReader } from "./file.js";
 import { Session } from "./session.js";
 
@@ -66,6 +67,22 @@ export class Recording {
     this.handlers.status();
   }
 
+  /** A moment cannot be shown: go on after it, from the next keyframe, or end before it. @param {unknown} error */
+  #leaveOut(error) {
+    const { session } = this, { version } = this.moments[this.at];
+    const next = this.entries.find(({ kind, keyframe }) => kind === KEY && keyframe > version)?.keyframe ?? Infinity;
+    const whole = this.moments.filter((moment) => moment.version < version || moment.version >= next);
+    if (!whole.length || !(error instanceof BitstreamError)) return this.#fail(error);
+    this.moments = whole;
+    session.status.trouble = "a part of the file is damaged or missing";
+    session.status.window = { oldest: { epoch: 1, version: whole[0].version }, newest: { epoch: 1, version: whole[whole.length - 1].version } };
+    this.shown = whole.findIndex((moment) => moment.version === this.held?.version);
+    if (next === Infinity) this.playing = false;
+    this.#moveTo(next === Infinity ? whole.length - 1 : this.#indexOf(next));
+    this.handlers.moments?.(whole);
+    this.handlers.status();
+  }
+
   /** @param {number} version */
   #indexOf(version) {
     const after = this.moments.findIndex((moment) => moment.version > version);
@@ -94,7 +111,7 @@ export class Recording {
     if (this.at !== this.shown) {
       this.busy = true;
       this.wantedAt = performance.now();
-      this.#show(this.at).catch((error) => this.#fail(error)).finally(() => (this.busy = false));
+      this.#show(this.at).catch((error) => this.#leaveOut(error)).finally(() => (this.busy = false));
     }
     this.#settle();
   }

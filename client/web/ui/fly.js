@@ -27,7 +27,7 @@ export class Flight {
     this.#sweep(FLIGHT_MS, 1, () => {
       if (stood) return;
       if (mode === "live" && !timeline.recording) timeline.live();
-      else if (position) timeline.send([{ type: "play" }]);
+      else if (position) timeline.play();
     });
   }
 

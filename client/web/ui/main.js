@@ -14,6 +14,8 @@ import { Rig, showSource } from "./rig.js";
 import { attachSharing, copyMoment, savePicture } from "./sharing.js";
 import { fillStatistics, Rates } from "./statistics.js";
 import { followPast } from "./past.js";
+import { backgroundItems, colourOf } from "./background.js";
+import { attachDrop } from "./drop.js";
 import { Timeline } from "./timeline.js";
 import { Viewer } from "../view/viewer.js";
 
@@ -21,9 +23,10 @@ const MOVING = ["live", "behind", "replay"]; // phases in which the picture may 
 const OF_SLIDERS = new Set(["arrowleft", "arrowright", "arrowup", "arrowdown", "home", "end", "pageup", "pagedown"]);
 const MAX_BLUR_PX = 18; // where nothing was seen
 const OPENING_AFTER_MS = 600; // after the first picture
+const SLOW_MS = 10_000; // that the way out of slow drawing is offered
 const BACK_AT = 0.4; // how far outside of what the rig has seen a way back is offered
 const options = new URLSearchParams(location.search);
-const recording = options.get("src");
+let recording = options.get("src"); // the address of a file that is played
 const canvas = /** @type {HTMLCanvasElement} */ (element("canvas"));
 document.body.classList.toggle("embed", options.get("embed") === "1");
 document.body.classList.toggle("still", options.get("sway") === "0");
@@ -61,6 +64,7 @@ async function start(viewer) {
   const flight = new Flight(viewer, timeline);
   const isShared = viewer.thin || (!recording && options.get("together") === "1"); // a played file is seen where the server plays it
   const token = recording ? null : options.get("token"); // files of other servers must not get it
+  let told = false; // that the server can draw
   let retryAt = 0, shown = -1, place = "";
 
   const destroy = () => {
@@ -108,6 +112,10 @@ async function start(viewer) {
   viewer.addEventListener("drawn", (event) => {
     const { ms, all } = /** @type {CustomEvent} */ (event).detail;
     quality.frame(ms, all);
+    if (quality.isTooSlow && !told && !recording) {
+      told = true;
+      toast("This device is slow at drawing this scene", SLOW_MS, { label: "Let the server draw", act: () => drawThere(true) });
+    }
   });
   viewer.addEventListener("graphics", refresh);
   const heartbeat = setInterval(() => {
@@ -202,13 +210,14 @@ async function start(viewer) {
         quality.choose(name);
         button("b-quality").click();
       })));
+    if (!viewer.thin) qualityMenu.append(...backgroundItems(viewer));
     if (!recording) qualityMenu.append(menuItem("Server draws", "slow devices", viewer.thin, () => drawThere(!viewer.thin)));
   });
 
   /** @type {Record<string, () => unknown>} */
   const keys = {
     " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.begin(), j: () => timeline.skip(-10), k: () => timeline.toggle(), l: () => timeline.skip(10),
-    end: () => timeline.live(), m: () => timeline.position && timeline.marks.toggle(timeline.position), r: goHome, f: fullScreen, t: () => flight.toggle(), v: () => putOn("vr"), p: () => savePicture(viewer), y: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(),
+    end: () => timeline.live(), m: () => timeline.position && timeline.marks.toggle(timeline.position), r: goHome, f: fullScreen, t: () => flight.toggle(), v: () => putOn("vr"), p: () => savePicture(viewer), y: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(), b: () => button("b-path").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
@@ -222,7 +231,17 @@ async function start(viewer) {
     } else if (/^[1-9]$/.test(key)) goTo(Number(key) - 1);
   });
 
-  controls.mayDrift = () => quality.step === 0 && !flight.stop && MOVING.includes(viewer.status?.phase ?? "");
+  /** @type {import("./paths.js").Paths | null} loaded when it is asked for */
+  let paths = null;
+  const loadPaths = async () => (paths ??= new (await import("./paths.js")).Paths(viewer, timeline));
+  button("b-path").addEventListener("click", async () => {
+    if (paths) return;
+    await loadPaths();
+    button("b-path").click(); // opens: it listens from now on
+  });
+  if (options.has("path")) loadPaths();
+
+  controls.mayDrift = () => quality.step === 0 && !flight.stop && !paths?.stop && MOVING.includes(viewer.status?.phase ?? "");
   if (!viewer.thin && !options.has("camera") && options.get("sway") !== "0" && (!viewer.software || options.get("sway") === "1")) {
     viewer.addEventListener("picture", () => setTimeout(() => quality.step === 0 && flight.open(), OPENING_AFTER_MS), { once: true });
   }
@@ -238,19 +257,34 @@ async function start(viewer) {
   if (viewer.software) viewer.addEventListener("picture", slow, { once: true });
 
   const wishes = quality.wishes();
+  /** @type {import("./moments.js").Source} */
+  const source = { viewer, address: () => null, token };
+  attachDrop(async (file) => {
+    if (/\.json$/i.test(file.name)) return (await loadPaths()).open(await file.text());
+    if (viewer.thin) return toast("Files play only where this page draws");
+    recording = URL.createObjectURL(file);
+    source.address = () => recording;
+    document.title = `${file.name} · streamlod`;
+    viewer.forget();
+    timeline.forget();
+    viewer.tell({ type: "connect", live: null, file: recording, token: null, wishes });
+  });
+  viewer.paint(colourOf(options.get("background")));
   /** @param {(epoch?: number) => string | null} address */
   const offer = (address) => {
-    const source = { viewer, address, token };
+    Object.assign(source, { address });
     attachSharing(source, timeline);
     if (!viewer.thin) timeline.scrub.addEventListener("pointermove", async (event) => (await import("./moments.js")).attachPeek(source, timeline)(event), { once: true });
   };
   if (recording) {
     const url = new URL(recording, location.href).href;
     offer(() => url);
+    document.title = `${decodeURIComponent(url.split(/[?#]/)[0].split("/").pop() ?? "")} · streamlod`;
     viewer.tell({ type: "connect", live: null, file: url, token: null, wishes });
     return;
   }
   const stream = await chooseStream(options);
+  if (recording) return; // a file was dropped meanwhile
   place = serverPath(`v1/streams/${encodeURIComponent(stream)}`);
   offer((epoch) => {
     if (!viewer.status?.window) return null;

@@ -14,10 +14,16 @@ export const button = (id) => /** @type {HTMLButtonElement} */ (element(id));
 export const setIcon = (id, icon) => element(id).querySelector("use")?.setAttribute("href", `#i-${icon}`);
 
 let toastTimer = 0;
-/** A line that goes away by itself. @type {(text: string, ms?: number) => void} */
-export function toast(text, ms = 2600) {
-  const line = element("toast");
-  line.textContent = text;
+/** A line that goes away by itself, with a button where there is something to do about it. @type {(text: string, ms?: number, offer?: { label: string, act: () => void } | null) => void} */
+export function toast(text, ms = 2600, offer = null) {
+  const line = element("toast"), way = button("toast-button");
+  element("toast-text").textContent = text;
+  way.hidden = !offer;
+  way.textContent = offer?.label ?? "";
+  way.onclick = () => {
+    line.hidden = true;
+    offer?.act();
+  };
   line.hidden = false;
   clearTimeout(toastTimer);
   toastTimer = window.setTimeout(() => (line.hidden = true), ms);

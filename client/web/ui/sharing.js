@@ -1,6 +1,7 @@
 /** Ways to take something along: links, a code for other pages, a picture, the recording. */
 
 import { toText } from "../view/camera.js";
+import { chooseFile } from "./drop.js";
 import { attachMenu, button, element, menuItem, toast } from "./page.js";
 
 /** @typedef {import("../view/viewer.js").Viewer} Viewer */
@@ -82,6 +83,7 @@ export function attachSharing(source, timeline) {
       ...(isEmbedded ? [] : [item("Copy embed code", "", () => copy(embedCode(viewer), "Code for other pages copied"))]),
       item("Save picture", "P", () => savePicture(viewer)),
       item("Mark this moment", "M", () => position && timeline.marks.toggle(position)),
+      item("Play a file…", ".slod", chooseFile),
       ...(address ? [
         ...(newestMark === undefined || newestMark === version ? [] : [item("Clip since the mark", ".slod", saveClip)]),
         ...(token ? [] : [item("Download recording", ".slod", () => Object.assign(document.createElement("a"), { href: address, download: "" }).click())]),

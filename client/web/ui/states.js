@@ -56,7 +56,7 @@ export function words(status, picture, waitMs) {
     case "behind":
       return small(source === "cameras" ? behind(status.lagSeconds) : "Playing", "good");
     case "replay":
-      return small("Replay", "good");
+      return small(trouble ? `Replay, but ${trouble}` : "Replay", "good");
     case "paused":
       return small("Paused", "quiet");
     case "stalled":
@@ -67,7 +67,7 @@ export function words(status, picture, waitMs) {
       return full("Reconnecting", "busy", detail ? "Not available now" : "The server does not answer", `${detail && `${detail}. `}Trying again${when}.`, { spinner: true, button: "Try now" });
     }
     case "ended":
-      return picture ? small("Ended", "quiet") : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");
+      return picture ? small(trouble ? `Ended, but ${trouble}` : "Ended", "quiet") : full("Ended", "quiet", "This stream has ended", detail || "There is nothing to show any more.");
     case "deleted":
       if (picture) return small("Deleted, this is its last picture", "bad");
       return full("Deleted", "bad", "This stream was deleted", detail || "There is nothing to show any more.", { button: "Show streams" });

@@ -42,6 +42,7 @@ export async function chooseStream(options) {
   listed.then((streams) => {
     const label = button("stream-name");
     label.textContent = streams.find(({ id }) => id === chosen)?.name ?? chosen;
+    document.title = `${label.textContent} · streamlod`;
     label.hidden = streams.length < 2;
   });
   return chosen;
@@ -81,6 +82,11 @@ export async function showStreams(options) {
     const note = document.createElement("small");
     note.textContent = `${state}, ${viewers} watching`;
     link.append(name, note);
+    if (!options.has("token")) { // images carry none
+      const poster = Object.assign(new Image(), { src: serverPath(`v1/streams/${encodeURIComponent(id)}/poster.jpg`), alt: "", loading: "lazy" });
+      poster.onerror = () => poster.remove();
+      link.prepend(poster);
+    }
     const item = document.createElement("li");
     item.append(link);
     return item;

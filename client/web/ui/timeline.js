@@ -33,6 +33,7 @@ export class Timeline {
     this.status = null;
     this.loop = false;
     this.speed = 1;
+    this.pausing = false; // it was asked for, and not answered yet
     this.dragging = false;
     this.lastSeek = 0;
     button("t-play").onclick = () => this.toggle();
@@ -57,11 +58,19 @@ export class Timeline {
     for (const mark of marks?.split(",") ?? []) if (/^\d+$/.test(mark)) this.marks.toggle({ epoch: null, version: Number(mark) });
   }
 
+  /** Something else is watched from now on. */
+  forget() {
+    this.times = new Times();
+    this.spans = [];
+    this.strip = new Bar([], this.times, null);
+    this.recording = this.pausing = false;
+    this.status = null;
+  }
+
   /** From now on a file is played. @param {boolean} loop */
   playFile(loop) {
     this.recording = true;
     button("t-live").hidden = true;
-    button("t-speed").hidden = false;
     this.loop = loop;
     button("t-loop").setAttribute("aria-pressed", String(loop));
   }
@@ -138,7 +147,7 @@ export class Timeline {
   }
 
   get paused() {
-    return this.status?.mode === "paused";
+    return this.pausing || this.status?.mode === "paused";
   }
 
   /** Whether nothing moves until somebody says so. */
@@ -186,6 +195,7 @@ export class Timeline {
   }
 
   live() {
+    this.pausing = false;
     this.send([{ type: "seek", to: "live" }]);
   }
 
@@ -195,13 +205,20 @@ export class Timeline {
   }
 
   toggle() {
-    if (this.paused) this.send([{ type: "play" }]);
+    if (this.paused) this.play();
     else if (this.status?.phase !== "ended") this.pause();
-    else if (this.recording) this.send([{ type: "play" }]);
+    else if (this.recording) this.play();
     else this.begin();
   }
 
+  /** Go on from here. */
+  play() {
+    this.pausing = false;
+    this.send([{ type: "play" }]);
+  }
+
   pause() {
+    this.pausing = true;
     this.send([{ type: "pause" }]);
   }
 
@@ -241,6 +258,8 @@ export class Timeline {
   update(status) {
     const before = this.status;
     this.status = status;
+    if (status.mode === "paused") this.pausing = false;
+    button("t-speed").hidden = !this.recording && status.mode !== "replay";
     this.bar.hidden = !status.window;
     if (!status.window) return;
     if (status.newestMs !== null) this.times.note(status.window.newest, status.newestMs);

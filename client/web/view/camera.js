@@ -156,9 +156,14 @@ export function toText(pose) {
   return [...numbers, ...pose.shift, pose.stretch].map((x) => Number(x.toFixed(4))).join(",");
 }
 
+/** The numbers of such a text. @type {(text: string | null) => number[]} */
+export const numbersOf = (text) => (text ?? "").split(",").map(Number);
+
 /** @type {(text: string | null) => Pose | null} null when the text is not a pose */
-export function fromText(text) {
-  const n = (text ?? "").split(",").map(Number);
+export const fromText = (text) => fromNumbers(numbersOf(text));
+
+/** @type {(n: number[]) => Pose | null} null when they are no pose */
+export function fromNumbers(n) {
   if (n.length !== 14 || !n.every(Number.isFinite) || n[9] <= 0 || n[10] <= 0 || n[13] <= 0) return null;
   const [px, py, pz, fx, fy, fz, dx, dy, dz, distance, focal, sx, sy, stretch] = n;
   if (Math.hypot(...cross([dx, dy, dz], [fx, fy, fz])) < 1e-3) return null;

@@ -1,12 +1,11 @@
 /** From packets and a view to splats in drawing order. */
 
-import { SceneDecoder } from "../decode/decoder.js";
-import { Expander, MIN_ALPHA, RECORD, ROW_SPLATS } from "../decode/expand.js";
-import { add, distanceTo } from "./camera.js";
-import { DepthSort, fillQuads } from "./sort.js";
+import { RECORD, ROW_SPLATS } from "../decode/expand.js";
+import { Gaussians } from "../lib/gaussians.js";
+import { distanceTo } from "./camera.js";
+import { DepthSort } from "./sort.js";
 import { anchorCount, versionOf } from "../decode/scene.js";
 
-/** @typedef {import("../decode/scene.js").Scene} Scene */
 /** @typedef {import("./camera.js").Vec3} Vec3 */
 
 /**
@@ -22,7 +21,7 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  * @property {number} generation - grows when the texture must be made anew, as with each keyframe
  * @property {number} rows - of the texture
  * @property {{ first: number, data: Uint32Array }[]} spans - texture rows that changed
- * @property {Uint32Array} quads
+ * @property {Uint32Array} order - splat numbers, far ones first
  * @property {number} splats
  * @property {number} [anchors] - alive
  * @property {number} version
@@ -31,72 +30,24 @@ import { anchorCount, versionOf } from "../decode/scene.js";
  * @property {number} sortMs
  */
 
-const TURN = 0.02; // view-dependent anchors are expanded again after moves beyond this fraction of the distance to them
 const NEAR_SHARE = 0.15; // of the distance to the nearest camera
 const ROW_NUMBERS = ROW_SPLATS * RECORD;
 const JOIN = 2; // texture rows between two spans that are sent along rather than sent apart
 
-export class Engine {
+export class Engine extends Gaussians {
   /** @param {import("../decode/expand.js").Kernel} kernel */
   constructor(kernel) {
-    this.kernel = kernel;
-    this.decoder = new SceneDecoder();
-    /** @type {Expander | null} */
-    this.expander = null;
-    /** @type {Map<number, Uint8Array>} rows to expand, by level */
-    this.pending = new Map();
-    this.fresh = true; // nothing of this scene was expanded yet
-    this.active = new Uint32Array(0);
-    this.activeCount = 0;
+    super(kernel);
     this.sorter = new DepthSort();
     this.generation = 0;
     this.capacity = 0;
-    this.visible = 0; // bit mask of levels in `active`
-    /** @type {Vec3} */
-    this.expandedFrom = [Infinity, 0, 0];
-    this.centre = /** @type {Vec3} */ ([0, 0, 0]);
-  }
-
-  get scene() {
-    return this.decoder.scene;
   }
 
   /** Decode one packet. @param {Uint8Array} bytes @returns {import("../decode/decoder.js").Effect} */
   push(bytes) {
-    const effect = this.decoder.push(bytes);
-    const scene = /** @type {Scene} */ (this.scene);
-    const replaced = effect.levels.some(({ rows }) => rows === null);
-    if (!this.expander || replaced) {
-      // A keyframe, or a part of one: anchors are numbered anew.
-      this.expander = new Expander(scene, this.kernel);
-      this.capacity = 0;
-      this.pending.clear();
-      for (let level = 0; level < scene.levels.length; level++) this.#admit(level, 0);
-      this.fresh = true;
-      return effect;
-    }
-    this.expander.scene = scene;
-    for (const { level, rows, from } of effect.levels) {
-      this.#admit(level, from);
-      const marks = /** @type {Uint8Array} */ (this.pending.get(level));
-      if (rows) for (let i = 0; i < rows.length; i++) marks[rows[i]] = 1;
-    }
+    const { expander } = this, effect = super.push(bytes);
+    if (this.expander !== expander) this.capacity = 0;
     return effect;
-  }
-
-  /** Mark rows from `from` on as new. @param {number} number @param {number} from */
-  #admit(number, from) {
-    const scene = /** @type {Scene} */ (this.scene), expander = /** @type {Expander} */ (this.expander);
-    const count = scene.levels[number].count;
-    const old = this.pending.get(number);
-    if (!old || old.length < count) {
-      const marks = new Uint8Array(count);
-      if (old) marks.set(old);
-      this.pending.set(number, marks);
-    }
-    if (from >= count) return;
-    /** @type {Uint8Array} */ (this.pending.get(number)).fill(1, from);
-    expander.admit(number, from);
   }
 
   /**
@@ -105,77 +56,23 @@ export class Engine {
    * @returns {Picture | null} null before the first keyframe
    */
   picture(view) {
-    const { scene, expander } = this;
-    if (!scene || !expander) return null;
+    const { scene } = this;
+    if (!scene || !this.expander) return null;
     const start = performance.now();
-    const newest = versionOf(scene);
-    let visible = 0;
-    for (let l = 0; l < Math.min(view.levels, scene.levels.length); l++) if (scene.versions[l] === newest) visible |= 1 << l;
-    const everything = this.#moved(view.position) || (scene.header.viewDependent && visible !== this.visible);
-    let changed = this.fresh || visible !== this.visible;
-    for (let l = 0; l < scene.levels.length; l++) {
-      const rows = this.#takePending(l);
-      if (rows.length) {
-        expander.refresh(l, rows);
-        changed = true;
-      }
-      const wanted = everything && (visible >> l) & 1 ? range(scene.levels[l].count) : rows;
-      if (wanted.length) expander.write(l, wanted, view.position);
-    }
-    if (everything) this.expandedFrom = view.position;
-    if (this.fresh) this.centre = middle(scene, expander);
-    this.visible = visible;
-    this.fresh = false;
-    if (changed || everything) this.#collect(visible);
+    this.update(view.position, view.levels);
     const spans = this.#spans();
     const sorted = performance.now();
-    const quads = this.#order(view);
+    const order = this.#order(view);
     return {
-      generation: this.generation, rows: this.capacity, spans, quads, splats: quads.length / 6, anchors: anchorCount(scene), version: newest,
-      missing: Math.clz32(visible) - Math.clz32((1 << scene.levels.length) - 1),
+      generation: this.generation, rows: this.capacity, spans, order, splats: order.length, anchors: anchorCount(scene), version: versionOf(scene),
+      missing: Math.clz32(this.visible) - Math.clz32((1 << scene.levels.length) - 1),
       expandMs: sorted - start, sortMs: performance.now() - sorted,
     };
   }
 
-  /** @param {Vec3} position */
-  #moved(position) {
-    const { scene } = this;
-    if (!scene?.header.viewDependent) return false;
-    const [moved, reach] = [this.expandedFrom, this.centre].map((place) => Math.hypot(...add(position, place, -1)));
-    return this.fresh || !(moved <= TURN * reach);
-  }
-
-  /** @param {number} level @returns {Uint32Array} */
-  #takePending(level) {
-    const marks = this.pending.get(level);
-    if (!marks) return new Uint32Array(0);
-    const rows = [];
-    for (let i = 0; i < marks.length; i++) if (marks[i]) rows.push(i);
-    if (rows.length) marks.fill(0);
-    return Uint32Array.from(rows);
-  }
-
-  /** Splats worth drawing, level by level. @param {number} visible */
-  #collect(visible) {
-    const scene = /** @type {Scene} */ (this.scene), expander = /** @type {Expander} */ (this.expander);
-    const { numbers, slots } = expander;
-    if (this.active.length < expander.anchors * slots) this.active = new Uint32Array(expander.anchors * slots);
-    let count = 0;
-    scene.levels.forEach((level, l) => {
-      if (!((visible >> l) & 1)) return;
-      const { base } = expander.levels[l];
-      for (let r = 0; r < level.count; r++) {
-        for (let s = base[r] * slots, end = s + slots; s < end; s++) {
-          if (numbers[s * RECORD + 3] >= MIN_ALPHA) this.active[count++] = s;
-        }
-      }
-    });
-    this.activeCount = count;
-  }
-
   /** Changed texture rows as copies, all of them when the texture grows. */
   #spans() {
-    const expander = /** @type {Expander} */ (this.expander);
+    const expander = /** @type {import("../decode/expand.js").Expander} */ (this.expander);
     const capacity = expander.splats.length / ROW_NUMBERS;
     const dirty = expander.takeDirty();
     if (capacity !== this.capacity) {
@@ -206,11 +103,8 @@ export class Engine {
 
   /** @param {EngineView} view */
   #order({ rotation, position }) {
-    const numbers = /** @type {Expander} */ (this.expander).numbers;
-    const order = this.sorter.order(numbers, RECORD, this.active, this.activeCount, rotation.slice(6), position, this.#near(position));
-    const quads = new Uint32Array(6 * order.length);
-    fillQuads(order, quads);
-    return quads;
+    const numbers = /** @type {import("../decode/expand.js").Expander} */ (this.expander).numbers;
+    return this.sorter.order(numbers, RECORD, this.active, this.activeCount, rotation.slice(6), position, this.#near(position)).slice();
   }
 
   /**
@@ -252,19 +146,4 @@ export class Engine {
     depths.sort((a, b) => a - b);
     return depths.length ? depths[depths.length >> 1] : 0;
   }
-}
-
-/** @type {(count: number) => Uint32Array} */
-const range = (count) => Uint32Array.from({ length: count }, (_, i) => i);
-
-/** Mean of all anchors. @type {(scene: Scene, expander: Expander) => Vec3} */
-function middle(scene, expander) {
-  /** @type {Vec3} */
-  const sum = [0, 0, 0];
-  let count = 0;
-  expander.levels.forEach(({ anchor }, l) => {
-    count += scene.levels[l].count;
-    for (let i = 0; i < 3 * scene.levels[l].count; i++) sum[i % 3] += anchor[i];
-  });
-  return add([0, 0, 0], sum, 1 / (count || 1));
 }

@@ -13,12 +13,16 @@ const MAX_FRAME_MS = 70; // so that a drag is answered within 100 ms
 const PATIENCE = 2, COURAGE = 8; // measurements in a row before a step down or up
 const COOL_DOWN = 40; // heartbeats before a step that proved too slow is tried again
 
-/** What auto gives up while things move, little by little: shares of the screen's resolution and of the splats (renderer.js). */
+/** @typedef {{ resolution: number, share: number, warps?: boolean }} Step */
+
+/** What auto gives up while things move, little by little: shares of the screen's resolution and of the splats (renderer.js). At last it draws rarely, and moves the last picture meanwhile (warp.js). */
+/** @type {Step[]} */
 const STEPS = [
   { resolution: 1, share: 1 }, { resolution: 0.75, share: 1 }, { resolution: 0.6, share: 0.7 }, { resolution: 0.5, share: 0.5 },
   { resolution: 0.4, share: 0.4 }, { resolution: 0.35, share: 0.3 },
+  { resolution: 0.5, share: 0.3, warps: true },
 ];
-/** @type {Record<Name, typeof STEPS>} */
+/** @type {Record<Name, Step[]>} */
 const CHOICES = { auto: STEPS, high: STEPS.slice(0, 1), low: STEPS.slice(1) };
 
 export class Quality {
@@ -43,6 +47,11 @@ export class Quality {
     this.name = name;
     this.step = this.slow = this.fast = this.resting = 0;
     this.#apply();
+  }
+
+  /** Whether this device is too slow for any of it. */
+  get isTooSlow() {
+    return this.#now.warps === true;
   }
 
   /** How many levels the stream has. @param {number | null} levels */
@@ -98,7 +107,8 @@ export class Quality {
   }
 
   #apply() {
-    const { viewer } = this, { resolution, share } = this.#now;
+    const { viewer } = this, { resolution, share, warps = false } = this.#now;
+    viewer.warps = warps;
     viewer.resolution = resolution;
     viewer.share = share;
     viewer.resize();
@@ -112,8 +122,9 @@ export class Quality {
 
   /** In words. */
   explain() {
-    const { resolution, share } = this.#now, levels = this.total ? ` ${this.asked ?? this.total} of ${this.total} levels.` : "";
+    const { resolution, share, warps } = this.#now, levels = this.total ? ` ${this.asked ?? this.total} of ${this.total} levels.` : "";
     if (resolution === 1) return `Drawn in full.${levels}`;
+    if (warps) return `While it moves: the last picture, moved along. At rest everything.${levels}`;
     const splats = share < 1 ? ` and ${Math.round(100 * share)} % of the splats` : "";
     return `While it moves: ${Math.round(100 * resolution)} % of the resolution${splats}. At rest everything.${levels}`;
   }

@@ -1,5 +1,6 @@
 /**
- * Sorted splats on a canvas with WebGL2: one drawElements of quads, vertex number = 4 x splat + corner.
+ * Sorted splats on a canvas with WebGL2: quads by drawElements, vertex number = 4 x place + corner. Which splat has a
+ * place in the order, a texture says, so that a new order is one number a splat; the quads' own numbers never change.
  *
  * The rules are those of the other renderers (codec/FORMAT.md section 14).
  */
@@ -11,11 +12,14 @@ const MAX_KEEP = 1.5; // times the share, in the middle and near; at most all
 const MIN_KEEP = 0.03; // a share below would make splats too large to tell anything apart
 const TEXELS = RECORD / 4; // RGBA texels a splat
 const WIDTH = ROW_SPLATS * TEXELS;
+const ORDER_WIDTH = 1024; // texels of the texture with the order
+const RUN = 16_384; // quads that one drawElements draws: their vertices are numbered by 16 bits
 const SPREAD = 2; // area that coarser splats cover for each level that is missing
 
 const VERTEX = `#version 300 es
 precision highp usampler2D;
-uniform usampler2D splats, before;
+uniform usampler2D splats, before, order;
+uniform int first;          // place in the order of the first quad
 uniform float moved;        // share of the way from there
 uniform mat3 rotation;      // world to camera
 uniform vec3 translation;
@@ -26,8 +30,10 @@ uniform vec3 gain, lift;    // of the exposure: gain * colour + lift
 uniform float spread;       // area that each splat has to cover, in areas of its own; 1 where no level is missing
 out vec2 offset;            // in standard deviations
 flat out vec4 colour;
+flat out float nearness;    // inverse depth, times range
 void main() {
-  int splat = gl_VertexID >> 2;
+  int place = first + (gl_VertexID >> 2);
+  int splat = int(texelFetch(order, ivec2(place % ${ORDER_WIDTH}, place / ${ORDER_WIDTH}), 0).x);
   float rank = float((uint(splat) * 2654435769u) >> 8) / 16777216.;  // as rankOf
   gl_Position = vec4(0, 0, 2, 1);                      // outside: dropped
   vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2. - 1.;
@@ -59,17 +65,22 @@ void main() {
   vec2 axis = abs(xy) < 1e-6 ? (xx >= yy ? vec2(1, 0) : vec2(0, 1)) : normalize(vec2(xy, major - xx));
   offset = corner * sqrt(2. * log(255. * mean.w));     // alpha falls below 1/255 there
   vec2 pixel = focal * way + principal + offset.x * sqrt(major) * axis + offset.y * sqrt(minor) * vec2(-axis.y, axis.x);
+  nearness = range / c.z;
   colour = vec4(gain * vec3(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x) + lift, mean.w);
   gl_Position = vec4(2. * pixel.x / viewport.x - 1., 1. - 2. * pixel.y / viewport.y, 0, 1);
 }`;
 
-const FRAGMENT = `#version 300 es
+/** Colours, and if `isDeep` also how near they are. @type {(isDeep: boolean) => string} */
+const fragment = (isDeep) => `#version 300 es
 precision highp float;
-in vec2 offset; flat in vec4 colour; out vec4 result;
+in vec2 offset; flat in vec4 colour; flat in float nearness;
+layout(location = 0) out vec4 result;
+${isDeep ? "layout(location = 1) out vec4 depth;" : ""}
 void main() {
   float alpha = min(.999, colour.a * exp(-.5 * dot(offset, offset)));
   if (alpha < 1. / 255.) discard;
   result = vec4(colour.rgb * alpha, alpha);
+  ${isDeep ? "depth = vec4(nearness * alpha, 0, 0, alpha);" : ""}
 }`;
 
 /**
@@ -86,7 +97,26 @@ void main() {
 /** 0 to 1: multiples of the golden ratio, so that of any range of splats, and so at any place, a share has ranks below it. @type {(splat: number) => number} */
 const rankOf = (splat) => (Math.imul(splat, 0x9e3779b9) >>> 8) / 0x1000000;
 
-/** A part of a framebuffer, pixels. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number, isSeeThrough?: boolean }} Target */
+const CORNERS = [0, 1, 2, 2, 1, 3]; // of a quad's two triangles
+
+/** A program of two shaders. @type {(gl: WebGL2RenderingContext, vertex: string, fragment: string) => WebGLProgram} */
+export function link(gl, vertex, fragment) {
+  const program = gl.createProgram();
+  for (const [kind, source] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]])) {
+    const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+    gl.deleteShader(shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+    throw new Error(`the shaders do not link: ${gl.getProgramInfoLog(program)}`);
+  }
+  return program;
+}
+
+/** A part of a framebuffer, pixels; `isDeep`: its second colour is how near things are, weighted by their opacity, and that. @typedef {{ framebuffer: WebGLFramebuffer | null, x: number, y: number, width: number, height: number, isSeeThrough?: boolean, isDeep?: boolean }} Target */
 
 export class Renderer {
   /**
@@ -97,11 +127,15 @@ export class Renderer {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, depth: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("no WebGL2");
     this.gl = gl;
-    this.program = this.#link();
+    this.program = link(gl, VERTEX, fragment(false));
+    /** @type {WebGLProgram | null} made when it is first asked for */
+    this.deep = null;
     this.quads = gl.createBuffer();
     this.array = gl.createVertexArray();
     this.texture = gl.createTexture();
     this.before = gl.createTexture(); // of the state before
+    this.places = gl.createTexture(); // the order
+    this.placeRows = 0;
     this.source = gl.createFramebuffer(); // to copy from
     this.rows = 0;
     this.movesFrom = this.movesFor = 0; // ms: since when it moves on from there, and for how long
@@ -113,7 +147,9 @@ export class Renderer {
     this.missing = 0; // finest levels of the scene that are not there
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
-    for (const [i, texture] of [this.before, this.texture].entries()) {
+    /** @type {[number, number, number] | null} shown instead of it */
+    this.backdrop = null;
+    for (const [i, texture] of [this.before, this.places, this.texture].entries()) {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_2D, texture);
       for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
@@ -122,6 +158,7 @@ export class Renderer {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.texture, 0);
     gl.bindVertexArray(this.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.quads);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, Uint16Array.from({ length: 6 * RUN }, (_, i) => 4 * Math.trunc(i / 6) + CORNERS[i % 6]), gl.STATIC_DRAW);
     gl.enable(gl.SCISSOR_TEST); // clearing one eye's part must not clear the other's
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
@@ -136,22 +173,6 @@ export class Renderer {
   get hardware() {
     const info = this.gl.getExtension("WEBGL_debug_renderer_info");
     return String(this.gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : this.gl.RENDERER) ?? "");
-  }
-
-  #link() {
-    const { gl } = this, program = gl.createProgram();
-    for (const [kind, source] of /** @type {[number, string][]} */ ([[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]])) {
-      const shader = /** @type {WebGLShader} */ (gl.createShader(kind));
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-      gl.deleteShader(shader);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      throw new Error(`the shaders do not link: ${gl.getProgramInfoLog(program)}`);
-    }
-    return program;
   }
 
   /**
@@ -170,8 +191,8 @@ export class Renderer {
       gl.bindFramebuffer(gl.FRAMEBUFFER, this.source);
       gl.activeTexture(gl.TEXTURE0);
       gl.copyTexImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, 0, 0, WIDTH, this.rows, 0);
-      gl.activeTexture(gl.TEXTURE1);
     }
+    gl.activeTexture(gl.TEXTURE2);
     if (rows > this.rows) {
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, WIDTH, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, null);
       this.rows = rows;
@@ -189,28 +210,25 @@ export class Renderer {
     this.setOrder(new Uint32Array(0));
   }
 
-  /** The order to draw in. @param {Uint32Array} quads - 6 vertex numbers a splat */
-  setOrder(quads) {
-    this.order = quads;
+  /** The order to draw in. @param {Uint32Array} order - splat numbers, far ones first */
+  setOrder(order) {
+    this.order = order;
     this.uploaded = -1;
   }
 
   /** Give the graphics card the order, without splats that are never drawn. @param {number} share */
   #upload(share) {
-    const { order, gl } = this, limit = MAX_KEEP * share;
-    /** @type {Uint32Array} */
-    let chosen = order;
-    if (limit < 1) {
-      chosen = new Uint32Array(order.length);
-      let n = 0;
-      for (let i = 0; i < order.length; i += 6) {
-        if (rankOf(order[i] >> 2) > limit) continue;
-        for (let j = 0; j < 6; j++) chosen[n++] = order[i + j];
-      }
-      chosen = chosen.subarray(0, n);
+    const { gl } = this, limit = MAX_KEEP * share, order = limit < 1 ? this.order.filter((splat) => rankOf(splat) <= limit) : this.order;
+    const rows = Math.ceil(order.length / ORDER_WIDTH), whole = Math.trunc(order.length / ORDER_WIDTH);
+    gl.activeTexture(gl.TEXTURE1);
+    if (rows > this.placeRows) {
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, ORDER_WIDTH, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, null);
+      this.placeRows = rows;
     }
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, chosen, gl.STREAM_DRAW);
-    this.count = chosen.length;
+    if (whole) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ORDER_WIDTH, whole, gl.RED_INTEGER, gl.UNSIGNED_INT, order);
+    const rest = order.subarray(whole * ORDER_WIDTH);
+    if (rest.length) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, whole, rest.length, 1, gl.RED_INTEGER, gl.UNSIGNED_INT, rest);
+    this.count = order.length;
     this.uploaded = share;
   }
 
@@ -221,15 +239,18 @@ export class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
-    if (target?.isSeeThrough) gl.clearColor(0, 0, 0, 0);
-    else gl.clearColor(exposed(0), exposed(1), exposed(2), 1);
-    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.BLEND);
+    const behind = this.backdrop ?? [exposed(0), exposed(1), exposed(2)];
+    gl.clearBufferfv(gl.COLOR, 0, target?.isSeeThrough ? [0, 0, 0, 0] : [...behind, 1]);
+    if (target?.isDeep) gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
     if (this.uploaded !== (view.share ?? 1)) this.#upload(view.share ?? 1);
     const age = performance.now() - this.movesFrom;
     this.moved = age < this.movesFor ? age / this.movesFor : 1;
     if (!this.count) return;
-    const at = (/** @type {string} */ name) => gl.getUniformLocation(this.program, name);
-    gl.useProgram(this.program);
+    const program = target?.isDeep ? (this.deep ??= link(gl, VERTEX, fragment(true))) : this.program;
+    const at = (/** @type {string} */ name) => gl.getUniformLocation(program, name);
+    gl.useProgram(program);
+    gl.bindVertexArray(this.array);
     gl.uniformMatrix3fv(at("rotation"), true, Float32Array.from(view.rotation));
     gl.uniform3fv(at("translation"), Float32Array.from(view.translation));
     gl.uniform2f(at("viewport"), width, height);
@@ -240,9 +261,13 @@ export class Renderer {
     gl.uniform3fv(at("gain"), exposure.slice(0, 3));
     gl.uniform3fv(at("lift"), exposure.slice(3));
     gl.uniform1f(at("spread"), SPREAD ** this.missing);
-    gl.uniform1i(at("splats"), 1);
+    for (const [i, name] of ["before", "order", "splats"].entries()) gl.uniform1i(at(name), i);
     gl.uniform1f(at("moved"), this.moved);
-    gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
+    const firstAt = at("first");
+    for (let first = 0; first < this.count; first += RUN) {
+      gl.uniform1i(firstAt, first);
+      gl.drawElements(gl.TRIANGLES, 6 * Math.min(RUN, this.count - first), gl.UNSIGNED_SHORT, 0);
+    }
   }
 
   /** Free everything on the graphics card. */
@@ -250,9 +275,11 @@ export class Renderer {
     const { gl } = this;
     gl.deleteTexture(this.texture);
     gl.deleteTexture(this.before);
+    gl.deleteTexture(this.places);
     gl.deleteFramebuffer(this.source);
     gl.deleteBuffer(this.quads);
     gl.deleteVertexArray(this.array);
     gl.deleteProgram(this.program);
+    if (this.deep) gl.deleteProgram(this.deep);
   }
 }

@@ -74,20 +74,3 @@ export class DepthSort {
     return out.subarray(0, shown);
   }
 }
-
-/**
- * Two triangles a splat for drawElements; the vertex number is 4 x splat + corner.
- * @param {Uint32Array} order
- * @param {Uint32Array} quads - room for 6 numbers a splat
- */
-export function fillQuads(order, quads) {
-  for (let i = 0, j = 0; i < order.length; i++) {
-    const base = order[i] * 4;
-    quads[j++] = base;
-    quads[j++] = base + 1;
-    quads[j++] = base + 2;
-    quads[j++] = base + 2;
-    quads[j++] = base + 1;
-    quads[j++] = base + 3;
-  }
-}

@@ -33,6 +33,8 @@ export class Screen {
     this.isLost = false;
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
+    /** @type {[number, number, number] | null} of no effect: the server draws */
+    this.backdrop = null;
     this.missing = this.movesFor = 0;
     this.moved = 1;
   }
@@ -194,7 +196,7 @@ export class ThinLink extends Link {
       if (this.stopAt && session.status.mode === "live" && version >= this.stopAt.version) this.#command({ type: "pause" });
       const drawn = { width: head.getUint16(12, true), height: head.getUint16(14, true), quality: head.getUint8(16) };
       this.#tell({
-        type: "picture", generation: 0, rows: 0, spans: [], quads: new Uint32Array(0), splats: 0, missing: 0, version, drawn,
+        type: "picture", generation: 0, rows: 0, spans: [], order: new Uint32Array(0), splats: 0, missing: 0, version, drawn,
         position: session.status.position, decodeMs: performance.now() - start, expandMs: head.getUint32(20, true) / 1000, sortMs: 0,
       });
     } else bitmap.close();
@@ -205,7 +207,7 @@ export class ThinLink extends Link {
   /** @param {any} wanted */
   #command(wanted) {
     const { position, window: range } = this.session.status;
-    const message = wanted.type === "play" && position ? { type: "seek", to: this.stopAt ?? position } : wanted;
+    const message = wanted.type === "play" && position ? { type: "seek", to: this.stopAt ?? position } : wanted.type === "speed" ? { type: "set", speed: wanted.value } : wanted;
     if (message.type === "seek") {
       this.stopAt = message.stop ? message.to : null;
       this.#hold(message.to === "live" ? (range?.newest.version ?? null) : message.to.version);

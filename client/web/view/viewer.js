@@ -7,6 +7,7 @@ import { exposureAt } from "./exposure.js";
 import { between, dot, fromCamera, homeCamera, rigUp, row, target } from "./camera.js";
 import { braked, held, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
+import { Warp } from "./warp.js";
 
 /** @typedef {import("./camera.js").Pose} Pose */
 /** @typedef {import("./camera.js").Vec3} Vec3 */
@@ -55,10 +56,17 @@ export class Viewer extends EventTarget {
     /** @type {string[]} cameras of the rig whose own pictures the server shows */
     this.pictured = [];
     this.isLost = false; // the browser took the graphics card away
+    /** @type {[number, number, number] | null} shown behind the scene instead of its own colour */
+    this.backdrop = null;
     this.posed = false; // someone chose a pose: a new scene does not move the camera
     this.levels = Infinity;
     this.resolution = 1; // fraction of the screen's own, while things move
     this.share = 1; // of the splats that is drawn, while things move
+    this.warps = false; // while things move, moves the last picture rather than draws the splats
+    /** @type {Warp | null} */
+    this.warp = null;
+    this.isOld = false; // what it keeps is, as something new came
+    this.kept = false; // a picture for it was drawn in the last frame
     this.resting = false; // drawn in full, because nothing moves
     this.timed = { frames: 0, ms: 0 }; // drawn since `pace` was asked for, and the time that took
     this.lastFrame = 0;
@@ -121,9 +129,10 @@ export class Viewer extends EventTarget {
         if (message.generation !== this.generation) this.renderer.clear();
         this.generation = message.generation;
         this.renderer.update(message.rows, message.spans, message.overMs);
-        this.renderer.setOrder(message.quads);
+        this.renderer.setOrder(message.order);
         this.renderer.missing = message.missing;
-        this.picture = { ...message, spans: [], quads: new Uint32Array(0) };
+        this.isOld ||= message.version !== this.picture?.version;
+        this.picture = { ...message, spans: [], order: new Uint32Array(0) };
         this.dirty = true;
         if (this.isLost && !this.renderer.isLost) this.#lose(false);
         break;
@@ -161,6 +170,19 @@ export class Viewer extends EventTarget {
       this.home = { ...begin, distance };
       this.space = seenSpace(scene.cameras, target(this.home));
     });
+  }
+
+  /** Something else is watched from now on. */
+  forget() {
+    this.generation = -1;
+    this.scene = this.home = this.space = this.picture = null;
+    this.posed = false;
+  }
+
+  /** Show that colour behind the scene; null: the scene's own. @param {[number, number, number] | null} colour */
+  paint(colour) {
+    this.backdrop = this.renderer.backdrop = colour;
+    this.dirty = this.isOld = true;
   }
 
   /** Stand where a camera of the rig does. @param {import("./camera.js").RigCamera} camera @param {boolean} [glide] - move there smoothly */
@@ -288,7 +310,26 @@ export class Viewer extends EventTarget {
   }
 
   draw() {
-    this.renderer.draw(this.view());
+    const view = this.view(), warp = this.#warping();
+    if (!warp) return this.renderer.draw(view);
+    const { width, height } = this.canvas;
+    if (this.resting || warp.isDue(view, this.isOld)) {
+      warp.keep(view, width, height);
+      this.kept = true;
+      this.isOld = false;
+    }
+    warp.draw(view);
+  }
+
+  /** What moves the last picture, where that is wanted and can be. @returns {Warp | null} */
+  #warping() {
+    if (!this.warps || !("gl" in this.renderer)) return null;
+    try {
+      return (this.warp ??= new Warp(this.renderer));
+    } catch {
+      this.warps = false;
+      return null;
+    }
   }
 
   /** Time that drawing took: that until the next frame, and that of frames which came late. @param {number} now */
@@ -296,6 +337,8 @@ export class Viewer extends EventTarget {
     const ms = now - this.lastFrame;
     this.lastFrame = now;
     if (this.drew && ms < ASLEEP_MS) this.frameMs = ms;
+    if (this.kept && this.warp) this.warp.costMs = ms;
+    this.kept = false;
     if (ms < ASLEEP_MS && (this.drew || ms > VSYNC_MS)) {
       this.timed.frames += Number(this.drew);
       this.timed.ms += ms;
@@ -324,6 +367,8 @@ export class Viewer extends EventTarget {
     if (!this.running) return;
     this.renderer = new Renderer(this.canvas);
     this.renderer.background = background;
+    this.renderer.backdrop = this.backdrop;
+    this.warp = null;
     this.generation = -1;
     this.tell({ type: "texture" });
     if (!this.picture) this.#lose(false); // else with the next picture, which is on its way
@@ -345,6 +390,7 @@ export class Viewer extends EventTarget {
     this.running = false;
     this.resizer.disconnect();
     this.tell({ type: "close" });
+    this.warp?.destroy();
     this.renderer.destroy();
   }
 }

@@ -93,12 +93,12 @@ function picture() {
   if (!view) return;
   const result = engine.picture(view);
   if (!result) return;
-  const { spans, quads, version } = result;
+  const { spans, order, version } = result;
   // Not what is live: moving on shows it later.
   const overMs = source?.session.status.mode === "replay" && version === before.version + 1
     ? Math.min((timeMs - before.timeMs) / source.speed, MAX_MOVE_MS) : version === before.version ? null : 0;
   before = { version, timeMs };
-  const transfer = [quads.buffer, ...spans.map(({ data }) => data.buffer)];
+  const transfer = [order.buffer, ...spans.map(({ data }) => data.buffer)];
   const position = (shownAt = source?.session.status.position ?? null);
   tell({ type: "picture", ...result, timeMs, overMs, decodeMs, position }, /** @type {any} */ (transfer));
   questions.forEach(answer);
@@ -129,7 +129,9 @@ const handlers = { packet: decode, hold, status, moments };
 /** Watch a file; what plays it is loaded now. @type {(url: string, token: string | null, loop: boolean) => Promise<void>} */
 async function playFile(url, token, loop) {
   source?.close();
-  source = file = null;
+  source = file = engine = held = shownAt = null; // a file that is dropped follows another stream
+  keyframe = -1;
+  before = { version: -1, timeMs: 0 };
   const { Recording } = await import("../stream/recording.js");
   source = new Recording(url, token, handlers, loop);
   status();

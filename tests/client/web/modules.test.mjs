@@ -13,7 +13,7 @@ import { Quality } from "../../../client/web/view/quality.js";
 import { heard } from "../../../client/web/stream/heard.js";
 import { phaseOf } from "../../../client/web/stream/phase.js";
 import { Session } from "../../../client/web/stream/session.js";
-import { DepthSort, fillQuads } from "../../../client/web/view/sort.js";
+import { DepthSort } from "../../../client/web/view/sort.js";
 import { clock, duration, words } from "../../../client/web/ui/states.js";
 import { turnAt, turns } from "../../../client/web/view/flight.js";
 import { Bar, Times } from "../../../client/web/ui/times.js";
@@ -76,9 +76,6 @@ test("sorted far to near, nothing behind the camera", () => {
 });
 
 test("two triangles a splat", () => {
-  const quads = new Uint32Array(12);
-  fillQuads(Uint32Array.of(3, 1), quads);
-  assert.deepEqual([...quads], [12, 13, 14, 14, 13, 15, 4, 5, 6, 6, 5, 7]);
 });
 
 test("tables: frequencies fill 4096, bins step where they should", () => {
@@ -572,4 +569,18 @@ test("a flight goes to one end of the rig, to the other, and back", () => {
   let far = pose;
   for (let i = 0; i < 200; i++) far = braked(space, far, camera.orbit(far, up, 0.05, 0));
   assert.ok(outside(space, far.position) < 0.95, "it takes ever more force to leave the rig");
+});
+
+test("Auto that is too slow even with the fewest splats moves the last picture, and takes that back", () => {
+  let pace = null;
+  const viewer = { warps: false, resize() {}, tell() {}, viewChanged() {}, pace: () => pace }, quality = new Quality(/** @type {any} */ (viewer), null);
+  for (let i = 0; i < 40 && !quality.isTooSlow; i++) quality.frame(300);
+  assert.ok(quality.isTooSlow && viewer.warps);
+  assert.match(quality.explain(), /last picture/);
+  pace = 60;
+  for (let i = 0; i < 60; i++) {
+    quality.frame(10);
+    quality.tick();
+  }
+  assert.ok(!quality.isTooSlow && !viewer.warps);
 });

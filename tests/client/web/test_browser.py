@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from streamlod.codec.container import SlodReader
 from streamlod.core.camera import Camera, pinhole
 from streamlod.core.render import cpu
 from streamlod.core.scene.anchors import Scene
@@ -45,7 +46,7 @@ KEEP_TOASTS = """
 window.toasts = [];
 document.addEventListener("DOMContentLoaded", () => {
   const toast = document.getElementById("toast"), note = () => toast.hidden || toasts.push(toast.textContent);
-  new MutationObserver(note).observe(toast, { attributes: true, childList: true });
+  new MutationObserver(note).observe(toast, { attributes: true, childList: true, subtree: true });
 });
 """
 
@@ -447,3 +448,45 @@ def test_real_server_restarted_in_mid_stream(page: Any, clip: Clip, recording: P
             shows(page, "s.version === 39 && s.phase !== 'reconnecting'")
             assert page.evaluate(INSPECT)["digests"] == [level.digest() for level in clip.states[39].levels]
     page.complaints.forgive("WebSocket connection to")
+
+
+def test_a_file_plays_what_is_whole(page: Any, clip: Clip, recording: Path, tmp_path: Path) -> None:
+    """Cut in the middle it plays up to there; with a damaged packet it ends before that and says so."""
+    whole = recording.read_bytes()
+    with SlodReader(recording) as reader:
+        places = [entry.offset for entry in reader.entries]
+    (tmp_path / "cut.slod").write_bytes(whole[: places[6] + 40])  # of version 6 the begin only
+    damaged = bytearray(whole)
+    damaged[places[6] + 60] ^= 0xFF
+    (tmp_path / "damaged.slod").write_bytes(bytes(damaged))
+    with serving(create_app(clip, Behaviour(), tmp_path)) as url:
+        page.goto(f"{url}/?src=files/cut.slod&quality=high")
+        shows(page, "s.phase === 'ended' && s.version === 5 && s.window.newest.version === 5")
+        page.goto(f"{url}/?src=files/damaged.slod&quality=high")
+        shows(page, "s.phase === 'ended' && s.version === 5 && s.window.newest.version === 5")
+        page.locator("#status-text", has_text="a part of the file is damaged").wait_for(**WAIT)
+        assert page.title().startswith("damaged.slod")
+        page.evaluate("streamlod.seek(3)")  # at once after the end: still there
+        shows(page, "s.version >= 3")
+
+
+def test_pause_then_seek_stays_paused_and_the_past_has_speed(page: Any, clip: Clip) -> None:
+    """A seek right after a pause, not answered yet, does not play on; the past of a stream has speed."""
+    behaviour = Behaviour(fps=10, newest=30)
+    with serving(create_app(clip, behaviour)) as url:
+        page.goto(f"{url}/?quality=high")
+        shows(page, "s.version >= 20")
+        assert page.locator("#t-speed").is_hidden()
+        page.evaluate("streamlod.pause(); streamlod.seek(5)")
+        shows(page, "s.version === 5 && s.mode === 'paused'")
+        page.wait_for_timeout(600)
+        assert page.evaluate("[streamlod.state.version, streamlod.state.mode]") == [5, "paused"]
+        page.evaluate("streamlod.play()")
+        page.locator("#t-speed").wait_for(**WAIT)
+        page.evaluate("document.getElementById('t-speed').click()")
+        eventually(lambda: _told_speed(behaviour))
+        assert page.title() == "main · streamlod"
+
+
+def _told_speed(behaviour: Behaviour) -> None:
+    assert {"type": "set", "speed": 2} in behaviour.wishes

@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 from streamlod.codec.container import SlodWriter
-from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
+from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
-from tests.client.web.test_browser import WAIT, eventually, shows
+from tests.client.web.test_browser import KEEP_TOASTS, WAIT, eventually, psnr, said, shows
 
 pytestmark = pytest.mark.browser
 
@@ -35,11 +35,11 @@ DRAW = """async ([cases, number]) => {
   for (const { share, levels } of cases) {
     const picture = engine.picture({ position: p, rotation: r, levels });
     renderer.update(picture.rows, picture.spans);
-    renderer.setOrder(picture.quads);
+    renderer.setOrder(picture.order);
     renderer.missing = picture.missing;
     const seen = { rotation: r, translation, focal: [k[0], k[4]], principal: [k[2], k[5]], range: pose.distance };
     renderer.draw({ ...seen, share });
-    out.push({ png: canvas.toDataURL().split(",")[1], drawn: renderer.count / 6 });
+    out.push({ png: canvas.toDataURL().split(",")[1], drawn: renderer.count });
   }
   renderer.destroy();
   return out;
@@ -126,3 +126,99 @@ def test_a_slow_device_answers_and_refines_at_rest(page: Any, url: str) -> None:
     width = "document.getElementById('canvas').width"
     page.wait_for_function(f"{width} === 640", **WAIT)
     assert page.evaluate("streamlod.state.splats") == splats
+
+
+WARP = """async () => {
+  const { walkRecords } = await import("/decode/container.js"), { loadKernel } = await import("/decode/expand.js");
+  const { Engine } = await import("/view/engine.js"), { Renderer } = await import("/view/renderer.js");
+  const { Warp } = await import("/view/warp.js"), { fromCamera, orbit, row, dot } = await import("/view/camera.js");
+  const engine = new Engine(await loadKernel(await (await fetch("/decode/kernel.wasm")).arrayBuffer()));
+  const bytes = new Uint8Array(await (await fetch("/files/clip.slod")).arrayBuffer());
+  for (const { offset, size } of walkRecords(bytes)) engine.push(bytes.subarray(offset, offset + size));
+  const camera = engine.scene.header.cameras[2], [width, height] = [camera.width, camera.height];
+  const canvas = Object.assign(document.createElement("canvas"), { width, height });
+  const renderer = new Renderer(canvas), warp = new Warp(renderer), k = camera.intrinsics;
+  renderer.background = [...engine.scene.header.background];
+  const first = fromCamera(camera, 3.2), second = orbit(first, [0, -1, 0], 0.12, 0.03);
+  const seen = (pose) => ({ rotation: pose.rotation, range: pose.distance, focal: [k[0], k[4]], principal: [k[2], k[5]],
+    translation: [0, 1, 2].map((i) => -dot(row(pose.rotation, i), pose.position)) });
+  const load = (pose) => {
+    const picture = engine.picture({ ...pose, levels: Infinity });
+    renderer.update(picture.rows, picture.spans);
+    renderer.setOrder(picture.order);
+  };
+  const png = () => canvas.toDataURL().split(",")[1];
+  const out = {};
+  load(first);
+  renderer.draw(seen(first));
+  out.first = png();
+  warp.keep(seen(first), width, height);
+  const { drawElements } = renderer.gl;
+  renderer.gl.drawElements = () => { throw new Error("splats were drawn"); };
+  warp.draw(seen(first));
+  out.same = png();
+  warp.draw(seen(second));
+  out.warped = png();
+  renderer.gl.drawElements = drawElements;
+  out.due = [warp.isDue(seen(first), false), warp.isDue(seen(orbit(first, [0, -1, 0], 1, 0)), false)];
+  warp.costMs = 1e9;
+  out.late = warp.isDue(seen(first), true);
+  load(second);
+  renderer.draw(seen(second));
+  out.second = png();
+  warp.destroy();
+  renderer.destroy();
+  return out;
+}"""
+
+
+def test_the_last_picture_is_moved_by_its_depth(page: Any, url: str) -> None:
+    """From where it was drawn it is that picture; from beside it nearly what is drawn there, without one splat."""
+    page.goto(f"{url}/files/blank.html")
+    out = page.evaluate(WARP)
+    first, same, warped, second = (image(out[name]) for name in ("first", "same", "warped", "second"))
+    assert psnr(same, first) > 45
+    unmoved, moved = psnr(first, second), psnr(warped, second)
+    assert moved > unmoved + 5, (unmoved, moved)
+    assert out["due"] == [False, True], "a new picture is due from far away only"
+    assert out["late"] is False, "a picture that takes long is drawn rarely"
+
+
+SLOW_CARD = """() => {
+  window.counts = { splats: 0, moved: 0 };
+  const { drawElements, drawArrays } = WebGL2RenderingContext.prototype;
+  WebGL2RenderingContext.prototype.drawElements = function (...all) {
+    counts.splats++;
+    for (const end = performance.now() + 300; performance.now() < end; );
+    return drawElements.apply(this, all);
+  };
+  WebGL2RenderingContext.prototype.drawArrays = function (...all) {
+    counts.moved++;
+    return drawArrays.apply(this, all);
+  };
+}"""
+
+
+@pytest.mark.timeout(300)
+def test_a_device_that_is_too_slow_moves_its_last_picture(page: Any, clip: Clip) -> None:
+    """Where splats take 0.3 s, the last picture answers a drag, all splats rest; the server's way is offered."""
+    page.add_init_script(f"({SLOW_CARD})()")
+    page.add_init_script(KEEP_TOASTS)
+    with serving(create_app(clip, Behaviour(newest=0))) as url:
+        page.goto(url)
+        shows(page, "s.version === 0")
+
+        def drag() -> None:
+            page.evaluate(SLOW_DRAG)
+            page.evaluate("counts = { splats: 0, moved: 0 }")
+            page.evaluate(SLOW_DRAG)
+            counts = page.evaluate("counts")
+            assert counts["moved"] > 3 * counts["splats"] > 0 or counts["splats"] == 0 < counts["moved"], counts
+
+        eventually(drag)
+        said(page, "This device is slow")
+        page.wait_for_function("document.getElementById('canvas').width === 320", **WAIT)
+        page.evaluate("document.getElementById('toast-button').click()")  # it may have gone by itself meanwhile
+        page.wait_for_url("**thin=1**", **WAIT)
+        page.goto("about:blank")
+    page.complaints.forgive("WebSocket connection to")
