@@ -39,6 +39,7 @@ class Shot:
 def shots() -> list[Shot]:
     """All of them."""
     full = Behaviour(newest=30)
+    lost = Behaviour(state="starting", detail="3 of 5 cameras are lost: cam1, cam2, cam4 (Connection refused)")
     training = Behaviour(state="starting", progress=(0.4, "step 400 of 1000"))
     films = {"cam01": jpeg()}
     many = Behaviour(newest=30, streams=("main", "stage left", "rehearsal"))
@@ -75,6 +76,18 @@ def shots() -> list[Shot]:
         Shot("training", training, live=False),
         Shot("training-phone-light", training, PHONE, "light", live=False),
         Shot("waiting", Behaviour(state="idle"), live=False),
+        Shot("cameras-lost", lost, live=False),
+        Shot("cameras-lost-phone", lost, PHONE, live=False),
+        Shot("graphics-lost", full, act="lose"),
+        Shot("graphics-lost-phone", full, PHONE, act="lose"),
+        Shot("paths", full, act="paths"),
+        Shot("paths-phone", full, PHONE, act="paths"),
+        Shot("dropping", full, act="js:document.body.classList.add('dropping')"),
+        Shot("past-phone", Behaviour(fps=2), PHONE, act="js:streamlod.seek(2); streamlod.play()"),
+        Shot("paused-phone", full, PHONE, act="js:streamlod.seek(12); streamlod.pause()"),
+        Shot("ended-phone", Behaviour(state="ended", newest=30), PHONE),
+        Shot("recording-phone", full, PHONE, address="/?src=files/clip.slod"),
+        Shot("too-slow", full, act="offer"),
         Shot("version", Behaviour(version=2), live=False),
         Shot("denied", Behaviour(close=(4401, "The token has expired")), live=False, theme="light"),
         Shot("missing", Behaviour(close=(4404, "there is no such stream")), live=False),
@@ -92,6 +105,34 @@ def jpeg() -> bytes:
     file = io.BytesIO()
     Image.linear_gradient("L").resize((320, 240)).convert("RGB").save(file, "JPEG")
     return file.getvalue()
+
+
+def lose(page: Any) -> None:
+    """The browser takes the graphics card away."""
+    canvas = "document.getElementById('canvas').getContext('webgl2')"
+    page.evaluate(f"{canvas}.getExtension('WEBGL_lose_context').loseContext()")
+
+
+def make_path(page: Any) -> None:
+    """Two viewpoints."""
+    if page.locator("#b-more").is_visible():
+        page.click("#b-more")
+    page.click("#b-path")
+    for camera in (0, 4):
+        page.evaluate(f"streamlod.setCamera({camera})")
+        page.click("#path-menu >> text=Add this view")
+
+
+def offer(page: Any) -> None:
+    """What a slow device is told."""
+    page.evaluate("""async () => {
+      document.querySelector("style:last-of-type").remove();
+      const { toast } = await import("/ui/page.js");
+      toast("This device is slow at drawing this scene", 60_000, { label: "Let the server draw", act: () => {} });
+    }""")
+
+
+LONG_ACTS = {"lose": lose, "paths": make_path, "offer": offer}
 
 
 def act(page: Any, shot: Shot) -> None:
@@ -118,6 +159,8 @@ def act(page: Any, shot: Shot) -> None:
         page.evaluate(what)
     elif verb == "wait":
         page.wait_for_timeout(int(what))
+    elif verb in LONG_ACTS:
+        LONG_ACTS[verb](page)
     elif verb == "rig":
         page.click("#b-cameras")
         page.click("#camera-menu button >> nth=0")
