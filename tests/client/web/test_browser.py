@@ -46,7 +46,7 @@ KEEP_TOASTS = """
 window.toasts = [];
 document.addEventListener("DOMContentLoaded", () => {
   const toast = document.getElementById("toast"), note = () => toast.hidden || toasts.push(toast.textContent);
-  new MutationObserver(note).observe(toast, { attributes: true, childList: true, subtree: true });
+  if (toast) new MutationObserver(note).observe(toast, { attributes: true, childList: true, subtree: true });
 });
 """
 
