@@ -17,10 +17,9 @@ from streamlod.client.evaluation.file_scores import DecodedScore, evaluate_file
 from streamlod.client.evaluation.measure.places import places_table
 from streamlod.client.evaluation.report.plots import frames_plot
 from streamlod.client.inspection import describe_file
-from streamlod.client.paths import along, read_path
 from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
-from streamlod.client.viewpoints import CameraPath, camera_named, orbit, read_poses
+from streamlod.client.viewpoints import CameraPath, along, camera_named, orbit, read_path, read_poses
 from streamlod.codec.export import bake, write_snapshot
 from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS
 from streamlod.core.arrays import Float64

@@ -36,7 +36,7 @@ LAYERS = {
     ),
     "server.ingest": ("sync cameras", "push", "statistics ahead", "rig", "live"),
     "client": (
-        "recording events paths viewpoints recorder rest_answers", "rest playback", "connection", "inspection viewing",
+        "recording events viewpoints recorder rest_answers", "rest playback", "connection", "inspection viewing",
         "evaluation", "commands", "remote",
     ),
 }  # fmt: skip
@@ -51,7 +51,6 @@ LIGHT_CLIENT = {
     "edges",
     "moving_link",
     "watch",
-    "paths",
     "viewpoints",
     "recorder",
     "recording",

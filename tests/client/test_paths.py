@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from streamlod.client.paths import along, read_path
+from streamlod.client.viewpoints import along, read_path
 from streamlod.core.errors import InputError
 from tests.client.web.miniserver import WEB
 

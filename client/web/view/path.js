@@ -1,6 +1,6 @@
 /**
  * A way of the camera: named viewpoints with times, and the pose between them; as text for a link and as JSON for files,
- * which `streamlod view --path` reads (client/paths.py interpolates alike). No page needed.
+ * which `streamlod view --path` reads (client/viewpoints.py interpolates alike). No page needed.
  */
 
 import { fromNumbers, fromText, numbersOf } from "./camera.js";
