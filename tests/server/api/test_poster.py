@@ -16,7 +16,7 @@ from PIL import Image
 from streamlod.codec.container import SlodWriter
 from streamlod.core.render.splatter import Splatter
 from streamlod.core.scene.anchors import Scene
-from streamlod.server.api.looks import PREVIEW_SIZE, camera_of
+from streamlod.server.api.poster import PREVIEW_SIZE, camera_of
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.client.web.miniserver import make_clip
