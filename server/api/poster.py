@@ -33,7 +33,7 @@ MAX_POSTER_PIXELS = 640 * 480
 _GRADE = Grade(1, 80)
 _MAX_NUMBER = 2**32 - 1
 _WIDTH, _HEIGHT = 640, 360  # of the frame, where the asking site gives no bounds
-_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429)}
+_ANSWERS: dict[int | str, dict[str, Any]] = {status: PROBLEMS[status] for status in (401, 403, 404, 422, 429, 503)}
 
 PREVIEW_SIZE = 640, 360  # pixels
 _KEPT, _MAX_WAITING = 64, 8  # pictures
