@@ -39,7 +39,7 @@ def client(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Iterator[h
             writer.append(clip.residual(version - 1, version))
     played, idle = StreamSpec(play=recording, loop=False), StreamSpec(id="idle", play=recording, loop=False)
     with running(Settings(), played, idle) as server:
-        server.wait(lambda stream: stream["state"] == "ended")
+        server.wait(lambda stream: stream["state"] == "ended", seconds=200)
         with server.client() as client:
             yield client
 
