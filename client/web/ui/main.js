@@ -79,6 +79,7 @@ async function start(viewer) {
     const { status } = viewer;
     if (!status) return;
     delay.show(status);
+    element("stage").toggleAttribute("data-lost", viewer.isLost); // browsers draw a canvas without graphics as a broken image
     show(viewer.isLost ? lostGraphics(recording ? "Reload" : "Let the server draw") : words(status, viewer.picture !== null, retryAt - performance.now()));
     timeline.update(status);
   };

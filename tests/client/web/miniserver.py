@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import io
 import json
 import socket
 import threading
@@ -16,6 +17,7 @@ from typing import Any
 import uvicorn
 from fastapi import FastAPI, Response, WebSocket, WebSocketDisconnect
 from fastapi.staticfiles import StaticFiles
+from PIL import Image
 from starlette.types import ASGIApp
 
 from streamlod.codec.encoder import encode_keyframe, encode_residual
@@ -224,6 +226,12 @@ def create_app(clip: Clip, behaviour: Behaviour, files: Path | None = None, page
         edge = newest_of(clip, behaviour, started)
         group = {"epoch": 1, "first": 0, "last": edge, "first_time_ns": 0, "last_time_ns": edge * clip.frame_ns}
         return {"stream": stream, "gops": [group]}
+
+    @app.get("/v1/streams/{stream}/poster.jpg")
+    def poster(stream: str) -> Response:
+        file = io.BytesIO()
+        Image.linear_gradient("L").resize((160, 90)).convert("RGB").save(file, "JPEG")
+        return Response(file.getvalue(), media_type="image/jpeg")
 
     @app.get("/v1/streams/{stream}/cameras/{camera}.jpg")
     def camera_picture(stream: str, camera: str) -> Response:

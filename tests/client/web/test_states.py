@@ -217,6 +217,7 @@ def test_a_lost_graphics_card_is_said_and_comes_back(page: Any, clip: Clip) -> N
         for _ in range(2):
             page.evaluate("card.loseContext()")
             page.locator("#card-title", has_text="The graphics card was taken away").wait_for(**WAIT)
+            assert page.locator("#canvas").is_hidden(), "no broken image behind the card"
             page.evaluate("card.restoreContext()")
             page.locator("#card").wait_for(state="hidden", **WAIT)
             comes_to_show(page, before)
