@@ -7,11 +7,17 @@ the import of `core`, which every entry point makes first. A setting that is alr
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
+import shutil
 import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
+_LOG = logging.getLogger(__name__)
+_CACHE_BYTES = 128 << 20  # that all kernels take, and some more
 _ROOT = Path(__file__).parents[1]
 _IMPORT = re.compile(r"^(?:from ([\w.]+) import \(?([\w, ]*)|import ([\w.]+))", re.MULTILINE)
 
@@ -33,10 +39,42 @@ def prepare_environment() -> None:
         os.environ.setdefault("GOMP_SPINCOUNT", "1000")
     os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
     os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache_folder()))
+    if fault := cache_fault(Path(os.environ["NUMBA_CACHE_DIR"])):
+        _LOG.warning("compiled kernels cannot be kept (%s), so every start compiles them anew, which takes minutes; "
+                     "name another folder in XDG_CACHE_HOME", fault)  # fmt: skip
+        _compile_without_cache()
     numba = sys.modules.get("numba")
     if numba is not None:  # someone else loaded it first and it has read its settings, but not used these yet
         numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
         numba.config.THREADING_LAYER = os.environ["NUMBA_THREADING_LAYER"]
+
+
+def cache_fault(folder: Path) -> str:
+    """Why a folder that may not be there yet takes no kernels; empty if it does. Nothing is made."""
+    existing = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    try:
+        if not os.access(existing, os.W_OK | os.X_OK):
+            return f"{existing} cannot be written"
+        free = shutil.disk_usage(existing).free
+    except OSError as error:
+        return f"{existing}: {error.strerror}"
+    return "" if free >= _CACHE_BYTES else f"the disk of {existing} has {free >> 20} MiB left"
+
+
+def _compile_without_cache() -> None:
+    """Have Numba use what a cache holds, and go on where it takes nothing more; by default it refuses every kernel."""
+    from numba.core import caching, dispatcher
+
+    class Cache(caching.FunctionCache):  # type: ignore[misc]
+        def save_overload(self, sig: object, data: object) -> None:
+            with suppress(OSError):
+                super().save_overload(sig, data)
+
+    def enable_caching(self: Any) -> None:
+        with suppress(RuntimeError):  # there is no folder for it
+            self._cache = Cache(self.py_func)
+
+    dispatcher.Dispatcher.enable_caching = enable_caching
 
 
 def kernel_cache_folder() -> Path:

@@ -8,7 +8,6 @@ Streams of the command line and the settings file are not held to this: who writ
 
 from __future__ import annotations
 
-import ipaddress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,15 +15,14 @@ from urllib.parse import urlsplit
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import Grant, Right
 from streamlod.server.ingest.cameras.address import local_file
+from streamlod.server.networks import is_reachable
 from streamlod.server.pipeline.job import POINT_METHODS
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 
-_Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _OPTIONS_IN_QUERY = ("tcp", "udp", "srt")  # whose addresses tell FFmpeg more than where to
 _HARMLESS = {"mode", "latency", "passphrase", "pbkeylen", "streamid", "timeout", "pkt_size", "fifo_size", "buffer_size"}
 _REDIRECTED = ("rtsp", "rtsps")  # where FFmpeg goes wherever the camera sends it
-_HOLD_IPV4 = [ipaddress.ip_network(text) for text in ("::/96", "64:ff9b::/96")]  # compatible, NAT64
 
 
 def check_reach(spec: StreamSpec, settings: Settings, grant: Grant) -> None:
@@ -113,28 +111,3 @@ def _query(source: str) -> dict[str, str]:
     """Options after the first question mark, as FFmpeg reads them: `#` is no end."""
     pairs = (pair.partition("=") for pair in source.partition("?")[2].split("&") if pair)
     return {name.lower(): value.lower() for name, _, value in pairs}
-
-
-def is_reachable(host: str, networks: tuple[str, ...], *, public: bool = True) -> bool:
-    """Whether cameras may be at `host`: what `networks` lists, and with `public` any public numeric address.
-
-    A name counts only if it is listed itself, as it may mean another address whenever it is asked for.
-    """
-    try:
-        address = _plain(ipaddress.ip_address(host))
-    except ValueError:
-        return host in networks
-    listed = [ipaddress.ip_network(network) for network in networks if "/" in network]
-    if any(address in network for network in listed):
-        return True
-    return public and address.is_global and not address.is_multicast
-
-
-def _plain(address: _Address) -> _Address:
-    """The IPv4 address that an IPv6 address stands for, where it does."""
-    if isinstance(address, ipaddress.IPv6Address):
-        if found := address.ipv4_mapped or address.sixtofour:
-            return found
-        if any(address in network for network in _HOLD_IPV4):
-            return ipaddress.IPv4Address(int(address) & 0xFFFFFFFF)
-    return address

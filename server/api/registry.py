@@ -65,6 +65,7 @@ class Registry:
         self.edges = settings.edges  # where the same streams can be watched; an edge has those of its origin
         self.draining = False
         self.unready = ""  # why viewers should not come yet
+        self.on_change: Callable[[Settings], None] = lambda settings: None  # of what runs beside, before it is taken
         self._drained = False
         self._sockets: SocketFolder | None = None
         self.kept: dict[str, Recording] = {}  # recordings of streams that were deleted
@@ -77,6 +78,18 @@ class Registry:
         if self.store is not None:
             self._add_stored(self.store)
         self._tasks: set[asyncio.Task[None]] = set()
+
+    def adopt(self, settings: Settings) -> None:
+        """Use the limits and webhooks of other settings from now on; the rest of them holds from the next start.
+
+        Raises:
+            InputError: a webhook's secret cannot be used; nothing has changed.
+        """
+        changed = self.settings.model_copy(update={"limits": settings.limits, "webhooks": settings.webhooks})
+        self.on_change(changed)
+        self.settings = changed
+        self.gate.limit_refusals(changed.limits.refusals_per_minute)
+        self.renderer.limit(changed.limits.thin_viewers, changed.limits.thin_pixels)
 
     def start(self) -> None:
         """Show every stream's last state, and start those of the settings and those that ran before."""

@@ -88,6 +88,7 @@ class Gate:
         self._keys = TokenKeys(settings)
         self.links = LinkSigner(settings.link_key)
         self._refusals: OrderedDict[str, deque[float]] = OrderedDict()
+        self._most_refusals = settings.limits.refusals_per_minute
         self.refused = 0
         self._revoked: frozenset[str] = frozenset()
         self._looked_at = 0.0
@@ -159,10 +160,16 @@ class Gate:
                 return _grant_of_claims(claims)
         return found
 
+    def limit_refusals(self, per_minute: int) -> None:
+        """Block an address after so many wrong tokens; those that were counted stay."""
+        self._most_refusals = per_minute
+        for address, times in self._refusals.items():
+            self._refusals[address] = deque(times, maxlen=per_minute)
+
     def note_refusal(self, address: str) -> None:
         """Count a wrong token from `address`."""
         self.refused += 1
-        times = self._refusals.setdefault(address, deque(maxlen=self._settings.limits.refusals_per_minute))
+        times = self._refusals.setdefault(address, deque(maxlen=self._most_refusals))
         times.append(time.monotonic())
         self._refusals.move_to_end(address)
         while len(self._refusals) > _MAX_ADDRESSES:

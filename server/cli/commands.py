@@ -24,6 +24,8 @@ from streamlod.core.runtime import cache_folder
 from streamlod.server.pipeline.trace import chrome_trace
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from streamlod.core.train import Progress
     from streamlod.server.pipeline.job import TrainJob
     from streamlod.server.pipeline.spec import StreamSpec
@@ -140,8 +142,8 @@ def playable(path: Path) -> Path:
     return made
 
 
-def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
-    """Serve until told to stop."""
+def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Callable[[], Settings]) -> str:
+    """Serve until told to stop; SIGHUP calls `read_settings`."""
     from streamlod.core.render import select
     from streamlod.server.service.run import serve as run
 
@@ -153,7 +155,7 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...]) -> str:
         if job is not None and job.device == "cuda":
             select(job.device)  # a GPU that was asked for is never replaced by the CPU in silence
     with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end
-        run(settings, streams)
+        run(settings, streams, read_settings)
     return ""
 
 

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import traceback
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
@@ -192,10 +193,11 @@ def serve(
     from streamlod.server.cli.commands import check_cameras, playable
     from streamlod.server.cli.commands import serve as run
 
-    settings = _settings(
-        config, host=host, port=port, state=state_dir, tokens=tokens, metrics_port=metrics_port,
+    read_settings = partial(
+        _settings, config, host=host, port=port, state=state_dir, tokens=tokens, metrics_port=metrics_port,
         trace_endpoint=trace_endpoint, log_format=log_format, insecure=insecure or None,
     )  # fmt: skip
+    settings = read_settings()
     streams = tuple(stream.spec for stream in settings.streams)
     if any(options[name] is not None for name in (*SOURCES, "play")):
         if options["play"] is not None:
@@ -207,7 +209,7 @@ def serve(
         if stream.job is not None:
             check_cameras(stream.job)
         streams += (stream,)
-    run(settings, streams)
+    run(settings, streams, read_settings)
 
 
 @app.command()
@@ -225,12 +227,12 @@ def edge(
     """Serve another server's streams to many viewers; each is pulled once. A token comes from STREAMLOD_TOKEN."""
     from streamlod.server.cli.commands import serve as run
 
-    settings = _settings(
-        config, host=host, port=port, tokens=tokens, metrics_port=metrics_port, trace_endpoint=trace_endpoint,
-        insecure=insecure or None,
+    read_settings = partial(
+        _settings, config, host=host, port=port, tokens=tokens, metrics_port=metrics_port,
+        trace_endpoint=trace_endpoint, insecure=insecure or None,
         edge={"origin": origin, "streams": names_in(streams)},
     )  # fmt: skip
-    run(settings, ())
+    run(read_settings(), (), read_settings)
 
 
 @app.command()

@@ -16,13 +16,13 @@ from streamlod.server.http.stall_watch import StallWatch
 from streamlod.server.settings import Limits
 
 _ANSWERS = {"slow": "408 Request Timeout", "large": "413 Content Too Large", "many": "503 Service Unavailable"}
-
-
+_LARGE_HEAD = "431 Request Header Fields Too Large"
+_MAX_FIELDS = 128  # of a head, and of what may follow a body in chunks
 _MAX_WAITING_REQUESTS = 128  # pipelined requests that are not answered yet; each takes a hundred times its bytes
 
 
-class _Crowded(Exception):
-    """Makes the parser stop; uvicorn answers 400 and closes."""
+class _Refused(Exception):
+    """Makes the parser stop; uvicorn answers 400 and closes, where there was no answer yet."""
 
 
 class LimitedProtocol(HttpToolsProtocol):
@@ -38,7 +38,7 @@ class LimitedProtocol(HttpToolsProtocol):
 
     _timer: asyncio.TimerHandle | None = None
     _stalls: StallWatch | None = None
-    _head_bytes = _body_bytes = 0
+    _head_bytes = _body_bytes = _fields = 0
     _in_body = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -55,15 +55,28 @@ class LimitedProtocol(HttpToolsProtocol):
         if not self._in_body:
             self._head_bytes += len(data)
         self._expect_request()
-        super().data_received(data)
+        if self._head_bytes <= self.limits.request_bytes or b"\r\n\r\n" in data:  # which a body may follow
+            super().data_received(data)
         if self._head_bytes > self.limits.request_bytes:
-            self._refuse("large")
+            self._refuse("large", _LARGE_HEAD)
 
     def on_message_begin(self) -> None:
         if len(self.pipeline) >= _MAX_WAITING_REQUESTS:
             self.turned_away["crowded"] += 1
-            raise _Crowded
+            raise _Refused
+        self._fields = 0
         super().on_message_begin()
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        self._fields += 1
+        if self._fields > _MAX_FIELDS:
+            self._refuse("large", _LARGE_HEAD)
+            raise _Refused
+        super().on_header(name, value)
+
+    def send_400_response(self, msg: str) -> None:
+        if not self.transport.is_closing():
+            super().send_400_response(msg)
 
     def on_headers_complete(self) -> None:
         self._head_bytes, self._in_body = 0, True
@@ -112,11 +125,11 @@ class LimitedProtocol(HttpToolsProtocol):
         if self._stalls is not None:
             self._stalls.end()
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, reason: str, answer: str | None = None) -> None:
         if self.transport.is_closing():
             return
         self.turned_away[reason] += 1
-        head = f"HTTP/1.1 {_ANSWERS[reason]}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+        head = f"HTTP/1.1 {answer or _ANSWERS[reason]}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
         self.transport.write(head.encode())
         self.transport.close()
 

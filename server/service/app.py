@@ -35,7 +35,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.service.docs_page import add_docs
 from streamlod.server.service.metrics import collector_registry
 from streamlod.server.service.openapi import describe, operation_id
-from streamlod.server.service.webhooks import webhooks
+from streamlod.server.service.webhooks import Webhooks
 from streamlod.server.settings import Settings
 from streamlod.server.stream.traces import Traces
 
@@ -80,7 +80,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with webhooks(settings, registry.feed), traced, shared or nullcontext():
+        async with _delivering(registry), traced, shared or nullcontext():
             registry.start()
             if origin is not None and settings.edge is not None:
                 edge = settings.edge
@@ -146,6 +146,18 @@ def _traced(settings: Settings, traces: Traces) -> AbstractAsyncContextManager[N
     except ImportError as error:
         raise BackendUnavailable("trace_endpoint", "install it: pip install 'streamlod[trace]'") from error
     return tracing(settings.trace_endpoint, "edge" if settings.edge else "server", traces)
+
+
+@asynccontextmanager
+async def _delivering(registry: Registry) -> AsyncIterator[None]:
+    """Deliver to webhooks; other ones, and other limits, once the settings have changed."""
+    hooks = Webhooks(registry.feed)
+    hooks.use(registry.settings)
+    registry.on_change = hooks.use
+    try:
+        yield
+    finally:
+        await hooks.close()
 
 
 def _add_errors(app: FastAPI) -> None:

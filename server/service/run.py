@@ -10,7 +10,7 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import FrameType
 from wsgiref.simple_server import WSGIRequestHandler, make_server
 
@@ -51,20 +51,38 @@ class Server(uvicorn.Server):
         super().__init__(config)
         self._registry, self._certificates = registry, certificates
         self._accepting: list[asyncio.Task[None]] = []
+        self._handshakes = Handshakes(registry.settings.limits, registry.turned_away)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         if self._certificates is None:
             await super().startup(sockets)
             return
         await super().startup([])
-        handshakes = Handshakes(self._registry.settings.limits, self._registry.turned_away)
-        listener = TlsListener(self._certificates, handshakes, self._protocol)
+        listener = TlsListener(self._certificates, self._handshakes, self._protocol)
         self._accepting = [asyncio.create_task(listener.accept(each)) for each in sockets or ()]
 
     def _protocol(self) -> asyncio.Protocol:
         """One HTTP connection, as uvicorn makes it."""
         make: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
         return make(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
+
+    def adopt(self, settings: Settings) -> None:
+        """Use the limits and webhooks of other settings, from the next connection and the next event on.
+
+        Raises:
+            InputError: they cannot be used; nothing has changed.
+        """
+        settings.check()
+        before = self._registry.settings
+        self._registry.adopt(settings)
+        limits = self._handshakes.limits = self._registry.settings.limits
+        _allow_descriptors(_descriptors(self._registry.settings))
+        for protocol in (self.config.http_protocol_class, self.config.ws_protocol_class):
+            protocol.limits = limits  # type: ignore[union-attr]
+        self.config.ws_max_size, self.config.limit_concurrency = limits.message_bytes, limits.connections
+        fields = Settings.model_fields.keys() - {"limits", "webhooks"}
+        if others := sorted(name for name in fields if getattr(settings, name) != getattr(before, name)):
+            _LOG.warning("changes of %s hold from the next start", ", ".join(others))
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         for task in self._accepting:
@@ -77,8 +95,13 @@ class Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
-def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
-    """Serve until SIGTERM or SIGINT; SIGHUP reads tokens and certificates again.
+def serve(settings: Settings, streams: Sequence[StreamSpec], read_settings: Callable[[], Settings]) -> None:
+    """Serve until SIGTERM or SIGINT; SIGHUP reads tokens, certificates, limits and webhooks again.
+
+    Args:
+        settings: of the server.
+        streams: to begin with.
+        read_settings: reads the settings again.
 
     Raises:
         InputError: an address in use, or settings, tokens or state that cannot be used.
@@ -87,7 +110,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
     os.environ[LOG_FORMAT_VARIABLE] = settings.log_format
     log_in_background()
     bound_arenas()
-    _allow_descriptors((3 if settings.certificate else 2) * settings.limits.connections + _OTHER_DESCRIPTORS)
+    _allow_descriptors(_descriptors(settings))
     listener = _bind(settings.host, settings.port)
     try:
         app = create_app(settings, tuple(streams))
@@ -99,7 +122,8 @@ def serve(settings: Settings, streams: Sequence[StreamSpec]) -> None:
         server = Server(config, registry, certificates)
         logging.getLogger("uvicorn.error").addFilter(_is_no_cancellation)
         threading.Thread(target=_warm, name="warm", daemon=True).start()
-        with _reload_on_hangup(certificates, registry):
+        parts = {"tokens": registry.gate.reload, "limits and webhooks": lambda: server.adopt(read_settings())}
+        with _reload_on_hangup(parts if certificates is None else parts | {"certificates": certificates.reload}):
             host, port = listener.getsockname()[:2]
             scheme = "https" if settings.certificate else "http"
             _LOG.info("listening at %s://%s:%d", scheme, f"[{host}]" if ":" in host else host, port)
@@ -148,6 +172,11 @@ def _warm() -> None:
 def _is_no_cancellation(record: logging.LogRecord) -> bool:
     """False for the traces of requests that were cancelled at shutdown, of which uvicorn already logs a line."""
     return record.exc_info is None or not isinstance(record.exc_info[1], asyncio.CancelledError)
+
+
+def _descriptors(settings: Settings) -> int:
+    """How many files and sockets the server may need at once."""
+    return (3 if settings.certificate else 2) * settings.limits.connections + _OTHER_DESCRIPTORS
 
 
 def _allow_descriptors(count: int) -> None:
@@ -204,20 +233,27 @@ def _start_metrics(settings: Settings, registry: Registry) -> None:
 
 
 @contextlib.contextmanager
-def _reload_on_hangup(certificates: Certificates | None, registry: Registry) -> Iterator[None]:
-    def reload(_: int, __: FrameType | None) -> None:
-        for name, part in (("tokens", registry.gate), ("certificates", certificates)):
+def _reload_on_hangup(parts: Mapping[str, Callable[[], None]]) -> Iterator[None]:
+    """Have SIGHUP call what reads each part again; one that cannot be read stays as it is."""
+
+    def reload() -> None:
+        for name, read in parts.items():
             try:
-                if part is not None:
-                    part.reload()
-                    _LOG.info("%s were read again", name)
+                read()
+                _LOG.info("%s were read again", name)
             except StreamlodError as error:
                 _LOG.error("%s were not read again, the earlier ones stay: %s", name, error)
+
+    def on_hangup(_: int, __: FrameType | None) -> None:
+        try:
+            asyncio.get_running_loop().call_soon_threadsafe(reload)  # between two events, not in the middle of one
+        except RuntimeError:  # the loop does not run yet
+            reload()
 
     if sys.platform == "win32":
         yield
         return
-    earlier = signal.signal(signal.SIGHUP, reload)
+    earlier = signal.signal(signal.SIGHUP, on_hangup)
     try:
         yield
     finally:

@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import contextlib
 import hashlib
 import hmac
 import json
 import logging
 import socket
 import time
-from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from streamlod.server.api.reach import is_reachable
 from streamlod.server.auth.secret_file import read_secret
+from streamlod.server.networks import is_reachable
 from streamlod.server.settings import Settings, Webhook
 from streamlod.server.stream.feed import Feed, ServerEvent
 
@@ -53,19 +51,37 @@ class _Hook:
             self.waiting.put_nowait(event)
 
 
-@contextlib.asynccontextmanager
-async def webhooks(settings: Settings, feed: Feed) -> AsyncIterator[None]:
-    """Deliver the feed's events while the context lasts.
+class Webhooks:
+    """Delivers the feed's events to the webhooks of the settings, which may change while it runs.
 
-    Raises:
-        InputError: a secret cannot be used.
+    Args:
+        feed: of the server.
     """
-    hooks = [_Hook(each, read_secret(each.key), asyncio.Queue(_MAX_WAITING)) for each in settings.webhooks]
-    feed.listeners.update(hook.take for hook in hooks)
-    tasks = [asyncio.create_task(_deliver_all(hook, settings.networks)) for hook in hooks]
-    try:
-        yield
-    finally:
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._hooks: dict[_Hook, asyncio.Task[None]] = {}
+
+    def use(self, settings: Settings) -> None:
+        """Deliver to the webhooks of these settings from now on; one that stays keeps the events that wait for it.
+
+        Raises:
+            InputError: a secret cannot be used; nothing has changed.
+        """
+        wanted = [(each, read_secret(each.key)) for each in settings.webhooks]
+        known = {(hook.webhook, hook.key): hook for hook in self._hooks}
+        for identity in known.keys() - set(wanted):
+            self._feed.listeners.discard(known[identity].take)
+            self._hooks.pop(known[identity]).cancel()
+        for webhook, key in dict.fromkeys(wanted):
+            if (webhook, key) not in known:
+                hook = _Hook(webhook, key, asyncio.Queue(_MAX_WAITING))
+                self._feed.listeners.add(hook.take)
+                self._hooks[hook] = asyncio.create_task(_deliver_all(hook, settings.networks))
+
+    async def close(self) -> None:
+        """Deliver no more."""
+        tasks = list(self._hooks.values())
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

@@ -114,9 +114,13 @@ class PictureRenderer:
     """
 
     def __init__(self, seats: int, most_pixels: int) -> None:
-        self.seats, self._most_pixels = seats, most_pixels
+        self.limit(seats, most_pixels)
         self.taken = 0
         self._thread: ThreadPoolExecutor | None = None
+
+    def limit(self, seats: int, most_pixels: int) -> None:
+        """Have so many seats, and pictures of so many pixels, from now on; nobody who has a seat loses it."""
+        self.seats, self._most_pixels = seats, most_pixels
 
     @property
     def is_full(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import shutil
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,9 @@ from typing import Any
 import pytest
 
 from streamlod.core.errors import InputError
-from streamlod.server.api.reach import check_reach, is_reachable
+from streamlod.server.api.reach import check_reach
 from streamlod.server.auth.gate import EVERYTHING, Grant, Right
+from streamlod.server.networks import is_reachable
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
@@ -71,6 +73,61 @@ def test_private_addresses_are_refused(source: str) -> None:
     with running(Settings(), confined=True) as server, server.client() as client:
         answer = client.post("/v1/streams", json={"id": "x", "live": rig(source)})
         assert (answer.status_code, "`networks`" in answer.json()["detail"]) == (422, True), answer.text
+
+
+_NEVER_PUBLIC = [
+    "0.0.0.0", "0.1.2.3", "100.64.0.1", "100.100.100.200", "127.0.0.1", "169.254.169.254", "169.254.170.2",
+    "192.0.0.1", "192.0.0.192", "192.88.99.1", "198.18.0.1", "198.19.255.255", "224.0.0.1", "239.255.255.250",
+    "240.0.0.1", "255.255.255.255", "168.63.129.16",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("address", _NEVER_PUBLIC)
+def test_reserved_and_metadata_addresses_are_no_public_ones_however_they_are_written(address: str) -> None:
+    number = int(ipaddress.ip_address(address))
+    in_ipv6 = [
+        f"::ffff:{address}", f"::ffff:0:{address}", f"64:ff9b::{address}", f"64:ff9b:1::{address}", f"::{address}",
+        f"2002:{number >> 16:x}:{number & 0xFFFF:x}::1",
+    ]  # fmt: skip
+    for spelled in (address, *in_ipv6):
+        assert not is_reachable(spelled, ()), spelled
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["::", "::1", "fe80::1", "fec0::1", "fc00::1", "fd00:ec2::254", "fd20:ce::254", "ff02::1", "ff0e::1", "100::1",
+     "2001::1", "2001:db8::1", "3fff::1", "5f00::1", "4000::1"],
+)  # fmt: skip
+def test_only_what_was_given_out_of_ipv6_is_public(address: str) -> None:
+    assert not is_reachable(address, ())
+    assert is_reachable("2606:4700:4700::1111", ())
+    assert is_reachable("::ffff:8.8.8.8", ())
+
+
+def test_a_network_that_is_listed_as_a_whole_does_not_mean_the_metadata_service_in_it() -> None:
+    everything = ("0.0.0.0/0", "::/0")
+    for address in ("169.254.169.254", "100.100.100.200", "fd00:ec2::254", "::ffff:169.254.169.254", "168.63.129.16"):
+        assert not is_reachable(address, everything)
+    assert is_reachable("169.254.1.1", everything)
+    assert is_reachable("169.254.169.254", ("169.254.169.254/32",))
+    assert not is_reachable("metadata.google.internal", everything)
+    assert is_reachable("metadata.google.internal", ("metadata.google.internal",))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"jwks": "http://169.254.169.254/keys"},
+        {"trace_endpoint": "http://[fd00:ec2::254]:4318"},
+        {"edge": {"origin": "http://metadata.google.internal"}},
+        {"webhooks": [{"url": "http://Metadata.Google.Internal./x", "key": "key"}]},
+    ],
+    ids=lambda fields: next(iter(fields)),
+)
+def test_settings_do_not_send_the_server_to_a_metadata_service(fields: dict[str, Any]) -> None:
+    settings = Settings.model_validate(fields)
+    with pytest.raises(InputError, match="metadata service"):
+        settings.check()
 
 
 def test_listed_networks_names_and_listening_addresses_are_taken() -> None:

@@ -68,7 +68,7 @@ def test_streams_are_there_on_a_full_disk_and_record_when_there_is_room(disk: Pa
         room.unlink()
         for name in ("ours", "rest", "new"):
             server.wait(lambda stream: stream["recording"] == "on", name)
-        limit = time.monotonic() + 30
+        limit = time.monotonic() + 120
         while not list((folder / "streams" / "new").glob("*.slod")):
             assert time.monotonic() < limit
             time.sleep(0.05)

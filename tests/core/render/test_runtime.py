@@ -36,6 +36,39 @@ def test_what_the_user_set_stays() -> None:
     assert settings_after_import(**given) == given
 
 
+@pytest.mark.parametrize("kind", ["read-only", "full", "no folder"])
+def test_kernels_compile_where_no_cache_can_be_kept(tmp_path: Path, kind: str) -> None:
+    """One sentence says so, and everything works; Numba itself would end with a traceback."""
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    if kind == "no folder":
+        folder = Path("/proc/nothing")
+    else:
+        mount = ["mount", "-t", "tmpfs", "-o", "ro" if kind == "read-only" else "size=16k", "none", str(folder)]
+        if subprocess.run(mount, capture_output=True, check=False).returncode:
+            pytest.skip("no disk can be mounted here")
+    code = (
+        "import streamlod.core\nfrom numba import njit\nfrom tests.core.render.test_runtime import doubled\n"
+        "print(njit(cache=True)(doubled)(21))"
+    )
+    environment = {key: value for key, value in os.environ.items() if key not in NAMES}
+    environment |= {"XDG_CACHE_HOME": str(folder), "HOME": str(folder)}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+        )
+    finally:
+        if kind != "no folder":
+            subprocess.run(["umount", "-l", str(folder)], check=True)
+    assert (done.stdout, done.returncode) == ("42\n", 0), done.stderr
+    assert done.stderr.count("compiled kernels cannot be kept") == 1
+    assert "Traceback" not in done.stderr
+
+
+def doubled(number: int) -> int:
+    return 2 * number
+
+
 def test_whatever_kernels_are_compiled_from_is_found(tmp_path: Path) -> None:
     files = {
         "core/kernels.py": "import numba\nfrom streamlod.core import rules\n@numba.njit()\ndef f(): ...\n",

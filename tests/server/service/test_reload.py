@@ -1,0 +1,68 @@
+"""SIGHUP: other limits and webhooks hold at once, while viewers stay; what cannot be used changes nothing."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+
+from tests.e2e.test_server_process import serving
+from tests.server.conftest import Clip
+from tests.server.service.test_webhooks import receiver
+
+
+def until(done: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 120
+    while not done():
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+
+
+def test_limits_and_webhooks_are_read_again(clip: Clip, tmp_path: Path) -> None:
+    config = tmp_path / "server.toml"
+    (tmp_path / "key").write_text("k" * 40)
+    with receiver(200) as (first, to_first), receiver(200) as (second, to_second):
+
+        def write(streams: int, *urls: str, more: str = "") -> None:
+            kinds = "events = ['stream.created', 'stream.deleted']"
+            hooks = "".join(f"[[webhooks]]\nurl = '{url}'\nkey = '{tmp_path}/key'\n{kinds}\n" for url in urls)
+            lines = ["roots = ['/']", "networks = ['localhost']", more, "[limits]", f"streams = {streams}", hooks]
+            config.write_text("\n".join(lines))
+
+        write(1, first)
+        with (
+            serving("--play", clip.path, "--config", config) as (process, port),
+            httpx.Client(base_url=f"http://127.0.0.1:{port}", trust_env=False, timeout=30) as client,
+        ):
+
+            def limit() -> int:
+                return int(client.get("/v1/server").json()["limits"]["streams"])
+
+            def create(name: str) -> int:
+                return client.post("/v1/streams", json={"id": name, "play": str(clip.path)}).status_code
+
+            assert (limit(), create("a")) == (1, 422)
+            write(3, first, second, more="camera_pictures = true")
+            process.send_signal(signal.SIGHUP)
+            until(lambda: limit() == 3)
+            assert create("a") == 201
+            until(lambda: len(to_second) == 1)
+            assert json.loads(to_second[0][1])["type"] == "stream.created"
+            for text in ("[limits]\nstreams = 'many'", "[limits", "[[webhooks]]\nurl = 'http://x/'\nkey = '/none'"):
+                config.write_text(text)
+                process.send_signal(signal.SIGHUP)
+            assert create("b") == 201  # the limits before stay
+            until(lambda: len(to_second) == 2)
+            write(2, second)
+            process.send_signal(signal.SIGHUP)
+            until(lambda: limit() == 2)
+            assert create("c") == 422  # there are three
+            before = len(to_first)
+            assert client.delete("/v1/streams/b").status_code == 204
+            until(lambda: len(to_second) == 3)
+            assert json.loads(to_second[2][1])["type"] == "stream.deleted"
+            assert len(to_first) == before
