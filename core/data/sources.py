@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -17,6 +18,9 @@ from streamlod.core.data.pictures import read_picture
 from streamlod.core.data.video.file import VideoInfo, probe_video, read_video
 from streamlod.core.data.video.pairing import nearest, paired, picked
 from streamlod.core.data.video.upright import upright
+from streamlod.core.errors import InputError
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +94,7 @@ class Pictures:
     """Picture files.
 
     Attributes:
-        files: for each instant, one a camera; a camera without a file there is missing at that instant.
+        files: for each instant, one a camera; a camera without a file that can be read is missing at that instant.
     """
 
     files: tuple[tuple[Path, ...], ...]
@@ -108,4 +112,15 @@ class Pictures:
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
         """Yield pictures; see `Source.pictures`."""
         for instant in self.files[start:stop]:
-            yield read_picture(instant[camera]) if instant[camera].is_file() else None
+            yield _readable(instant[camera])
+
+
+def _readable(file: Path) -> UInt8 | None:
+    """The picture in `file`; None where there is none, or it is damaged, which is logged."""
+    if not file.is_file():
+        return None
+    try:
+        return read_picture(file)
+    except InputError as error:
+        _log.warning("%s; its camera is missing at that instant", error)
+        return None

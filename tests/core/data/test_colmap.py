@@ -74,6 +74,28 @@ def test_every_camera_model(tmp_path: Path, write: Writer, model: str) -> None:
     np.testing.assert_allclose(found.intrinsics, camera.intrinsics)
 
 
+@pytest.mark.parametrize("damage", ["cut", "garbage", "empty", "no pixels"])
+def test_a_damaged_picture_costs_one_camera_one_instant(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
+) -> None:
+    entries = [(f"{camera.name}.png", camera, "PINHOLE") for camera in rig(NAMES)]
+    write_colmap_binary(tmp_path / "sparse" / "0", entries, POINTS)
+    for instant in range(3):
+        for index, name in enumerate(NAMES):
+            write_picture(tmp_path / "frames" / f"{instant:04d}" / f"{name}.png", picture(index, instant))
+    bad = tmp_path / "frames" / "0001" / "cam02.png"
+    whole = bad.read_bytes()
+    spoilt = bytearray(whole)
+    spoilt[whole.index(b"IDAT") + 4 : whole.index(b"IDAT") + 44] = bytes(40)
+    bad.write_bytes({"cut": whole[:-500], "garbage": b"x" * 500, "empty": b"", "no pixels": bytes(spoilt)}[damage])
+    frames = list(open_dataset(tmp_path).frames())
+    assert [frame.present.tolist() for frame in frames] == [[True] * 3, [True, False, True], [True] * 3]
+    np.testing.assert_array_equal(frames[1].images[2], picture(2, 1))
+    assert [record.message.count("0001/cam02.png") for record in caplog.records if "missing at" in record.message] == [
+        1
+    ]
+
+
 def test_reduced_pictures_scale_the_calibration(tmp_path: Path) -> None:
     large = rig(NAMES, (192, 128))
     write_colmap_binary(tmp_path / "sparse", [(f"{c.name}.png", c, "PINHOLE") for c in large], POINTS)
