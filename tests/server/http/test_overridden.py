@@ -29,7 +29,7 @@ WEBSOCKET = """connection_made(transport) data_received(data) handle_text(event)
     run_asgi()"""
 HTTP = """connection_made(transport) data_received(data) on_message_begin() on_headers_complete() on_body(body)
     on_message_complete() resume_writing() handle_websocket_upgrade() connection_lost(exc) on_header(name,value)
-    send_400_response(msg)"""
+    on_url(url) send_400_response(msg)"""
 SERVER = "__init__(config) startup(sockets) shutdown(sockets) handle_exit(sig,frame)"
 OVERRIDDEN = [
     (ViewerProtocol, WebSocketsSansIOProtocol, WEBSOCKET),
