@@ -64,7 +64,8 @@ from pathlib import Path
 from tests.server.conftest import make_clip
 make_clip(Path(sys.argv[1]), 200, key_every=100)
 CLIP
-chmod 644 "$WORK/clip/scene.slod"
+printf '[[streams]]\nplay = "/clip/scene.slod"\n' >"$WORK/clip/server.toml"
+chmod 644 "$WORK/clip/scene.slod" "$WORK/clip/server.toml"
 
 docker build --network host --build-arg BASE_IMAGE="$BASE_IMAGE" --build-arg EXTRAS=serve -t streamlod:ci \
     -f docker/Dockerfile .

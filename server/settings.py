@@ -7,13 +7,11 @@ import re
 import tomllib
 from pathlib import Path
 from typing import Literal
-from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from streamlod.codec.packet.limits import DecoderLimits
 from streamlod.core.errors import InputError
-from streamlod.server.networks import is_metadata, is_reachable
 from streamlod.server.pipeline.new_stream import NewStream
 
 MEGABYTE = 1_000_000
@@ -227,7 +225,9 @@ class Settings(BaseModel):
         default=(), description="programs that are told what happens, as `[[webhooks]]`"
     )
     on_demand_seconds: float = Field(
-        default=10.0, ge=0, description="a stream on demand stops so long after its last viewer has gone"
+        default=10.0,
+        ge=0,
+        description="a stream on demand stops, and `serve --play` pauses, so long after its last viewer",
     )
     streams: tuple[NewStream, ...] = Field(
         default=(), description="streams to start with, as `[[streams]]`; fields as in `POST /v1/streams`"
@@ -269,8 +269,8 @@ class Settings(BaseModel):
         """Refuse combinations that are not safe.
 
         Raises:
-            InputError: a public address without tokens, half a certificate, part of a second GPU, a metadata service,
-                or origins that are none.
+            InputError: a public address without tokens, half a certificate, part of a second GPU, or origins that
+                are none.
         """
         if self.is_public and not (self.has_tokens or self.insecure):
             raise InputError(
@@ -293,17 +293,6 @@ class Settings(BaseModel):
                 ipaddress.ip_network(network)
             except ValueError as error:
                 raise InputError(name, f"{error}; write 10.0.0.0/8") from error
-        places = {
-            "jwks": self.jwks,
-            "edge.origin": self.edge and self.edge.origin,
-            "trace_endpoint": self.trace_endpoint,
-        }
-        places |= {f"webhooks.{number}": each.url for number, each in enumerate(self.webhooks)}
-        for name, place in places.items():
-            host = urlsplit(place).hostname if place and "://" in place else None
-            if host and is_metadata(host) and not is_reachable(host, self.networks):
-                fault = "is a cloud's metadata service, which hands out the machine's credentials; name another address"
-                raise InputError(name, f"{host} {fault}")
         for name in ("origins", "frame_ancestors", "edges"):
             for origin in getattr(self, name):
                 if not _ORIGIN.fullmatch(origin):

@@ -14,8 +14,8 @@ from urllib.parse import urlsplit
 
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import Grant, Right
+from streamlod.server.http.networks import is_reachable
 from streamlod.server.ingest.cameras.address import local_file
-from streamlod.server.networks import is_reachable
 from streamlod.server.pipeline.job import POINT_METHODS
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import traceback
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
@@ -205,7 +206,7 @@ def serve(
         for name in ("data", "live"):
             if options[name] is not None:
                 _require_folder(options[name])
-        stream = spec_from_json(options)
+        stream = replace(spec_from_json(options), recorded=options["play"] is None)
         if stream.job is not None:
             check_cameras(stream.job)
         streams += (stream,)

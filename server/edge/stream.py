@@ -152,12 +152,11 @@ class EdgeStream(Stream):
             return
         before, timer = self.newest, StageTimer()
 
-        def announce() -> None:
-            timer.end("decode")
-            if before is None or packet.position.epoch != before.epoch:
-                self._tell(event("epoch", epoch=packet.position.epoch))
-
-        await self.hub.accept(packet, self._window_message(), announce)
+        decoded = await self.hub.decode(packet)
+        timer.end("decode")
+        if before is None or packet.position.epoch != before.epoch:
+            self._tell(event("epoch", epoch=packet.position.epoch))
+        self.hub.send(decoded, self._window_message())
         timer.end("send")
         if self.traces.listeners:
             position = packet.position

@@ -32,6 +32,7 @@ class StreamSpec:
     )
     loop: bool = option(True, "Begin a played file again at its end.")
     on_demand: bool = option(False, "Start with the first viewer, and stop some time after the last one.")
+    recorded: bool = True  # in the state folder; not what `serve --play` plays, as that is a recording already
 
     def __post_init__(self) -> None:
         if not re.fullmatch(_ID, self.id):

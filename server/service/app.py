@@ -28,6 +28,7 @@ from streamlod.server.edge.origin import Origin
 from streamlod.server.edge.pull import OriginSource
 from streamlod.server.http.access_log import AccessLog
 from streamlod.server.http.head import HeadAsGet
+from streamlod.server.http.networks import check_places
 from streamlod.server.http.problems import PROBLEMS, Problem, problem_page, problem_response
 from streamlod.server.http.site_policy import SitePolicy
 from streamlod.server.http.static_page import PageFiles
@@ -73,6 +74,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     """
     if settings.jobs == "ray" and importlib.util.find_spec("ray") is None:
         raise BackendUnavailable("jobs ray", "install it: pip install 'streamlod[ray]'")
+    check_places(settings)
     shared = _shared(settings)
     registry = Registry(settings, specs, None if shared is None else shared.outbox)
     traced = _traced(settings, registry.traces)

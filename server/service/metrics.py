@@ -72,7 +72,9 @@ class StreamCollector(Collector):
                 "thin_viewers": stream.thin_viewers,
                 "live": float(stream.state == "live"),
                 "window_bytes": stream.bus.window.size_bytes,
-                "seconds_since_packet": time.monotonic() - stream.live_at if stream.live_at else 0.0,
+                "seconds_since_packet": time.monotonic() - stream.live_at
+                if stream.live_at and not stream.is_paused
+                else 0.0,
                 "train_seconds": float((stream.report or {}).get("total_seconds", 0.0)),
                 "anchors": scene.anchor_count if scene else 0,
                 "outbox_bytes": outbox.waiting_bytes if outbox else 0,
@@ -134,3 +136,8 @@ def collector_registry(registry: Registry, grant: Grant = EVERYTHING) -> Collect
     if grant.covers_all:
         ProcessCollector(registry=collectors)
     return collectors
+
+
+def _seconds_since_packet(stream: Stream) -> float:
+    """The age of the newest packet; 0 before the first one, and while none are wanted."""
+    return time.monotonic() - stream.live_at if stream.live_at and not stream.is_paused else 0.0

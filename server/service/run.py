@@ -23,6 +23,7 @@ from streamlod.core.background_log import LOG_FORMAT_VARIABLE, log_in_background
 from streamlod.core.errors import InputError, StreamlodError
 from streamlod.server.api.registry import Registry
 from streamlod.server.http.limits import http_class
+from streamlod.server.http.networks import check_places
 from streamlod.server.http.tls import Certificates, Handshakes, TlsListener
 from streamlod.server.http.websocket import websocket_class
 from streamlod.server.pipeline.spec import StreamSpec
@@ -73,6 +74,7 @@ class Server(uvicorn.Server):
             InputError: they cannot be used; nothing has changed.
         """
         settings.check()
+        check_places(settings)
         before = self._registry.settings
         self._registry.adopt(settings)
         limits = self._handshakes.limits = self._registry.settings.limits

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from streamlod.server.auth.secret_file import read_secret
-from streamlod.server.networks import is_reachable
+from streamlod.server.http.networks import is_reachable
 from streamlod.server.settings import Settings, Webhook
 from streamlod.server.stream.feed import Feed, ServerEvent
 

@@ -66,6 +66,7 @@ class Bus:
     Args:
         memory_bytes: packets kept in memory.
         recording: where packets are also recorded, or None.
+        keeps: whether new packets are recorded there; where not, it holds those of earlier times.
 
     Attributes:
         outbox: for other servers, or None.
@@ -73,9 +74,10 @@ class Bus:
 
     outbox: Outbox | None = None
 
-    def __init__(self, memory_bytes: int, recording: Recording | None = None) -> None:
+    def __init__(self, memory_bytes: int, recording: Recording | None = None, *, keeps: bool = True) -> None:
         self.window = PacketWindow(memory_bytes)
         self.recording = recording
+        self.keeps = keeps and recording is not None
         self._newest: dict[str, asyncio.Future[None]] = {}  # of each writer, what viewers waited for last
 
     async def record(self, packet: StreamPacket) -> None:
@@ -92,16 +94,16 @@ class Bus:
             await asyncio.wait(prompt.values(), timeout=RECORD_SECONDS)
 
     def _write(self, packet: StreamPacket) -> dict[str, asyncio.Future[None]]:
-        recorded: Future[None] | None = None if self.recording is None else self.recording.append(packet)
+        recorded: Future[None] | None = None
+        if self.recording is not None and self.keeps:
+            recorded = self.recording.append(packet)
         sent = None if self.outbox is None else self.outbox.append(packet)
         writings = {"disk": None if recorded is None else asyncio.wrap_future(recorded), "outbox": sent}
         return {writer: writing for writer, writing in writings.items() if writing is not None}
 
-    def publish(self, packet: StreamPacket, *, record: bool = True) -> None:
-        """Add the newest packet, without waiting. With `record` False it exists only while it is in memory."""
+    def publish(self, packet: StreamPacket) -> None:
+        """Add the newest packet to those in memory."""
         self.window.append(packet.without_messages())
-        if self.recording is not None and record:
-            self.recording.append(packet)
 
     def skip(self) -> None:
         """Packets are missing before the next one, a keyframe: the newest group of pictures gets no end."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import OrderedDict, deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -29,7 +29,9 @@ _RESIDUALS = 32  # encoded on demand and kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Decoded:
+class Decoded:
+    """A packet, and the state that it leads to."""
+
     packet: StreamPacket
     scene: Scene
 
@@ -53,8 +55,8 @@ class Hub:
         self._decoder = SceneDecoder(limits)
         # a thread of its own, because viewers' requests may fill the shared pool
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="hub")
-        self._key: _Decoded | None = None
-        self._states: OrderedDict[int, _Decoded] = OrderedDict()
+        self._key: Decoded | None = None
+        self._states: OrderedDict[int, Decoded] = OrderedDict()
         self._state_bytes = 0
         self._made: OrderedDict[tuple[int, int], asyncio.Task[bytes]] = OrderedDict()
         self._parts: tuple[int, list[BinaryMessage]] | None = None
@@ -78,37 +80,31 @@ class Hub:
         newest = self.newest
         return None if newest is None else self._states[newest.sequence].scene
 
-    async def accept(
-        self,
-        packet: StreamPacket,
-        message: bytes = b"",
-        on_decoded: Callable[[], None] = lambda: None,
-        record: Callable[[], Awaitable[None]] | None = None,
-    ) -> None:
-        """Decode the newest packet in a thread, then send it to viewers with `message`, a framed control message.
-
-        Args:
-            on_decoded: called once the packet is known to be valid, just before it becomes the newest.
-            record: awaited before that, and so before any viewer gets the packet.
+    async def decode(self, packet: StreamPacket) -> Decoded:
+        """Decode the packet after the newest one, in a thread; `send` makes it the newest.
 
         Raises:
             BitstreamError: it is not valid; nothing has changed.
-            ValueError: it does not follow the newest one.
         """
         await asyncio.get_running_loop().run_in_executor(self._thread, self._decoder.push, packet.data)
         scene = self._decoder.scene
         assert scene is not None
-        if record is not None:
-            await record()
-        on_decoded()
-        packet = replace(packet, arrived=time.monotonic())
+        return Decoded(packet, scene)
+
+    def send(self, decoded: Decoded, message: bytes = b"") -> None:
+        """Make a packet the newest one, and send it to viewers with `message`, a framed control message.
+
+        Raises:
+            ValueError: it does not follow the newest one.
+        """
+        packet = replace(decoded.packet, arrived=time.monotonic())
         if packet.is_key and len(packet.data) > PIECE_BYTES:
             self.broadcast.notify_all()  # each viewer gets a large keyframe at its own pace
         self.window.append(packet)
         self._sent.append(packet)
         while packet.arrived - self._sent[0].arrived > _FRAMES_SECONDS:
             self._sent.popleft().forget_messages()
-        state = _Decoded(packet, scene)
+        state = Decoded(packet, decoded.scene)
         if packet.is_key:
             self._key = state
         self._states[packet.sequence] = state
@@ -182,14 +178,14 @@ class Hub:
             packets.append(await self._encoded(self._key))
         return packets
 
-    async def _residual(self, before: _Decoded, mask: int) -> tuple[StreamPacket, BinaryMessage]:
+    async def _residual(self, before: Decoded, mask: int) -> tuple[StreamPacket, BinaryMessage]:
         newest = self.newest
         assert newest is not None
         packet = await self._encoded(before)
         whole = mask & newest.info.level_mask == newest.info.level_mask
         return newest, BinaryMessage(packet if whole else select_levels(packet, mask))
 
-    async def _encoded(self, before: _Decoded) -> bytes:
+    async def _encoded(self, before: Decoded) -> bytes:
         """The residual from `before` to the newest state, encoded once."""
         newest = self.newest
         assert newest is not None
@@ -202,13 +198,13 @@ class Hub:
         return await asyncio.shield(self._made[key])
 
 
-def _size_bytes(state: _Decoded) -> int:
+def _size_bytes(state: Decoded) -> int:
     """Memory of a state that it does not share with the state before it; a keyframe shares nothing."""
     own = AnchorLevel.__slots__ if state.packet.is_key else ("position", "latent", "alive")
     return sum(getattr(level, name).nbytes for level in state.scene.levels for name in own)
 
 
-def _encode(before: _Decoded, after: _Decoded) -> bytes:
+def _encode(before: Decoded, after: Decoded) -> bytes:
     residual = difference(before.scene, after.scene)
     info = after.packet.info
     return encode_residual(before.scene, residual, time_ns=info.time_ns, profile=info.profile)

@@ -45,6 +45,7 @@ class Stream:
         push_socket: where its worker takes pictures that capture nodes push, or None.
         played_file: the recording that it plays, or None.
         worker_node: address of the cluster's node that its worker runs on; empty where it runs on this machine, or not.
+        is_paused: whether it plays a file that nobody watches, and so makes no packets for now.
         camera_pictures: a small JPEG file of what each camera saw last, where the server shows that.
     """
 
@@ -54,6 +55,7 @@ class Stream:
     push_socket: Path | None = None
     played_file: Path | None = None
     worker_node = ""
+    is_paused = False
 
     def __init__(
         self,
@@ -173,9 +175,9 @@ class Stream:
         """No more events into `queue`."""
         self._events.remove(queue)
 
-    def _publish(self, packet: StreamPacket, *, record: bool = True) -> None:
+    def _publish(self, packet: StreamPacket) -> None:
         """Retain the packet that the hub has just accepted."""
-        self.bus.publish(packet, record=record)
+        self.bus.publish(packet)
         self._sequence += 1
         self.counters.packets += 1
         self.counters.packet_bytes += len(packet.data)
@@ -205,6 +207,6 @@ class Stream:
         self.hub.wake()
 
     def _recording_state(self) -> str:
-        if self.bus.recording is None:
+        if self.bus.recording is None or not self.bus.keeps:
             return "off"
         return self.bus.recording.fault or "on"

@@ -60,7 +60,8 @@ class WorkerStream(Stream):
         traces: Traces | None = None,
     ) -> None:
         incarnation = recording.stored.incarnation if recording else secrets.token_hex(8)
-        super().__init__(spec.id, incarnation, settings, Bus(settings.retention.memory_bytes, recording), feed, traces)
+        bus = Bus(settings.retention.memory_bytes, recording, keeps=spec.recorded)
+        super().__init__(spec.id, incarnation, settings, bus, feed, traces)
         self._settings = settings
         self._frames_done = 0
         self._untold: dict[Position, list[Stage]] = {}  # of packets, until the worker tells its own stages
@@ -74,6 +75,9 @@ class WorkerStream(Stream):
         self._refused: Shortage | None = None
         self._supervisor = self._make_supervisor()
         self._task: asyncio.Task[None] | None = None
+        self._watched = asyncio.Event()
+        self._stopping = False
+        self._unwatched_since = 0.0  # monotonic time
         self._armed = False  # whether the next viewer starts it
         self._pause: asyncio.TimerHandle | None = None
         self._pausing: asyncio.Task[None] | None = None
@@ -144,6 +148,7 @@ class WorkerStream(Stream):
     def join(self) -> None:
         """A viewer has come; it may be what a stream on demand waits for."""
         super().join()
+        self._watched.set()
         if self._pause is not None:
             self._pause.cancel()
         if self._armed and not self.is_running and self._pausing is None:
@@ -152,6 +157,7 @@ class WorkerStream(Stream):
     def leave(self) -> None:
         """A viewer has gone; after the last one, a stream on demand stops for now."""
         super().leave()
+        self._unwatched_since = time.monotonic()
         if self._armed and not self.viewers:
             seconds = self._settings.on_demand_seconds
             self._pause = asyncio.get_running_loop().call_later(seconds, self._begin_pause)
@@ -172,6 +178,7 @@ class WorkerStream(Stream):
         if self.state in {"ended", "failed"}:
             self._frames_done, self._new_epoch = 0, True
         self._placed.clear()
+        self._unwatched_since = time.monotonic()
         self._refused = None
         self._supervisor = self._make_supervisor()
         self._enter("starting")
@@ -192,7 +199,7 @@ class WorkerStream(Stream):
         last = recording.segments[-1]
         try:
             for packet in await self.bus.read(last.first, last.last):
-                await self.hub.accept(replace(packet, sequence=self._sequence))
+                self.hub.send(await self.hub.decode(replace(packet, sequence=self._sequence)))
                 self._sequence += 1
             away = time.time() - last.path.stat().st_mtime
         except (StreamlodError, OSError, ValueError) as error:
@@ -220,11 +227,14 @@ class WorkerStream(Stream):
             self._enter("idle")
 
     async def _end_worker(self) -> None:
+        self._stopping = True
+        self._watched.set()
         if (task := self._task) is not None:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
             if self._task is task:  # and not one that was started since
                 self._task = None
+        self._stopping = False
         self._placed.set()  # nobody waits for a worker that will not come
         self.worker_node = ""
         if self.bus.recording is not None:
@@ -245,6 +255,7 @@ class WorkerStream(Stream):
     async def on_message(self, tag: Tag, body: bytes) -> None:
         """See `supervisor.Owner`."""
         if tag in {Tag.PACKET, Tag.PREVIEW}:
+            await self._until_watched()
             await self._on_packet(body, record=tag is Tag.PACKET)
         elif tag is Tag.REPORT:
             self.report = json.loads(body)
@@ -293,21 +304,31 @@ class WorkerStream(Stream):
         self.worker_node = ""
         self._enter("ended" if ending.done else "failed", ending.text)
 
+    async def _until_watched(self) -> None:
+        """Wait while a file is played that nobody watches or keeps; its worker, whose message this is, waits too."""
+        is_wanted = self.viewers or self.bus.keeps or self.bus.outbox is not None or self._stopping
+        if self.spec.play is None or self.state != "live" or is_wanted:
+            return
+        if time.monotonic() - self._unwatched_since < self._settings.on_demand_seconds:
+            return
+        self._watched.clear()
+        self.is_paused = True
+        await self._watched.wait()
+        self.is_paused = False
+
     async def _on_packet(self, data: bytes, *, record: bool) -> None:
+        """Decode a packet, record it, send it and retain it, in this order: nobody gets what is unusable or lost."""
         packet = stream_packet(self._sequence, self._epoch + self._new_epoch, data)
         timer = StageTimer()
-
-        async def retain() -> None:
-            timer.end("decode")
+        decoded = await self.hub.decode(packet)
+        timer.end("decode")
+        if record:
             await self.bus.record(packet)
-
-        def begin() -> None:
-            timer.end("retain" if record else "decode")
-            self._begin_epoch(packet)
-
-        await self.hub.accept(packet, self._window_message(), begin, retain if record else None)
+            timer.end("retain")
+        self._begin_epoch(packet)
+        self.hub.send(decoded, self._window_message())
         timer.end("send")
-        self._publish(packet, record=False)
+        self._publish(packet)
         if self.traces.listeners:
             self._untold.setdefault(packet.position, []).extend(timer.stages)
         if record:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 1.0
 _INGEST_SECONDS = 0.5
+_BEHIND_SECONDS = 2.0  # that playing a file may be late and still catch up
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _NICENESS = 5  # of training: serving has priority, and so has publishing the last state again
 _LOADING_NICENESS = 19  # of loading code into a spare worker
@@ -254,7 +255,10 @@ def play(spec: StreamSpec, resume: Resume, sender: Sender) -> None:
         for number, (_, info, data) in enumerate(_packets(spec, entries)):
             if number < start:
                 continue
-            time.sleep(max(0.0, begin + info.time_ns / 1e9 - time.monotonic()))
+            wait = begin + info.time_ns / 1e9 - time.monotonic()
+            if wait < -_BEHIND_SECONDS:  # nobody watched, and it had to wait: go on from here
+                begin -= wait
+            time.sleep(max(0.0, wait))
             sender.send(Tag.PACKET, data)
             sender.send(Tag.REPORT, {"version": info.to_version, "done": number + 1})
         if not spec.loop:

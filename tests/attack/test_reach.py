@@ -12,9 +12,10 @@ import pytest
 from streamlod.core.errors import InputError
 from streamlod.server.api.reach import check_reach
 from streamlod.server.auth.gate import EVERYTHING, Grant, Right
-from streamlod.server.networks import is_reachable
+from streamlod.server.http.networks import is_reachable
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service.app import create_app
 from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running
 
@@ -127,7 +128,7 @@ def test_a_network_that_is_listed_as_a_whole_does_not_mean_the_metadata_service_
 def test_settings_do_not_send_the_server_to_a_metadata_service(fields: dict[str, Any]) -> None:
     settings = Settings.model_validate(fields)
     with pytest.raises(InputError, match="metadata service"):
-        settings.check()
+        create_app(settings)
 
 
 def test_listed_networks_names_and_listening_addresses_are_taken() -> None:

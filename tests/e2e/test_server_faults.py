@@ -24,7 +24,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from streamlod.codec.container import SlodReader
-from tests.e2e.test_server_process import PROGRAM, get, live, wait_live
+from tests.e2e.test_server_process import PROGRAM, get, live, recorded, wait_live
 from tests.server.conftest import Clip, Viewer, make_clip
 from tests.server.test_faults import masked, raw
 
@@ -113,12 +113,10 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
     if unshare is None or subprocess.run(probe, capture_output=True, check=False).returncode:
         pytest.skip("small disks cannot be mounted here")
     size = sum(map(len, clip.packets))
-    config = tmp_path / "server.toml"
-    config.write_text("[retention]\nreserve_fraction = 0.0\n")
+    options = recorded(tmp_path, clip, "[retention]\nreserve_fraction = 0.0")
     script = f'mount -t tmpfs -o size={size + 150_000} none {tmp_path} && exec "$@"'  # room for one round of the clip
-    config = config.rename(tmp_path.with_name("server.toml"))
-    serve = [*PROGRAM, "serve", "--port", "0", "--play", str(clip.path), "--state-dir", f"{tmp_path}/state"]
-    with started([*mount, "sh", "-c", script, "sh", *serve, "--config", str(config)]) as (process, port, _):
+    serve = [*PROGRAM, "serve", "--port", "0", *options]
+    with started([*mount, "sh", "-c", script, "sh", *serve]) as (process, port, _):
         wait_live(port)
         until(lambda: "stopped" in stream(port)["recording"])
         lost = metrics(port)['streamlod_recording_lost_packets_total{stream="main"}']
@@ -131,7 +129,7 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
             packets = list(reader.packets())
             assert packets == clip.packets[: len(packets)]
         assert len(packets) > 10
-        for segment in Path(f"/proc/{process.pid}/root{tmp_path}/state/streams/main").glob("*.slod"):
+        for segment in Path(f"/proc/{process.pid}/root{tmp_path}/streams/main").glob("*.slod"):
             segment.unlink()  # somebody makes room
         until(lambda: stream(port)["recording"] == "on")
         process.send_signal(signal.SIGTERM)
@@ -139,10 +137,8 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
 
 
 def test_a_clock_that_is_set_deletes_nothing_and_stops_nobody(clip: Clip, tmp_path: Path) -> None:
-    config = tmp_path / "server.toml"
-    config.write_text("[retention]\nseconds = 1800\n")
-    serve = ["serve", "--port", "0", "--play", str(clip.path), "--state-dir", f"{tmp_path}/state"]
-    command = [sys.executable, "-c", _CLOCK, *serve, "--config", str(config)]
+    options = recorded(tmp_path / "state", clip, "[retention]\nseconds = 1800")
+    command = [sys.executable, "-c", _CLOCK, "serve", "--port", "0", *options]
     with started(command) as (process, port, _), ExitStack() as stack:
         wait_live(port)
         viewer = Viewer(stack.enter_context(live(port))).hello()
@@ -258,11 +254,10 @@ def test_hostile_requests_are_refused_and_counted(clip: Clip, tmp_path: Path) ->
 @pytest.mark.timeout(1800)
 def test_memory_and_descriptors_stay_flat_while_viewers_come_and_go(clip: Clip, tmp_path: Path) -> None:
     minutes = float(os.environ.get("STREAMLOD_SOAK_MINUTES", "20"))
-    config = tmp_path / "server.toml"
-    config.write_text("[retention]\nmemory_bytes = 1000000\nbytes = 2000000\n")
-    command = [*PROGRAM, "serve", "--port", "0", "--play", str(clip.path), "--state-dir", f"{tmp_path}/state"]
+    options = recorded(tmp_path / "state", clip, "[retention]\nmemory_bytes = 1000000\nbytes = 2000000")
+    command = [*PROGRAM, "serve", "--port", "0", *options]
     samples: list[tuple[int, int]] = []
-    with started([*command, "--config", str(config)]) as (process, port, _):
+    with started(command) as (process, port, _):
         wait_live(port)
         end, number = time.monotonic() + 60 * minutes, 0
         while time.monotonic() < end:

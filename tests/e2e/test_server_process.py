@@ -52,6 +52,13 @@ def serving(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], int]]:
         process.stderr.close()
 
 
+def recorded(folder: Path, clip: Clip, more: str = "") -> list[str]:
+    """Arguments for a server that plays and, unlike with `--play`, also records; `more` begins its settings."""
+    config = folder.with_name(f"{folder.name}.toml")
+    config.write_text(f'{more}\n[[streams]]\nplay = "{clip.path}"\n')
+    return ["--state-dir", str(folder), "--config", str(config)]
+
+
 def get(port: int, path: str) -> bytes:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10) as answer:
         body: bytes = answer.read()
@@ -120,7 +127,7 @@ def test_sigterm_tells_viewers_and_ends_within_ten_seconds_with_a_clean_log(clip
 
 @pytest.mark.long
 def test_a_killed_server_keeps_what_it_recorded(clip: Clip, tmp_path: Path) -> None:
-    options = ("--play", clip.path, "--state-dir", tmp_path)
+    options = recorded(tmp_path / "state", clip)
     with serving(*options) as (process, port):
         wait_live(port)
         limit = time.monotonic() + 20

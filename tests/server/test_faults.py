@@ -246,13 +246,13 @@ def test_any_schedule_of_joins_and_skips_decodes_to_the_same_state() -> None:
     async def run(seed: int) -> None:
         chooser, hub = random.Random(seed), Hub(10**7, Counters())
         states = [make_scene((5, 20, 40), seed=seed)]
-        await hub.accept(stream_packet(0, 1, encode_keyframe(states[0], time_ns=0, profile=0)))
+        hub.send(await hub.decode(stream_packet(0, 1, encode_keyframe(states[0], time_ns=0, profile=0))))
         decoder, sequence = SceneDecoder(), None
         for version in range(1, 25):
             states.append(move(states[-1], seed=version))
             residual = difference(states[-2], states[-1])
             packet = encode_residual(states[-2], residual, time_ns=version, profile=0)
-            await hub.accept(stream_packet(version, 1, packet))
+            hub.send(await hub.decode(stream_packet(version, 1, packet)))
             match chooser.choice(["nothing", "join", "next", "skip"]):
                 case "join":
                     decoder = SceneDecoder()

@@ -16,6 +16,7 @@ from websockets.exceptions import ConnectionClosed
 
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
+from tests.e2e.test_server_process import recorded
 from tests.server.conftest import Clip, Running, running, viewing
 from tests.server.edge.processes import Node, node, wait, wait_live
 
@@ -45,7 +46,7 @@ def test_viewers_stay_while_the_origin_is_killed_and_comes_back(
     slow_long_clip: Clip, tmp_path: Path, port: int
 ) -> None:
     """With its state folder it goes on with the next epoch of the same incarnation."""
-    serve = ("serve", "--play", slow_long_clip.path, "--state-dir", tmp_path / "state")
+    serve = ("serve", *recorded(tmp_path / "state", slow_long_clip))
     with ExitStack() as stack:
         origin: Node = stack.enter_context(node(tmp_path, *serve, port=port))
         edge = stack.enter_context(edge_of(port))

@@ -146,6 +146,7 @@ def test_the_bus_reads_from_memory_and_disk_alike(tmp_path: Path) -> None:
         bus = Bus(1, store.recording("main"))  # memory keeps the newest group only
         remembered = Bus(10**8)
         for packet in packets:
+            await bus.record(packet)
             bus.publish(packet)
             remembered.publish(packet)
         assert bus.recording is not None

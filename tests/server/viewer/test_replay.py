@@ -105,7 +105,7 @@ def test_a_new_viewer_whose_past_is_gone_joins_at_the_live_edge(small: Clip) -> 
     stream = WorkerStream(StreamSpec(play=Path("nothing.slod")), Settings())
     follower = Follower(stream, delivery, LevelControl(64, 64, quiet_since=0.0), Limits())
     follower.resume()
-    asyncio.run(stream.hub.accept(stream_packet(0, 1, small.packets[0])))
+    stream.hub.send(asyncio.run(stream.hub.decode(stream_packet(0, 1, small.packets[0]))))
     asyncio.run(follower.step(0.0))
     assert delivery.position == Position(1, 0)
 
@@ -118,7 +118,7 @@ def test_new_packets_are_taken_while_viewers_keep_the_shared_threads_busy(small:
         await asyncio.sleep(0)
         try:
             async with asyncio.timeout(10):
-                await hub.accept(stream_packet(0, 1, small.packets[0]))
+                hub.send(await hub.decode(stream_packet(0, 1, small.packets[0])))
         finally:
             over.set()
             await asyncio.gather(*reading)

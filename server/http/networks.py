@@ -7,6 +7,10 @@ that is listed as a whole.
 from __future__ import annotations
 
 import ipaddress
+from urllib.parse import urlsplit
+
+from streamlod.core.errors import InputError
+from streamlod.server.settings import Settings
 
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 _HOLD_IPV4 = [ipaddress.ip_network(text) for text in (
@@ -45,6 +49,22 @@ def is_reachable(host: str, networks: tuple[str, ...], *, public: bool = True) -
     if is_metadata(host):
         return any(address in network and network.num_addresses == 1 for network in listed) or host in networks
     return any(address in network for network in listed) or (public and _is_public(address))
+
+
+def check_places(settings: Settings) -> None:
+    """Refuse settings that send the server itself to a metadata service.
+
+    Raises:
+        InputError: they do.
+    """
+    places = {"jwks": settings.jwks, "trace_endpoint": settings.trace_endpoint}
+    places |= {"edge.origin": settings.edge.origin} if settings.edge is not None else {}
+    places |= {f"webhooks.{number}": each.url for number, each in enumerate(settings.webhooks)}
+    for name, place in places.items():
+        host = urlsplit(place).hostname if place and "://" in place else None
+        if host and is_metadata(host) and not is_reachable(host, settings.networks):
+            fault = "is a cloud's metadata service, which hands out the machine's credentials; name another address"
+            raise InputError(name, f"{host} {fault}")
 
 
 def is_metadata(host: str) -> bool:

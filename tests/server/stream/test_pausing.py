@@ -1,0 +1,67 @@
+"""A file that is played for nobody costs nothing, and goes on when somebody comes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
+from streamlod.server.stream.worker_stream import WorkerStream
+from tests.server.conftest import Clip, running, viewing
+
+
+def until(done: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 60
+    while not done():
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_nothing_is_made_while_nobody_watches(clip: Clip, tmp_path: Path, kept: bool) -> None:
+    settings = Settings(on_demand_seconds=0, state=tmp_path if kept else None)
+    with running(settings, StreamSpec(play=clip.path, recorded=False)) as server:
+        stream = server.registry.streams["main"]
+        assert isinstance(stream, WorkerStream)
+        until(lambda: stream.is_paused)
+        assert server.stream()["state"] == "live"
+        first = stream.counters.packets
+        for _ in range(2):
+            with viewing(server) as viewer:
+                viewer.hello()
+                viewer.until("caught_up")
+                before = stream.counters.packets
+                for _ in range(5):
+                    viewer.next_packet()
+                assert stream.counters.packets > before
+            until(lambda: stream.is_paused)
+        assert stream.counters.packets > first
+        with server.client() as client:  # stopping one that pauses takes no time, and it starts again
+            assert client.post("/v1/streams/main/stop").status_code == 202
+            server.wait(lambda found: found["state"] == "idle")
+            assert client.post("/v1/streams/main/start").status_code == 202
+            server.wait(lambda found: found["state"] == "live")
+    assert not list(tmp_path.rglob("*.slod"))
+
+
+def test_what_is_recorded_does_not_pause(clip: Clip, tmp_path: Path) -> None:
+    with running(Settings(on_demand_seconds=0, state=tmp_path), StreamSpec(play=clip.path)) as server:
+        server.wait(lambda stream: stream["epoch"] is not None and stream["epoch"] >= 2)
+        assert not server.registry.streams["main"].is_paused
+
+
+def test_a_played_file_of_the_command_line_is_not_recorded(clip: Clip) -> None:
+    from streamlod.server.cli import commands, main
+
+    seen: list[StreamSpec] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(commands, "serve", lambda settings, streams, again: seen.extend(streams))
+        patch.setattr(main.sys, "argv", ["streamlod", "serve", "--play", str(clip.path)])
+        with pytest.raises(SystemExit):
+            main.main()
+    assert seen == [replace(StreamSpec(play=clip.path), recorded=False)]
