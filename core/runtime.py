@@ -65,16 +65,16 @@ def _compile_without_cache() -> None:
     """Have Numba use what a cache holds, and go on where it takes nothing more; by default it refuses every kernel."""
     from numba.core import caching, dispatcher
 
-    class Cache(caching.FunctionCache):  # type: ignore[misc]
+    class Cache(caching.FunctionCache):
         def save_overload(self, sig: object, data: object) -> None:
             with suppress(OSError):
-                super().save_overload(sig, data)
+                super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
     def enable_caching(self: Any) -> None:
         with suppress(RuntimeError):  # there is no folder for it
-            self._cache = Cache(self.py_func)
+            self._cache = Cache(self.py_func)  # type: ignore[no-untyped-call]
 
-    dispatcher.Dispatcher.enable_caching = enable_caching
+    dispatcher.Dispatcher.enable_caching = enable_caching  # type: ignore[method-assign]
 
 
 def kernel_cache_folder() -> Path:

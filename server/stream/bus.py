@@ -112,9 +112,10 @@ class Bus:
     async def read(self, first: Position, last: Position) -> list[StreamPacket]:
         """Packets of positions `first` to `last`, as far as they are retained, in order."""
         oldest = self.window.oldest
-        if self.recording is None or (oldest is not None and first >= oldest.position):
+        recorded = self.recording.segments if self.recording is not None else []
+        if not recorded or (oldest is not None and first >= oldest.position):
             return self.window.read(first, last)
-        segments = [s for s in self.recording.segments if s.first <= last and s.last >= first]
+        segments = [s for s in recorded if s.first <= last and s.last >= first]
         return await asyncio.to_thread(_read_segments, segments, first, last)
 
     async def groups(self) -> list[RetainedGroup]:
