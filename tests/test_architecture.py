@@ -42,7 +42,7 @@ LAYERS = {
 }  # fmt: skip
 COMMAND_LINE = "server.cli"  # may import any package
 # Pairs of sub-packages of which one imports the other. More of them make a package hard to take in.
-MAX_ARROWS = {"core": 38, "core.train": 52, "server": 39, "client": 18}
+MAX_ARROWS = {"core": 39, "core.train": 52, "server": 39, "client": 18}
 MAX_FILES = 16  # of a folder: fifteen and __init__.py
 HEAVY = {"torch", "fastapi", "uvicorn", "pydantic", "sklearn", "scipy", "gsplat"}
 LIGHT_CLIENT = {

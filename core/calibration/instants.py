@@ -88,8 +88,8 @@ def chosen_instants(tracks: Sequence[Track], offsets: Float64, at_most: int = MA
         sees[number] = np.isfinite(corners[..., 0]).sum(axis=1) >= MIN_CORNERS
         for instant in np.flatnonzero(sees[number]):
             wishes[instant] |= {(number, cell) for cell in cells_of(corners[instant], track.size)}
-    for instant in range(len(times)):
-        together = np.flatnonzero(sees[:, instant])
+    for number in range(len(times)):
+        together = np.flatnonzero(sees[:, number])
         if len(together) > 1:  # a board that one camera sees alone says something of its lens only
-            wishes[instant] |= {("pair", *pair, weight) for pair in combinations(together, 2) for weight in range(4)}
+            wishes[number] |= {("pair", *pair, weight) for pair in combinations(together, 2) for weight in range(4)}
     return times[covering(wishes, at_most)]

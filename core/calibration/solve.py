@@ -26,7 +26,7 @@ from streamlod.core.calibration.graph import first_poses
 from streamlod.core.calibration.instants import chosen_instants
 from streamlod.core.calibration.sync import first_offsets
 from streamlod.core.calibration.track import Track
-from streamlod.core.calibration.trust import check_agreement, check_certainty, near_enough
+from streamlod.core.calibration.trust import check_agreement, check_certainty, check_lens, near_enough
 from streamlod.core.calibration.world import find_floor
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import opencv_camera
@@ -101,9 +101,10 @@ def _adjusted(
     tracks: Sequence[Track], times: Float64, scene: AdjustedRig, board: Board, root: int, fixed: Bool
 ) -> tuple[Adjusted, Observations]:
     sizes = [track.size for track in tracks]
+    names, sizes = [track.camera for track in tracks], [track.size for track in tracks]
     corners = observed(tracks, times, scene.offsets, board.corners)
     found = adjust(scene, corners, sizes, root, lenses_known=fixed)
-    check_agreement([track.camera for track in tracks], corners, found.misses)
+    check_agreement(names, corners, found.misses)
     for _ in range(_ROUNDS):
         corners = observed(tracks, times, found.scene.offsets, board.corners)
         at_start = misses_of(found.scene, corners)
@@ -122,6 +123,8 @@ def _calibration(
         opencv_camera(track.camera, matrix_of(lens), rigid.matrix(pose), track.size, lens[4:].copy())
         for track, lens, pose in zip(tracks, scene.lenses, placed, strict=True)
     ]
+    for camera in cameras:
+        check_lens(camera)
     centre = np.concatenate([np.zeros(3), board.centre])
     boards = rigid.after(floor.to_world, rigid.after(scene.boards, centre))[:, 3:]
     errors = np.linalg.norm(found.camera_errors.reshape(-1, 2, 3), axis=2) * [np.degrees(1), 1]

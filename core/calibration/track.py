@@ -51,7 +51,7 @@ class Track:
     @property
     def seen(self) -> Int64:
         """[K] number of corners seen in each picture."""
-        return np.isfinite(self.corners[..., 0]).sum(axis=1)
+        return np.asarray(np.isfinite(self.corners[..., 0]).sum(axis=1), np.int64)
 
     @property
     def period(self) -> float:

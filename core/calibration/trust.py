@@ -8,6 +8,8 @@ import numpy as np
 
 from streamlod.core.arrays import Bool, Float64
 from streamlod.core.calibration.adjustment.adjust import Adjusted, Observations
+from streamlod.core.camera import Camera
+from streamlod.core.data.lens import undistorted_camera
 from streamlod.core.errors import InputError
 
 _FAR = 6.0  # pixels, of a corner that is not where the other cameras say
@@ -55,3 +57,14 @@ def check_certainty(names: Sequence[str], adjusted: Adjusted, seen: Observations
                 f"its corners lie {rms:.1f} pixels off; its lens bends more than five coefficients describe, or the "
                 "board is not flat",
             )
+
+
+def check_lens(camera: Camera) -> None:
+    """Raise InputError for a lens whose distortion cannot be undone over the whole picture."""
+    try:
+        undistorted_camera(camera)
+    except InputError as error:
+        raise InputError(
+            f"camera {camera.name}",
+            "its lens does not follow from where it saw the board; walk the board through all of its picture",
+        ) from error

@@ -130,6 +130,21 @@ def calibrate(
 
 
 @app.command()
+def check(
+    source: Annotated[Path, typer.Argument(metavar="DATA|rig.json", help="A recording, or a live rig.")],
+    layout: Layout = None,
+) -> None:
+    """Check a rig before it films: focus, light, clocks, poses, coverage; exit code 1 where something is at fault."""
+    _require_folder(source)
+    from streamlod.server.cli.check import check as examine
+
+    text, at_fault = examine(source, layout)
+    typer.echo(text)
+    if at_fault:
+        raise typer.Exit(1)
+
+
+@app.command()
 @takes(TRAINING)
 def train(
     data: Data,

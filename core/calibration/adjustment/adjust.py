@@ -17,9 +17,10 @@ from streamlod.core.arrays import Bool, Float64, Int64
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.adjustment.minimise import minimise
 from streamlod.core.calibration.adjustment.projection import projected
+from streamlod.core.calibration.adjustment.unfolded import unfolded_lenses
 from streamlod.core.calibration.track import Track
 
-_NOISE = 0.3  # pixels of a corner, against which priors are weighed
+_NOISE = 1.0  # pixels against which priors are weighed: corners of one picture err together, by blur and a bent board
 _ROBUST = 1.0  # pixels from which a corner counts less
 _ASPECT = 5e-4  # of the focal lengths' deviation: 0.5 % between that across and that down
 _PER_CAMERA = 16  # lens 9, pose 6, offset 1
@@ -100,7 +101,6 @@ def adjust(
     root: int,
     *,
     lenses_known: Bool | None = None,
-    offsets_known: bool = False,
 ) -> Adjusted:
     """The scene that explains `seen` best, beginning at `scene`.
 
@@ -108,7 +108,6 @@ def adjust(
         sizes: (width, height) of each camera's pictures.
         root: camera that keeps its pose and clock.
         lenses_known: [C] cameras whose lenses stay; none by default.
-        offsets_known: whether all clocks stay.
     """
     count = len(scene.cameras)
     start = _flat(scene)
@@ -117,11 +116,10 @@ def adjust(
     if lenses_known is not None:
         by_camera[lenses_known, :9] = False
     by_camera[root, 9:] = False
-    if offsets_known:
-        by_camera[:, 15] = False
     columns = np.flatnonzero(free)
     mean, deviation = _priors(sizes)
     first = count * _PER_CAMERA
+    unfolded = unfolded_lenses(scene.lenses, sizes, _PER_CAMERA, len(start))
 
     def full(values: Float64) -> Float64:
         whole = start.copy()
@@ -132,10 +130,12 @@ def adjust(
         whole = full(values)
         held = (whole[: count * _PER_CAMERA].reshape(count, -1)[:, :9] - mean) / deviation * _NOISE
         aspect = (whole[:first:_PER_CAMERA] - whole[1:first:_PER_CAMERA]) / (deviation[:, 0] * _ASPECT) * _NOISE
-        return np.concatenate([misses_of(_scene(whole, count), seen).ravel(), held.ravel(), aspect])
+        parts = misses_of(_scene(whole, count), seen), held, aspect, unfolded.misses(whole)
+        return np.concatenate([part.ravel() for part in parts])
 
     def slopes(values: Float64) -> csr_matrix:
-        jacobian = _jacobian(_scene(full(values), count), seen, len(start))
+        whole = full(values)
+        jacobian = _jacobian(_scene(whole, count), seen, len(start))
         rows = np.arange(count * 9)
         places = (np.arange(count)[:, None] * _PER_CAMERA + np.arange(9)).ravel()
         held = csr_matrix(((_NOISE / deviation).ravel(), (rows, places)), (len(rows), len(start)))
@@ -143,7 +143,7 @@ def adjust(
         weight = _NOISE / (deviation[:, 0] * _ASPECT)
         rows, places = np.tile(np.arange(count), 2), np.concatenate([each, each + 1])
         aspect = csr_matrix((np.concatenate([weight, -weight]), (rows, places)), (count, len(start)))
-        return vstack([jacobian, held, aspect]).tocsr()[:, columns]
+        return vstack([jacobian, held, aspect, unfolded.slopes(whole)]).tocsr()[:, columns]
 
     found = minimise(start[columns], residuals, slopes, _ROBUST, len(scene.boards))
     best = _scene(full(found.values), count)

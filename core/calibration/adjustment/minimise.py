@@ -99,7 +99,8 @@ def minimise(
         if settled == 2:
             break
     normal, _ = _normal(slopes, rest, scale, boards)
-    return Minimum(values, np.linalg.inv(normal.damped(1e-12).reduced()[0]))
+    covariance = np.linalg.inv(normal.damped(1e-12).reduced()[0])
+    return Minimum(values, np.asarray(covariance, np.float64))
 
 
 def _normal(slopes: csr_matrix, rest: Float64, scale: float, boards: int) -> tuple[_Normal, Float64]:

@@ -60,7 +60,7 @@ def _of_one_length(first: Float64, second: Float64) -> tuple[Float64, Float64]:
 
 
 def _known(poses: Float64) -> Bool:
-    return np.isfinite(poses).all(axis=1, keepdims=True)
+    return np.asarray(np.isfinite(poses).all(axis=1, keepdims=True), np.bool_)
 
 
 def _rotation(poses: Float64) -> Rotation:

@@ -8,6 +8,7 @@ import numpy as np
 from streamlod.core.calibration.adjustment import adjust as bundle
 from streamlod.core.calibration.adjustment import rigid
 from streamlod.core.calibration.adjustment.projection import matrix_of, projected
+from streamlod.core.calibration.adjustment.unfolded import unfolded_lenses
 from streamlod.core.calibration.track import Track
 from tests.core.calibration.walks import BOARD, board_at, rig, walked
 
@@ -64,3 +65,18 @@ def test_tracks_are_parabolas_between_pictures() -> None:
     alone = track.near(np.array([0.2, 0.24]))
     assert np.isfinite(alone.value[0]).all()
     assert np.isnan(alone.value[1]).all()
+
+
+def test_bounds_of_lenses_hold_back_those_that_fold_and_no_others() -> None:
+    sizes = [(640, 480), (1280, 720)]
+    sound = np.array([LENS, [903.5, 907.9, 618.3, 394.2, -0.332, 0.046, -0.004, 0.004, 0.067]])
+    folding = sound.copy()
+    folding[:, 4:] = [-0.5, 0.0, 0.0, 0.0, 0.0]
+    bounds = unfolded_lenses(sound, sizes, 9, 18)
+    assert bounds.misses(sound.ravel()).max() == 0
+    assert bounds.misses(folding.ravel()).reshape(2, -1).max(axis=1).min() > 0
+    slopes = bounds.slopes(folding.ravel()).toarray()
+    for place in range(18):
+        step = 1e-6 * np.eye(18)[place]
+        after, before = (bounds.misses(folding.ravel() + sign * step) for sign in (1, -1))
+        np.testing.assert_allclose(slopes[:, place], (after - before) / 2e-6, atol=1e-3)
