@@ -215,19 +215,21 @@ def read_path(file: Path) -> CameraRoute:
     values = []
     for number, key in enumerate(keys, 1):
         numbers = _numbers(key)
-        time = key.get("seconds") if isinstance(key, dict) else None
+        time = _time(key)
         if numbers is None or _camera(numbers, (2, 2)) is None:
             raise InputError(file, f"viewpoint {number} has no camera of {_NUMBERS} numbers")
-        if not _is_time(time) or (seconds and time <= seconds[-1]):
+        if time is None or (seconds and time <= seconds[-1]):
             raise InputError(file, f"viewpoint {number}: its time must be later than that of the one before")
-        seconds.append(float(time))
+        seconds.append(time)
         values.append(numbers)
     return CameraRoute(np.array(seconds), np.stack(values), told.get("loops") is True)
 
 
-def _is_time(value: Any) -> bool:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and math.isfinite(value) and 0 <= value <= _MAX_SECONDS
+def _time(key: Any) -> float | None:
+    value = key.get("seconds") if isinstance(key, dict) else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= _MAX_SECONDS:
+        return None  # also what is not a number
+    return float(value)
 
 
 def _numbers(key: Any) -> Float64 | None:
