@@ -35,10 +35,10 @@ def one_at_a_time() -> tuple[Point, ...]:
         *(_later("rate weight", w, replace(base.predict, rate_weight=w)) for w in (0.0, 0.003, 0.03)),
         *(Point(f"step {f:g}", "step", with_coarser_steps(base, f)) for f in (0.5, 2.0)),
         *(_later("partition every", n, replace(base.predict, partition_interval=n)) for n in (2, 4)),
-        *(_model("levels", n, replace(base.model, levels=n, finer_levels=0)) for n in (1, 3, 5)),
+        *(_model("levels", n, replace(base.model, levels=n, finer_levels=0, cell_pixels=4.0)) for n in (1, 3, 5)),
         *(_model("K", n, replace(base.model, gaussians_per_anchor=n)) for n in (1, 4)),
         *(_model("anchors", n, replace(base.model, max_anchors=n)) for n in (8_000, 15_000)),
-        *(_first("growth from", t, replace(base.keyframe, growth_threshold=t)) for t in (2e-4, 4e-4, 8e-4)),
+        *(_first("growth from", t, replace(base.keyframe, growth_threshold=t)) for t in (1.3e-4, 2.65e-4, 5.3e-4)),
         *(_first("first steps", n, _longer(base.keyframe, n)) for n in (500, 2000)),
         *(Point(f"downscale {f:g}", "downscale", base, f) for f in (1.5, 2.0)),
     ]

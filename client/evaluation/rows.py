@@ -82,7 +82,7 @@ def _ablation(name: str, ours: TrainConfig) -> tuple[Row, ...]:
     theirs = {part: getattr(paper.keyframe, part) for part in ("dropout_base", "dropout_slope")}
     rows: dict[str, tuple[Row, ...]] = {
         "lod": (
-            built("one level", "no octree", levels=1, finer_levels=0),
+            built("one level", "no octree", levels=1, finer_levels=0, cell_pixels=4.0),
             built(f"levels by {other}", f"selection {other}", selection=other),
             first("no level caps", "never trained with fine levels hidden", level_cap_share=0.0),
         ),

@@ -25,7 +25,7 @@ class ModelConfig:
         given(True, "IV-A", "the network sees viewing distance and direction"),
     )
     cell_pixels: float = setting(
-        4.0,
+        16.0,
         "width of a level-0 cell as seen from the reference distance, in pixels",
         reading(4.0, "0.001 is given without a unit (docs/method.md, reading 6)"),
     )
@@ -35,7 +35,7 @@ class ModelConfig:
         given(None, "IV-A", "L follows from d_max and d_min"),
     )
     finer_levels: int = setting(
-        1, "levels beyond those; pictures hold more detail than first points do", given(0, "IV-A", "none beyond L")
+        3, "levels beyond those; pictures hold more detail than first points do", given(0, "IV-A", "none beyond L")
     )
     max_anchors: int = setting(
         40_000, "most anchors that there may be", reading(40_000, "no limit is given; this one bounds memory")
@@ -93,6 +93,11 @@ class KeyframeConfig:
         " what the pictures do not need fades and is pruned",
         reading(0.0, "not mentioned: equation 10 has no such term"),
     )
+    by_support: bool = setting(
+        True,
+        "whether what fewer cameras see is left out less often, and pays less for its opacity: it has less to agree on",
+        reading(False, "not mentioned: all Gaussians alike"),
+    )
     random_background: bool = setting(
         True,
         "whether every step draws over another colour where pictures are not black, so that no surface stays half"
@@ -106,7 +111,7 @@ class KeyframeConfig:
         reading(0.0, "not mentioned: the same for all pictures"),
     )
     dropout_base: float = setting(
-        0.05,
+        0.0,
         "rate gamma = base + slope * level at which Gaussians are left out, ramped over the run",
         given(0.1, "IV-A", "gamma is 0.1 + 0.05 l"),
     )
@@ -141,7 +146,7 @@ class KeyframeConfig:
         0.65, "moment until which they do", octree_gs(0.625, "refinement ends after 25,000 of its 40,000 steps")
     )
     growth_threshold: float = setting(
-        4e-4,
+        2.65e-4,
         "view-space gradient norm from which anchors are added",
         octree_gs(2e-4, "its threshold of the gradient norm"),
     )

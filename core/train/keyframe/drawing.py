@@ -43,17 +43,21 @@ class ViewLoss:
         image = self.exposure.apply(raster.image, number)
         return total_loss(image, self.views.targets[number], self.config.dssim_weight, prices)
 
-    def penalty(self, splats: Splats, raster: Raster) -> Tensor:
+    def penalty(self, splats: Splats, raster: Raster, share: Tensor | None = None) -> Tensor:
         """What Gaussians cost whatever they show: volume and, of those in view of `raster`, opacity.
 
         With few views many Gaussians are not constrained by any picture. A penalty on opacity removes those, as in
         Kheradmand et al. 2024. Its weight is divided by the number of other cameras (at least 1): the more of them see
         what one camera sees, the less it is needed. Only what is in view pays: else a Gaussian that one camera alone
         looks at would pay in every camera's steps for what it gains in one of them.
+
+        Args:
+            share: [G] of the price on opacity that each Gaussian pays, 1 by default.
         """
         config = self.config
         opacity_weight = config.opacity_weight / max(len(self.views.usable) - 1, 1)
-        return penalty(splats.scales, splats.opacities, raster.probe.visible, config.scale_weight, opacity_weight)
+        weights = config.scale_weight, opacity_weight
+        return penalty(splats.scales, splats.opacities, raster.probe.visible, *weights, share)
 
     @torch.no_grad()
     def squared_error(self, raster: Raster, number: int) -> float:

@@ -23,6 +23,7 @@ from streamlod.core.train.growth.rules import GradientGrowth
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
+from streamlod.core.train.keyframe.support import price_share, support
 from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from streamlod.core.train.pictures.views import Views
 
@@ -113,12 +114,16 @@ class KeyframeTrainer:
             self._precision = self._measured_precision(field)
         splats = self._decode(field, number, rows, rounded=rounded)
         level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
-        opacities = splats.opacities * dropout_keep(level, field.octree.levels, config, progress, self._generator)
+        shared = None if self._support is None else self._support if rows is None else self._support[rows]
+        shared = None if shared is None else shared.repeat_interleave(field.slots)
+        kept = dropout_keep(level, field.octree.levels, config, progress, self._generator, shared)
+        opacities = splats.opacities * kept
         raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
         if config.random_background:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
             raster = self._view_loss.over(raster, number, colour)
-        loss = self._view_loss.loss(raster, number, self._view_loss.penalty(splats, raster))
+        price = self._view_loss.penalty(splats, raster, None if shared is None else price_share(shared))
+        loss = self._view_loss.loss(raster, number, price)
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
         self._exposure.centre()
@@ -210,6 +215,8 @@ class KeyframeTrainer:
         """Go on with the anchors of `field`, some of which have just come, or others gone."""
         self._statistics = GrowthStatistics(len(field), field.slots, field.level.device)
         self._coarse = CoarseRows(field.level, field.octree.levels)
+        cameras = [self._whole.cameras[number] for number in self._whole.usable]
+        self._support = support(field.position, cameras) if self._config.by_support else None
 
 
 def _at_contrast(config: KeyframeConfig, contrast: float) -> KeyframeConfig:

@@ -8,14 +8,24 @@ import torch
 from torch import Tensor
 
 
-def penalty(scales: Tensor, opacities: Tensor, visible: Tensor, scale_weight: float, opacity_weight: float) -> Tensor:
+def penalty(
+    scales: Tensor,
+    opacities: Tensor,
+    visible: Tensor,
+    scale_weight: float,
+    opacity_weight: float,
+    share: Tensor | None = None,
+) -> Tensor:
     """[] weighted sum of the mean volume of the Gaussians that are drawn and of the opacity of those in view, over G.
 
     Args:
         scales: [G,3]. opacities: [G], at or below zero for those that are not drawn.
         visible: [V] int64 rows of the Gaussians in view of the picture that is trained.
+        share: [G] of the price on opacity that each pays, 1 by default.
     """
     paying = torch.zeros_like(opacities, requires_grad=False).index_fill_(0, visible, 1.0)
+    if share is not None:
+        paying = paying * share
     weights = scale_weight, opacity_weight
     if scales.device.type == "cpu":
         return penalty_reference(scales, opacities, paying, *weights)
@@ -26,7 +36,7 @@ def penalty(scales: Tensor, opacities: Tensor, visible: Tensor, scale_weight: fl
 def penalty_reference(
     scales: Tensor, opacities: Tensor, paying: Tensor, scale_weight: float, opacity_weight: float
 ) -> Tensor:
-    """`penalty` differentiated by torch, on any device; paying: [G] 1 for Gaussians in view, 0 for others."""
+    """`penalty` differentiated by torch, on any device; paying: [G] share of the price, 0 for those out of view."""
     opacity = opacities.clamp(min=0)
     drawn = (opacity.detach() > 0).float()
     volume = (scales.prod(dim=1) * drawn).sum() / drawn.sum().clamp_min(1)

@@ -24,7 +24,12 @@ def keyframe_rates(config: KeyframeConfig, progress: float) -> dict[str, float]:
 
 
 def dropout_keep(
-    level: Tensor, levels: int, config: KeyframeConfig, progress: float, generator: torch.Generator
+    level: Tensor,
+    levels: int,
+    config: KeyframeConfig,
+    progress: float,
+    generator: torch.Generator,
+    share: Tensor | None = None,
 ) -> Tensor:
     """[G] factors of the opacities: 0 for dropped Gaussians, 1 / (1 - r) for the others.
 
@@ -32,13 +37,15 @@ def dropout_keep(
 
     Args:
         level: [G] level of each Gaussian's anchor, below `levels`.
+        share: [G] of that rate, 1 by default.
     """
     rates = config.dropout_base + config.dropout_slope * torch.arange(levels).float()
     rates = (rates * progress).clamp(max=config.dropout_cap)
-    tables = torch.stack([rates, 1 / (1 - rates)]).to(level.device, non_blocking=True)
-    rate, factor = tables[:, level].unbind()
+    rate = rates.to(level.device, non_blocking=True)[level]
+    if share is not None:
+        rate = rate * share
     kept = torch.rand(len(level), generator=generator, device=level.device) >= rate
-    return kept * factor
+    return kept / (1 - rate)
 
 
 def unlocked_level(levels: int, config: KeyframeConfig, progress: float) -> int:

@@ -96,7 +96,7 @@ def test_training_removes_what_hangs_before_a_lens(clearance: float) -> None:
     wrong = PointCloud(middle.astype(np.float32), np.ones((2, 3), np.float32))
     config = preset("live")
     keyframe = replace(config.keyframe, steps=20, growth_interval=5, growth_from=0.1, clearance=clearance)
-    config = replace(config, keyframe=keyframe)
+    config = replace(config, keyframe=keyframe, model=replace(config.model, cell_pixels=4.0, finer_levels=1))
     scene = Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(frame, merged(points, wrong)).scene
     anchors = np.concatenate([anchor_positions(scene.header, number, one) for number, one in enumerate(scene.levels)])
     pixels, depth = project(lens, anchors.astype(np.float64))
