@@ -64,7 +64,7 @@ class Look:
 
     @property
     def query(self) -> str:
-        """As the parameters of an address, with a question mark where there are any."""
+        """The parameters of an address that asks for it, with a question mark where there are any."""
         said = {"camera": self.camera or None, "t": self.version, "epoch": self.epoch}
         told = {name: value for name, value in said.items() if value is not None}
         return f"?{urlencode(told)}" if told else ""
