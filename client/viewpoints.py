@@ -161,7 +161,7 @@ class CameraRoute:
         """[14] between the viewpoints."""
         times, values, last = self.seconds, self.values, len(self.seconds) - 1
         if last == 0:
-            return values[0]
+            return np.asarray(values[0], np.float64)
         time = seconds % self.length if self.loops else min(max(seconds, 0.0), self.length)
         i = min(max(bisect_right(times.tolist(), time) - 1, 0), last - 1)
         span = times[i + 1] - times[i]
