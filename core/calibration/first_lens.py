@@ -51,7 +51,7 @@ def first_lens(track: Track, board: Float64) -> Float64:
         except cv2.error:
             continue
         if _FOCAL[0] <= matrix[0, 0] / width <= _FOCAL[1] and (best is None or error < best[0]):
-            best = float(error), lens_of(matrix, distortion)
+            best = float(error), lens_of(np.asarray(matrix, np.float64), np.asarray(distortion, np.float64))
     if best is None:
         raise InputError(
             f"camera {track.camera}",

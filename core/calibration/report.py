@@ -78,14 +78,13 @@ def advice_of(calibration: Calibration) -> Iterator[str]:
 
 def draw(calibration: Calibration, path: Path) -> None:
     """Write a PNG: the rig from above, and each camera's corners, coloured by how far they lie off."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     count = len(calibration.cameras)
     columns = min(4, count)
     rows = -(-count // columns)
     figure = Figure(figsize=(3.2 * columns + 5, max(5, 2.6 * rows)), layout="constrained")
-    whole, cells = figure.subfigures(1, 2, width_ratios=(5, 3.2 * columns))
+    whole, cells = np.ravel(figure.subfigures(1, 2, squeeze=False, width_ratios=(5, 3.2 * columns)))
     _draw_rig(calibration, whole.subplots())
     panels = np.atleast_1d(cells.subplots(rows, columns, squeeze=False)).ravel()
     for number, axes in enumerate(panels):
@@ -96,7 +95,7 @@ def draw(calibration: Calibration, path: Path) -> None:
         else:
             axes.set_axis_off()
     file = BytesIO()
-    FigureCanvasAgg(figure).print_png(file)
+    figure.savefig(file, format="png")
     write_bytes(path, file.getvalue())
 
 
@@ -118,7 +117,7 @@ def _draw_camera(calibration: Calibration, number: int, axes: Axes) -> None:
     camera, mine = calibration.cameras[number], calibration.seen.camera == number
     points = _pixels(calibration, number)
     miss = np.linalg.norm(calibration.misses[mine], axis=1)
-    axes.scatter(*points.T, c=miss, s=3, cmap="viridis", vmin=0, vmax=1.5)
+    axes.scatter(points[:, 0], points[:, 1], c=miss, s=3, cmap="viridis", vmin=0, vmax=1.5)
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height, 0)
     axes.set_aspect("equal")
@@ -126,7 +125,7 @@ def _draw_camera(calibration: Calibration, number: int, axes: Axes) -> None:
 
 
 def _pixels(calibration: Calibration, number: int) -> Float64:
-    return calibration.seen.value[calibration.seen.camera == number]
+    return np.asarray(calibration.seen.value[calibration.seen.camera == number], np.float64)
 
 
 def _cells(calibration: Calibration, number: int) -> Float64:

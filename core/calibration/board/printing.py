@@ -93,7 +93,6 @@ def _with_density(png: bytes) -> bytes:
 
 def _pdf(board: Board, paper: tuple[float, float]) -> bytes:
     """One page with a rectangle for each run of black cells: sharp at any size."""
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
 
@@ -114,7 +113,7 @@ def _pdf(board: Board, paper: tuple[float, float]) -> bytes:
     axes.add_collection(PolyCollection(boxes, facecolors="black", edgecolors="none", antialiaseds=False))
     axes.text(left, paper[1] - 3, _words(board), fontsize=7, color="0.4")
     file = BytesIO()
-    FigureCanvasPdf(figure).print_pdf(file)
+    figure.savefig(file, format="pdf")
     return file.getvalue()
 
 

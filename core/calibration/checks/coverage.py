@@ -48,7 +48,7 @@ def coverage_of(cameras: Sequence[Camera]) -> Coverage:
     line = np.linspace(-radius, radius, _STEPS)
     grid = np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3)
     ball = centre + grid[np.linalg.norm(grid, axis=1) <= radius]
-    counts = sum(_sees(camera, ball).astype(int) for camera in cameras)
+    counts = np.sum([_sees(camera, ball) for camera in cameras], axis=0)
     shares = tuple(float((counts >= least).mean()) for least in (2, 3, 4))
     rays = (centres - centre) / np.maximum(np.linalg.norm(centres - centre, axis=1, keepdims=True), 1e-12)
     angles = np.degrees(np.arccos(np.clip(rays @ rays.T, -1, 1)))

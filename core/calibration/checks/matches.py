@@ -47,7 +47,7 @@ def matched(pictures: Sequence[Sequence[UInt8]]) -> list[PairMatches]:
     Args:
         pictures: for each camera, [H,W,3] at the same instants.
     """
-    sift = cv2.SIFT_create(_FEATURES)
+    sift = cv2.SIFT.create(_FEATURES)
     features = [[_features(sift, picture) for picture in of_camera] for of_camera in pictures]
     found = []
     for first, second in combinations(range(len(pictures)), 2):
@@ -90,7 +90,7 @@ def judged(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> Iterator[
     seen = np.isfinite(misses).any(axis=1)
     best = np.array([np.nanmin(row) if np.isfinite(row).any() else np.nan for row in misses])
     off = np.flatnonzero(best > _OFF)
-    for number in np.flatnonzero(~seen):
+    for number in np.flatnonzero(~seen).tolist():
         yield weak(f"{cameras[number].name} shares too little with other cameras to check its pose")
     if len(off) > 1 and (pair := _exchanged(pairs, cameras, off.tolist())) is not None:
         a, b = (cameras[number].name for number in pair)
@@ -102,7 +102,7 @@ def judged(pairs: Sequence[PairMatches], cameras: Sequence[Camera]) -> Iterator[
             "1000): the calibration is of another rig, or cameras have moved; calibrate again"
         )
         return
-    for number in off:
+    for number in off.tolist():
         yield fault(
             f"{cameras[number].name} was knocked or turned: what it sees lies {best[number]:.1f} "
             "pixels (at a width of 1000) from where its pose puts it; calibrate again"
