@@ -22,6 +22,8 @@ from streamlod.core.options import (
 
 SOURCES = ("data", "live", "synthetic")
 MAX_PATH = 4096
+MAX_TEXT = 250  # characters of a title or licence, which has 1024 bytes in a file
+ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]+$"
 POINT_METHODS = ("auto", "colmap", "sweep", "colmap+sweep", "learned", "vggt", "depth-anything", "random")
 
 
@@ -80,12 +82,22 @@ class TrainJob:
     target_kbps: float | None = option(
         None, "Keep predicted packets to this rate, in kilobits a second.", minimum=1, maximum=1e7, metavar="KBPS"
     )
+    title: str | None = option(
+        None, "What people call the scene; the file tells it.", max_length=MAX_TEXT, pattern=ONE_LINE
+    )
+    licence: str | None = option(
+        None, "Under which licence it may be used, as an SPDX expression or an address; the file tells it.",
+        metavar="CC-BY-4.0", max_length=MAX_TEXT, pattern=ONE_LINE,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         if sum(getattr(self, name) is not None for name in SOURCES) != 1:
             raise InputError("what to train", "name one source: data, live or synthetic")
         for each in JOB_OPTIONS:
             each.check(getattr(self, each.name))
+        for name in ("title", "licence"):
+            if any("\ud800" <= letter <= "\udfff" for letter in getattr(self, name) or ""):
+                raise InputError(name, "is not UTF-8")
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; `job_from_json` goes back."""

@@ -28,6 +28,7 @@ from streamlod.core.files import write_text
 from streamlod.core.frames import FrameSet
 from streamlod.core.initialise import first_points
 from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.metadata import Metadata
 from streamlod.core.scene.residual import Residual
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Progress, TrainedFrame, Trainer, preset
@@ -96,6 +97,11 @@ class OpenJob:
         announced = _announced(self.dataset.frames(start, self.stop), self.on_read, announce)
         frames = timed(announced, "read")
         return frames if isinstance(self.dataset, LiveDataset) else prefetch(frames, _PREFETCHED)
+
+    @property
+    def facts(self) -> Metadata:
+        """What the job says of the scene beside its pictures."""
+        return Metadata(title=self.job.title, licence=self.job.licence)
 
     def continuing(self, scene: Scene) -> OpenJob:
         """The same job with its cameras where `scene` has them, which may come from another calibration's space."""
@@ -209,7 +215,7 @@ def train_stream(
     # close the cameras first: training that waits for them could not be ended
     with closing(made_by(train, "training")) as trained, closing(opened):
         for state in trained:
-            yield _encoded(state, size)
+            yield _encoded(state, size, opened.facts)
 
 
 def train_clip(
@@ -425,16 +431,19 @@ def _announced(frames: Iterator[FrameSet], *listeners: Callable[[FrameSet], None
         yield frame
 
 
-def _encoded(state: _Trained, size: _KeyframeSize) -> EncodedFrame:
-    """All packets of a state, with the time that encoding took in its report."""
+def _encoded(state: _Trained, size: _KeyframeSize, facts: Metadata) -> EncodedFrame:
+    """All packets of a state, keyframes with `facts`, and the time that encoding took in its report."""
+
+    def keyframe(scene: Scene) -> bytes:
+        return size.note(scene, encode_keyframe(replace(scene, metadata=facts), time_ns=state.time_ns))
 
     def encode() -> Iterator[bytes]:
         if state.change is None:
-            yield size.note(state.scene, encode_keyframe(state.scene, time_ns=state.time_ns))
+            yield keyframe(state.scene)
         else:
             yield state.packet or state.changing()
         if state.refresh is not None:
-            yield size.note(state.refresh, encode_keyframe(state.refresh, time_ns=state.time_ns))
+            yield keyframe(state.refresh)
 
     packets, span = timing("encode", lambda: tuple(encode()))
     report, seconds = state.report, span.end - span.begin

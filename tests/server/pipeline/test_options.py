@@ -19,7 +19,7 @@ from streamlod.core.options import Option
 from streamlod.core.train import preset
 from streamlod.server.cli.main import serve, train
 from streamlod.server.cli.options import TRAINING, takes
-from streamlod.server.pipeline.job import JOB_OPTIONS, POINT_METHODS, TrainJob
+from streamlod.server.pipeline.job import JOB_OPTIONS, ONE_LINE, POINT_METHODS, TrainJob
 from streamlod.server.pipeline.new_stream import NewStream
 from streamlod.server.pipeline.spec import STREAM_OPTIONS, StreamSpec, spec_from_json
 from streamlod.server.service.app import create_app
@@ -51,6 +51,8 @@ VALUES: dict[str, tuple[str, Any]] = {
     "keyframe_interval": ("50", 50),
     "frame_budget_ms": ("40", 40.0),
     "target_kbps": ("900", 900.0),
+    "title": ("Dance, scene 2", "Dance, scene 2"),
+    "licence": ("CC-BY-4.0", "CC-BY-4.0"),
 }  # fmt: skip
 USAGE = 2  # exit code of options that typer refuses
 SOURCES = {"play", "data", "live", "synthetic"}
@@ -182,6 +184,14 @@ def test_a_value_means_the_same_everywhere(option: Option, tmp_path: Path) -> No
         assert specs[0] != spec_from_json({"data": "clip"}), "the value is no default"
 
 
+@pytest.mark.parametrize("text", ["two\nlines", "bell\a", "end\u2028", "\x85", "\ud800"])
+def test_titles_are_one_line(text: str) -> None:
+    with pytest.raises(ValueError, match="title"):
+        from_rest({"data": "clip", "title": text})
+    with pytest.raises(InputError, match="title"):
+        TrainJob(data=Path("clip"), title=text)
+
+
 @each_option
 def test_bounds_hold_everywhere(option: Option, tmp_path: Path) -> None:
     beyond: list[Any] = [
@@ -190,7 +200,7 @@ def test_bounds_hold_everywhere(option: Option, tmp_path: Path) -> None:
     if option.choices:
         beyond = ["wild"]
     if option.pattern:
-        beyond = ["-", "x" * 65, "Stage"]
+        beyond = ["", "x" * 251] if option.pattern == ONE_LINE else ["-", "x" * 65, "Stage"]
     for value in beyond:
         body = {"data": "clip", option.name: value}
         with pytest.raises(ValueError, match=r"."):

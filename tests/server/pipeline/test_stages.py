@@ -22,6 +22,7 @@ from streamlod.core.camera.space import Similarity
 from streamlod.core.errors import InputError, ModelError, TrainingCutShort
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.metadata import Metadata
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainedFrame, Trainer
 from streamlod.server.pipeline.job import TrainJob
@@ -65,7 +66,8 @@ def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> 
 def trained(job: TrainJob, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
     """A folder with the clip as a file, and its frames as they were handed on."""
     folder, seen = tmp_path_factory.mktemp("trained"), list[EncodedFrame]()
-    train_clip(open_job(job), folder / "scene.slod", seen.append)
+    named = replace(job, title="Dance, scene 2", licence="CC-BY-4.0")
+    train_clip(open_job(named), folder / "scene.slod", seen.append)
     return folder, seen
 
 
@@ -94,6 +96,7 @@ def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame
             decoder.push(packet)
     assert decoder.scene is not None
     assert decoder.scene.version == 3
+    assert decoder.scene.metadata == Metadata(title="Dance, scene 2", licence="CC-BY-4.0")
     assert [camera.name for camera in decoder.scene.header.cameras] == [f"cam{n:02d}" for n in range(5)]
     figures = json.loads((folder / "scene.slod.json").read_text())
     first, *later = [frame.report["total_seconds"] for frame in seen]
