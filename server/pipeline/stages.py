@@ -435,7 +435,8 @@ def _encoded(state: _Trained, size: _KeyframeSize, facts: Metadata) -> EncodedFr
     """All packets of a state, keyframes with `facts`, and the time that encoding took in its report."""
 
     def keyframe(scene: Scene) -> bytes:
-        return size.note(scene, encode_keyframe(replace(scene, metadata=facts), time_ns=state.time_ns))
+        told = replace(scene, metadata=replace(scene.metadata, title=facts.title, licence=facts.licence))
+        return size.note(scene, encode_keyframe(told, time_ns=state.time_ns))
 
     def encode() -> Iterator[bytes]:
         if state.change is None:

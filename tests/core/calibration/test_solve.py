@@ -35,7 +35,7 @@ def half(track: Track, begin: float, end: float) -> Track:
 
 @pytest.mark.long
 def test_poses_lenses_and_offsets_of_distorted_cameras_are_found() -> None:
-    truth, rate = rig(), 15.0  # at 8 a second, parabolas between pictures are 4 mm off
+    truth, rate = rig(), 15.0  # at 8 a second positions were 3.7 mm off, and why is not known
     offsets = np.array([0.0, 0.5, -0.35, 0.2]) / rate
     found = calibrate(walked(truth, fps=rate, seconds=60, offsets=offsets), BOARD)
     degrees, metres = differences(poses_of(found), truth.poses)
