@@ -15,6 +15,7 @@ from streamlod.core.errors import ModelError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.render import backends, select
 from streamlod.core.scene.anchors import Scene
+from streamlod.core.scene.exposures import NEUTRAL
 from streamlod.core.scene.keyframe import as_keyframe
 from streamlod.core.scene.metadata import Metadata
 from streamlod.core.train.config import TrainConfig
@@ -173,9 +174,10 @@ class Trainer:
             self._state = replace(self._fresh(scene, before.references, before.shown), filmed=before.filmed)
         else:
             if self._state is None:  # after a crash
-                known = scene.metadata.exposures
-                if known is not None and len(known) == len(self._cameras):
-                    self._exposure = exposure_of(known, self._device)
+                told, rig = scene.metadata.exposures or (), scene.header.cameras
+                known = {camera.name: exposure for camera, exposure in zip(rig, told, strict=False)}
+                if all(camera.name in known for camera in self._cameras):
+                    self._exposure = exposure_of([known[camera.name] for camera in self._cameras], self._device)
                 else:
                     self._refit_exposure = True
             self._state = self._fresh(scene)
@@ -256,9 +258,12 @@ class Trainer:
 
     def _scene_of(self, field: Field, version: int, precision: Precision, exposure: Exposure) -> Scene:
         scene = scene_of(field, self._config.predict, self._rig, self._fps, version, precision)
-        if not self._config.model.exposure or len(self._rig) != len(self._cameras):
+        if not self._config.model.exposure:
             return scene
-        return replace(scene, metadata=Metadata(exposures=exposure.of_cameras()))
+        names = (camera.name for camera in self._cameras)
+        known = dict(zip(names, exposure.of_cameras(), strict=True))
+        told = tuple(known.get(camera.name, NEUTRAL) for camera in self._rig)  # some of the rig's may not train
+        return replace(scene, metadata=Metadata(exposures=told))
 
     def _adopt(self, scene: Scene, views: Views) -> None:
         references = torch.full_like(views.targets, torch.nan)

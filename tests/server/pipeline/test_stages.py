@@ -22,7 +22,6 @@ from streamlod.core.camera.space import Similarity
 from streamlod.core.errors import InputError, ModelError, TrainingCutShort
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
-from streamlod.core.scene.metadata import Metadata
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import TrainedFrame, Trainer
 from streamlod.server.pipeline.job import TrainJob
@@ -52,6 +51,9 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> TrainJob:
     return replace(JOB, points=str(path))
 
 
+FACTS = {"title": "Dance, scene 2", "licence": "CC-BY-4.0"}
+
+
 def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> Scene:
     """The state after all packets of `frames`."""
     decoder = decoder or SceneDecoder()
@@ -66,8 +68,7 @@ def decoded(frames: list[EncodedFrame], decoder: SceneDecoder | None = None) -> 
 def trained(job: TrainJob, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[EncodedFrame]]:
     """A folder with the clip as a file, and its frames as they were handed on."""
     folder, seen = tmp_path_factory.mktemp("trained"), list[EncodedFrame]()
-    named = replace(job, title="Dance, scene 2", licence="CC-BY-4.0")
-    train_clip(open_job(named), folder / "scene.slod", seen.append)
+    train_clip(open_job(replace(job, **FACTS)), folder / "scene.slod", seen.append)
     return folder, seen
 
 
@@ -96,7 +97,10 @@ def test_a_clip_becomes_a_file_that_plays(trained: tuple[Path, list[EncodedFrame
             decoder.push(packet)
     assert decoder.scene is not None
     assert decoder.scene.version == 3
-    assert decoder.scene.metadata == Metadata(title="Dance, scene 2", licence="CC-BY-4.0")
+    told = decoder.scene.metadata
+    assert {"title": told.title, "licence": told.licence} == FACTS
+    assert told.exposures is not None
+    assert len(told.exposures) == 5
     assert [camera.name for camera in decoder.scene.header.cameras] == [f"cam{n:02d}" for n in range(5)]
     figures = json.loads((folder / "scene.slod.json").read_text())
     first, *later = [frame.report["total_seconds"] for frame in seen]
@@ -191,7 +195,8 @@ def test_the_seed_reaches_the_training(job: TrainJob, trained: tuple[Path, list[
         """What lies before and behind the identifier and the checksum over it (codec/FORMAT.md, section 2)."""
         return packet[:32] + packet[44:]
 
-    keyframes = [next(iter(train_stream(open_job(replace(job, seed=seed))))).packets[0] for seed in (0, 1)]
+    jobs = [replace(job, seed=seed, **FACTS) for seed in (0, 1)]
+    keyframes = [next(iter(train_stream(open_job(job)))).packets[0] for job in jobs]
     assert content(keyframes[0]) == content(trained[1][0].packets[0])
     assert keyframes[0] != trained[1][0].packets[0], "two runs cannot be mixed"
     assert content(keyframes[1]) != content(keyframes[0])
