@@ -113,16 +113,14 @@ class KeyframeTrainer:
         if rounded and (self._precision is None or len(self._precision.shift) != len(field)):
             self._precision = self._measured_precision(field)
         splats = self._decode(field, number, rows, rounded=rounded)
-        level = (field.level if rows is None else field.level[rows]).repeat_interleave(field.slots)
-        shared = None if self._support is None else self._support if rows is None else self._support[rows]
-        shared = None if shared is None else shared.repeat_interleave(field.slots)
+        level, shared, prices = (_of_rows(values, rows) for values in self._of_gaussians)
         kept = dropout_keep(level, field.octree.levels, config, progress, self._generator, shared)
         opacities = splats.opacities * kept
         raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
         if config.random_background:
             colour = torch.rand(3, generator=self._generator, device=field.level.device)
             raster = self._view_loss.over(raster, number, colour)
-        price = self._view_loss.penalty(splats, raster, None if shared is None else price_share(shared))
+        price = self._view_loss.penalty(splats, raster, prices)
         loss = self._view_loss.loss(raster, number, price)
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
         self._learned.step(keyframe_rates(config, progress))
@@ -216,7 +214,14 @@ class KeyframeTrainer:
         self._statistics = GrowthStatistics(len(field), field.slots, field.level.device)
         self._coarse = CoarseRows(field.level, field.octree.levels)
         cameras = [self._whole.cameras[number] for number in self._whole.usable]
-        self._support = support(field.position, cameras) if self._config.by_support else None
+        supported = support(field.position, cameras) if self._config.by_support else torch.ones_like(field.extra_level)
+        values = field.level, supported, price_share(supported)
+        self._of_gaussians = tuple(value.repeat_interleave(field.slots).view(len(field), -1) for value in values)
+
+
+def _of_rows(values: Tensor, rows: Tensor | None) -> Tensor:
+    """[G] of `values` [N,K] of all Gaussians, those of the anchors `rows`; all by default."""
+    return (values if rows is None else values[rows]).flatten()
 
 
 def _at_contrast(config: KeyframeConfig, contrast: float) -> KeyframeConfig:

@@ -20,7 +20,7 @@ from streamlod.server.cli import main as cli
 from tests.client.clips import states, write_clip
 from tests.core.data.writers import llff_rows, rig, write_video_clip
 
-COMMANDS = "synth train evaluate serve edge push view remote info export import bench demo study tradeoff doctor warm"
+COMMANDS = "synth calibrate check train evaluate serve edge push view remote info export import bench demo study tradeoff doctor warm"
 
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
