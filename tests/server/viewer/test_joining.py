@@ -6,6 +6,7 @@ import asyncio
 import threading
 from pathlib import Path
 
+from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from streamlod.server.stream.worker_stream import WorkerStream
@@ -17,7 +18,7 @@ def test_joining_while_the_first_packet_of_an_epoch_is_decoded(clip: Clip) -> No
     """Welcomed before it is the newest, one is told of its epoch afterwards; welcomed after, one is not told again."""
 
     async def run() -> None:
-        stream = WorkerStream(StreamSpec(play=Path("fed by hand")), Settings())
+        stream = WorkerStream(StreamSpec(job=TrainJob(data=Path("fed by hand"))), Settings())
         for epoch in (1, 2):
             await stream.on_message(Tag.EPOCH, b"")
             free = threading.Event()
