@@ -32,4 +32,4 @@ def test_a_worker_trains_on_the_device_that_was_asked_for(
     with running(Settings(), StreamSpec(job=job)) as service:
         found = service.wait(lambda stream: stream["state"] in ("ended", "failed"), seconds=120)
         assert found["state"] == "ended", found["detail"]
-        assert found["version"] == 2  # of three frames
+        assert found["version"] == 3  # of a draft and three frames

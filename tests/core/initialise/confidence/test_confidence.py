@@ -212,5 +212,8 @@ def test_it_finds_more_right_depths_than_the_tests_alone() -> None:
     assert added.sum() > 0.1 * trusted.sum()  # in gaps: what has points already needs no more
     assert right[added].mean() >= right[trusted].mean() - 0.02
     assert right[surest].mean() >= right[trusted].mean()
-    usual = first_points(next(iter(dataset.frames())), dataset.cameras, depth_bounds=dataset.depth_bounds)
-    assert len(usual) == believed.sum()
+    frame, bounds = next(iter(dataset.frames())), dataset.depth_bounds
+    learned = first_points(frame, dataset.cameras, depth_bounds=bounds, method="learned")
+    assert len(learned) == believed.sum()
+    usual = first_points(frame, dataset.cameras, depth_bounds=bounds)  # more points fill the gaps that remain
+    np.testing.assert_array_equal(usual.positions[: len(learned)], learned.positions)
