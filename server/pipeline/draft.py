@@ -21,6 +21,7 @@ from streamlod.core.train import TrainConfig, Trainer
 _ROWS = 120  # of the pictures
 _STEPS = 60
 _MAX_ANCHORS = 8000
+_CELL_PIXELS = 4.0  # of the coarsest of few levels, so that the first of them is a picture already
 
 
 def draft_scene(
@@ -49,10 +50,11 @@ def draft_scene(
     images = np.zeros((len(cameras), *small.images.shape[1:]), np.uint8)
     images[frame.present] = (255 * small.images).round()
     pictures = replace(frame, images=images)
+    most = min(_MAX_ANCHORS, config.model.max_anchors)
     keyframe = replace(config.keyframe, steps=_STEPS, growth_from=1.0, progressive_until=0.0)
     config = replace(
         config,
-        model=replace(config.model, max_anchors=min(_MAX_ANCHORS, config.model.max_anchors)),
+        model=replace(config.model, max_anchors=most, cell_pixels=_CELL_PIXELS, finer_levels=1),
         keyframe=keyframe,
     )
     shrunk = tuple(camera.scaled(*small.size) for camera in cameras)
