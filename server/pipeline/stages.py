@@ -100,7 +100,7 @@ class OpenJob:
 
     @property
     def facts(self) -> Metadata:
-        """What the job says of the scene beside its pictures."""
+        """Title and licence of the scene, as the job has them."""
         return Metadata(title=self.job.title, licence=self.job.licence)
 
     def continuing(self, scene: Scene) -> OpenJob:
