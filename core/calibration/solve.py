@@ -100,7 +100,6 @@ def calibrate(tracks: Sequence[Track], board: Board, known: Mapping[str, Float64
 def _adjusted(
     tracks: Sequence[Track], times: Float64, scene: AdjustedRig, board: Board, root: int, fixed: Bool
 ) -> tuple[Adjusted, Observations]:
-    sizes = [track.size for track in tracks]
     names, sizes = [track.camera for track in tracks], [track.size for track in tracks]
     corners = observed(tracks, times, scene.offsets, board.corners)
     found = adjust(scene, corners, sizes, root, lenses_known=fixed)

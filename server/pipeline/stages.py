@@ -385,7 +385,6 @@ class _Training:
     def _draft(self, frame: FrameSet) -> Scene | None:
         """A first picture; None where the cameras cannot give one so fast."""
         dataset = self._dataset
-        rig = self._opened.rig
         try:
             return draft_scene(
                 frame,
@@ -393,7 +392,7 @@ class _Training:
                 self._config,
                 dataset.fps,
                 self._job.device,
-                rig,
+                self._opened.rig,
                 dataset.depth_bounds,
                 dataset.points(),
             )

@@ -36,13 +36,13 @@ class Automatic:
 
     Attributes:
         sweep: finds points in the pictures of two cameras or more. last_resort: where that gives too few.
-        completion: fills the gaps that both leave; None leaves them.
+        completion: fills the gaps that both leave.
         few: points; fewer are no start.
     """
 
     sweep: Method = field(default_factory=LearnedSweep)
     last_resort: Method = field(default_factory=RandomPoints)
-    completion: Completion | None = field(default_factory=Completion)
+    completion: Completion = field(default_factory=Completion)
     few: int = 500
 
     def find(self, sources: PointSources) -> PointCloud:
@@ -53,8 +53,6 @@ class Automatic:
         if len(points) < self.few:
             _log.warning("the pictures gave only %d first points", len(points))
             points = merged(points, self.last_resort.find(sources))
-        if self.completion is None:
-            return points
         return self.completion.completed(points, sources.views(self.completion.rows))
 
 
