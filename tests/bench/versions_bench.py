@@ -17,9 +17,9 @@ import os
 import re
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -60,9 +60,10 @@ def extracted(commit: str, folder: Path) -> Path:
         subprocess.CalledProcessError: git does not know it.
     """
     parts = ("core", "codec", "server", "client", "tests")
-    archive = subprocess.run(["git", "-C", ROOT, "archive", commit, *parts], capture_output=True, check=True).stdout
-    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        tar.extractall(folder, filter="data")
+    command = ["git", "-C", ROOT, "archive", "--format=zip", commit, *parts]
+    archive = subprocess.run(command, capture_output=True, check=True).stdout
+    with zipfile.ZipFile(io.BytesIO(archive)) as packed:
+        packed.extractall(folder)
     return folder
 
 

@@ -11,7 +11,7 @@ import json
 import os
 import subprocess
 import sys
-import tarfile
+import zipfile
 from contextlib import ExitStack
 from hashlib import sha256
 from pathlib import Path
@@ -58,13 +58,13 @@ asyncio.run(run(sys.argv[1], int(sys.argv[2])))
 @pytest.fixture(scope="module")
 def older(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The older version's code."""
-    command = ["git", "-C", ROOT, "archive", OLDER, "core", "codec", "server", "client"]
+    command = ["git", "-C", ROOT, "archive", "--format=zip", OLDER, "core", "codec", "server", "client"]
     archive = subprocess.run(command, capture_output=True, check=False)
     if archive.returncode:
         pytest.skip("the history of this repository is not here: git fetch --unshallow")
     folder = tmp_path_factory.mktemp("older")
-    with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as tar:
-        tar.extractall(folder, filter="data")
+    with zipfile.ZipFile(io.BytesIO(archive.stdout)) as packed:
+        packed.extractall(folder)
     return folder
 
 

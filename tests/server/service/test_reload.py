@@ -27,11 +27,16 @@ def test_limits_and_webhooks_are_read_again(clip: Clip, tmp_path: Path) -> None:
     (tmp_path / "key").write_text("k" * 40)
     with receiver(200) as (first, to_first), receiver(200) as (second, to_second):
 
+        def put(text: str) -> None:
+            """Whole at once: the server may be about to read, and an empty file holds good settings too."""
+            (tmp_path / "new").write_text(text)
+            (tmp_path / "new").replace(config)
+
         def write(streams: int, *urls: str, more: str = "") -> None:
             kinds = "events = ['stream.created', 'stream.deleted']"
             hooks = "".join(f"[[webhooks]]\nurl = '{url}'\nkey = '{tmp_path}/key'\n{kinds}\n" for url in urls)
             lines = ["roots = ['/']", "networks = ['localhost']", more, "[limits]", f"streams = {streams}", hooks]
-            config.write_text("\n".join(lines))
+            put("\n".join(lines))
 
         write(1, first)
         with (
@@ -53,7 +58,7 @@ def test_limits_and_webhooks_are_read_again(clip: Clip, tmp_path: Path) -> None:
             until(lambda: len(to_second) == 1)
             assert json.loads(to_second[0][1])["type"] == "stream.created"
             for text in ("[limits]\nstreams = 'many'", "[limits", "[[webhooks]]\nurl = 'http://x/'\nkey = '/none'"):
-                config.write_text(text)
+                put(text)
                 process.send_signal(signal.SIGHUP)
             assert create("b") == 201  # the limits before stay
             until(lambda: len(to_second) == 2)
