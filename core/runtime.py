@@ -100,22 +100,26 @@ def kernel_sources(root: Path) -> dict[str, bytes]:
     for package in ("core", "codec"):
         for path in (root / package).rglob("*.py"):
             sources[".".join(("streamlod", *path.relative_to(root).with_suffix("").parts))] = path.read_bytes()
-    imported = {name: _imported(source.decode()) & sources.keys() for name, source in sources.items()}
-    waiting = [name for name, source in sources.items() if re.search(rb"\bnjit\(", source)]
-    waiting += [name for name, modules in imported.items() if "streamlod.codec.coder.compiled" in modules]
+    # every process of streamlod comes through here: plain searches first, and imports only of what is reached
+    waiting = [
+        name
+        for name, source in sources.items()
+        if (b"njit" in source and re.search(rb"\bnjit\(", source))
+        or (b"coder.compiled" in source and "streamlod.codec.coder.compiled" in _imported(source))
+    ]
     found: set[str] = set()
     while waiting:
         name = waiting.pop()
         if name not in found:
             found.add(name)
-            waiting.extend(imported[name])
+            waiting.extend(_imported(sources[name]) & sources.keys())
     return {name: sources[name] for name in sorted(found)}
 
 
-def _imported(source: str) -> set[str]:
+def _imported(source: bytes) -> set[str]:
     """Names of modules that `source` may import at its top level."""
     names = set()
-    for package, members, module in _IMPORT.findall(source):
+    for package, members, module in _IMPORT.findall(source.decode()):
         names.add(module or package)
         names.update(f"{package}.{member.strip()}" for member in members.split(","))
     return names

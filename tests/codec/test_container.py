@@ -133,13 +133,13 @@ def test_a_wrong_index_is_not_believed(tmp_path: Path, clip: tuple[list[Scene], 
 
 
 def test_the_way_through_a_long_chain_takes_linear_time(tmp_path: Path, clip: tuple[list[Scene], list[bytes]]) -> None:
-    """100 000 steps, and steps that lead nowhere or back, as a hostile index may hold."""
+    """20 000 steps, and steps that lead nowhere or back, as a hostile index may hold."""
     path = tmp_path / "a.slod"
     _write(path, clip[1])
     with SlodReader(path) as reader:
         key, step, *_ = reader.entries
-        chain = [replace(step, from_version=n, to_version=n + 1) for n in range(100_000)]
-        loops = [replace(step, from_version=n, to_version=max(n - 1, 0), size_bytes=0) for n in range(0, 100_000, 7)]
+        chain = [replace(step, from_version=n, to_version=n + 1) for n in range(20_000)]
+        loops = [replace(step, from_version=n, to_version=max(n - 1, 0), size_bytes=0) for n in range(0, 20_000, 7)]
         reader.entries = (
             key,
             *chain,
@@ -147,5 +147,5 @@ def test_the_way_through_a_long_chain_takes_linear_time(tmp_path: Path, clip: tu
             *(replace(e, to_version=e.from_version, size_bytes=0) for e in chain[:9]),
         )
         begin = time.process_time()
-        assert reader.plan(100_000) == tuple(range(100_001))
-        assert time.process_time() - begin < 5
+        assert reader.plan(20_000) == tuple(range(20_001))
+        assert time.process_time() - begin < 1

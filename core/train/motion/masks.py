@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from sklearn.mixture import GaussianMixture
 
 from streamlod.core.arrays import Bool, Float32, Float64
 
@@ -81,6 +80,8 @@ def mixture_thresholds(scores: Float64, *posteriors: float) -> list[float]:
     values = (limited / limited.mean()) ** _POWER
     if np.ptp(values) < 1e-6:
         return [0.0] * len(posteriors)
+    from sklearn.mixture import GaussianMixture  # loads for a second, which first frames need not wait for
+
     mixture = GaussianMixture(
         2,
         means_init=np.quantile(values, [0.25, 0.98])[:, None],

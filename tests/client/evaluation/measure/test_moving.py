@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -13,8 +15,9 @@ from streamlod.core.synthetic import SyntheticSpec, cameras, render_frame, rende
 SPEC = SyntheticSpec(cameras=3, frames=12, width=160, height=90, speed=3.0)
 
 
-def pictures(index: int, spec: SyntheticSpec = SPEC) -> UInt8:
-    return np.stack([render_image(spec, index, camera) for camera in range(spec.cameras)])
+@cache
+def pictures(index: int) -> UInt8:
+    return np.stack([render_image(SPEC, index, camera) for camera in range(SPEC.cameras)])
 
 
 def test_true_masks_cover_what_moves_and_little_else() -> None:

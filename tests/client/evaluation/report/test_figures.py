@@ -43,8 +43,10 @@ def test_a_logarithmic_axis_spaces_by_ratio() -> None:
     assert math.isclose(x1 - x0, x2 - x1, abs_tol=0.01)
 
 
-@pytest.mark.parametrize("logarithmic", [False, True])
-@pytest.mark.parametrize(("low", "high"), [(0.5, 1), (24.26, 26.87), (1, 1e6), (5, 5), (0.001, 0.0013)])
+@pytest.mark.parametrize(
+    ("low", "high", "logarithmic"),
+    [(0.5, 1, False), (24.26, 26.87, False), (5, 5, False), (1, 1e6, True), (5, 5, True), (0.001, 0.0013, True)],
+)
 def test_axes_have_several_ticks(low: float, high: float, logarithmic: bool) -> None:
     svg = scatter("", Axis("", logarithmic), Axis(""), [Dot("", low, 0), Dot("", high, 1)])
     ticks = [element.attrib["id"] for element in group(svg, "matplotlib.axis_1") if "xtick" in element.attrib["id"]]
