@@ -10,7 +10,7 @@ export OMP_WAIT_POLICY = PASSIVE
 export PYTHONDONTWRITEBYTECODE =
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-all api lint bench bench-web clean
+.PHONY: help install demo test test-all tests api lint bench bench-web clean
 
 help: ## List the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -33,7 +33,11 @@ demo: install ## Train a synthetic clip live, serve it, watch it; leaves demo-ou
 test: install ## Run the tests that take less than four seconds each and need no browser
 	$(PYTEST) -n auto
 
-test-all: lint ## ruff, mypy and all tests: also long ones, those in Chromium, and those of several servers
+test-all: install ## ruff, mypy and all tests: also long ones, those in Chromium, and those of several servers
+	$(MAKE) --jobs=2 lint tests
+
+# mypy has one process, and tests often wait
+tests: install
 	$(PYTEST) -n auto -m 'not cluster and not slow'
 	$(PYTEST) -n $$(getconf _NPROCESSORS_ONLN) -m cluster
 
