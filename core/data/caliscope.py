@@ -25,7 +25,7 @@ import numpy as np
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.data.colmap.reader import fitted
-from streamlod.core.data.dataset import RawRecording
+from streamlod.core.data.dataset import Film, RawRecording
 from streamlod.core.data.files import blaming, numbers, read_text
 from streamlod.core.data.lens import opencv_camera
 from streamlod.core.data.names import in_numeric_order, listed
@@ -70,6 +70,12 @@ class TimedVideos:
             found = shown(self.files[camera], pictures, [time_ns for time_ns in taken if time_ns is not None])
             for time_ns in taken:
                 yield None if time_ns is None else next(found)
+
+    def film(self, camera: int) -> Film | None:
+        """The camera's file; see `Source.film`."""
+        pairs = zip(self.taken_ns[camera], self.times_ns, strict=True)
+        begin = next((taken_ns - time_ns for taken_ns, time_ns in pairs if taken_ns is not None), None)
+        return None if begin is None else Film(self.files[camera], begin)
 
 
 def read_caliscope(path: Path) -> RawRecording:

@@ -24,6 +24,19 @@ MAX_DOWNSCALE = 64
 FPS_OF_PICTURES = 30.0  # folders of pictures do not say their rate
 
 
+@dataclass(frozen=True, slots=True)
+class Film:
+    """A camera's video file.
+
+    Attributes:
+        path: the file.
+        begin_ns: time in the file at which the clip begins.
+    """
+
+    path: Path
+    begin_ns: int
+
+
 class Source(Protocol):
     """Raw pictures of all cameras, by instant."""
 
@@ -40,6 +53,9 @@ class Source(Protocol):
 
     def pictures(self, camera: int, start: int, stop: int) -> Generator[UInt8 | None, None, None]:
         """[H,W,3] RGB of one camera for the instants start to stop - 1; None where it has none."""
+
+    def film(self, camera: int) -> Film | None:
+        """The file that a camera filmed; None where there are only pictures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

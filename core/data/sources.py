@@ -12,7 +12,7 @@ import av
 
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera.grid import Grid
-from streamlod.core.data.dataset import FPS_OF_PICTURES
+from streamlod.core.data.dataset import FPS_OF_PICTURES, Film
 from streamlod.core.data.files import blaming
 from streamlod.core.data.pictures import read_picture
 from streamlod.core.data.video.file import VideoInfo, probe_video, read_video
@@ -58,6 +58,10 @@ class Videos:
         with closing(read_video(self.files[camera])) as pictures:
             timed = ((time_ns + self.offsets_ns[camera], picture) for time_ns, picture in pictures)
             yield from shown(self.files[camera], nearest(timed, self.grid), self.numbers[start:stop])
+
+    def film(self, camera: int) -> Film:
+        """The camera's file; see `Source.film`."""
+        return Film(self.files[camera], self.grid.time_of(self.numbers[0]) - self.offsets_ns[camera])
 
 
 def videos(files: Sequence[Path], offsets_ns: Sequence[int] | None = None) -> tuple[Videos, list[VideoInfo]]:
@@ -113,6 +117,9 @@ class Pictures:
         """Yield pictures; see `Source.pictures`."""
         for instant in self.files[start:stop]:
             yield _readable(instant[camera])
+
+    def film(self, camera: int) -> None:
+        """There is none; see `Source.film`."""
 
 
 def _readable(file: Path) -> UInt8 | None:

@@ -55,6 +55,9 @@ class SyntheticSource:
         for index in range(start, stop):
             yield render_image(self.spec, index, camera)
 
+    def film(self, camera: int) -> None:
+        """There is none; see `Source.film`."""
+
 
 def open_synthetic(spec: SyntheticSpec) -> Dataset:
     """The clip as a data set that renders each picture when it is read; nothing is written."""

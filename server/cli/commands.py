@@ -85,8 +85,9 @@ def check_cameras(job: TrainJob) -> None:
         )
 
 
-def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) -> str:
-    """Train a clip into a `.slod` file, with figures beside it."""
+def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None, sound: str) -> str:
+    """Train a clip into a `.slod` file, with figures and sound beside it."""
+    from streamlod.codec.sound.beside import sound_beside
     from streamlod.server.pipeline.stages import open_job, train_clip
 
     opened = open_job(job)
@@ -103,7 +104,7 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
 
         cut: TrainingCutShort | None = None
         try:
-            train_clip(opened, out, on_frame, on_progress)
+            train_clip(opened, out, on_frame, on_progress, sound)
         except TrainingCutShort as error:
             cut = error
     sidecar = json.loads(out.with_name(out.name + ".json").read_text(encoding="utf-8"))
@@ -117,7 +118,8 @@ def train(job: TrainJob, out: Path, figures: Path | None, trace: Path | None) ->
     first_frame, later_frames = sidecar.get("first_frame_seconds"), sidecar.get("train_seconds")
     spent = f"first frame {first_frame:.1f} s" if first_frame is not None else "resumed"
     spent += f", later frames {later_frames:.2f} s each" if later_frames is not None else ""
-    return f"{out}: {len(encoded)} frames, {out.stat().st_size / 1000:.1f} KB, {spent}"
+    heard = sound_beside(out).exists()
+    return f"{out}: {len(encoded)} frames, {out.stat().st_size / 1000:.1f} KB, {'with sound, ' if heard else ''}{spent}"
 
 
 def playable(path: Path) -> Path:

@@ -151,9 +151,12 @@ def train(
     out: Annotated[Path, typer.Option(metavar="FILE.slod", help="Bitstream to write.")],
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the figures here.")] = None,
     trace: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the stages as a Chrome trace.")] = None,
+    sound: Annotated[
+        str, typer.Option(metavar="auto|none|CAMERA|FILE", help="Whose; auto: of the first camera that has some.")
+    ] = "auto",
     **options: Any,
 ) -> None:
-    """Train a clip offline into a bitstream file; figures of the training go beside it, into FILE.slod.json.
+    """Train a clip offline into a bitstream file; beside it go figures of the training, FILE.slod.json, and sound.
 
     A fault after the first frame, such as a damaged picture, ends the file there, whole, with exit code 2.
     """
@@ -164,7 +167,7 @@ def train(
     job = TrainJob(data=data, **options)
     check_outputs(out, json, trace)
     check_cameras(job)
-    typer.echo(run(job, out, json, trace))
+    typer.echo(run(job, out, json, trace, sound))
 
 
 @app.command()

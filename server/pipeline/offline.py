@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.sound import AUTO
 from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip
 
 
@@ -27,13 +28,14 @@ class TrainingFigures:
 
 
 def train_recording(
-    job: TrainJob, out: Path, on_frame: Callable[[EncodedFrame], None] = lambda _: None
+    job: TrainJob, out: Path, on_frame: Callable[[EncodedFrame], None] = lambda _: None, sound: str = AUTO
 ) -> TrainingFigures:
-    """Train a job into the `.slod` file `out`, which appears when it is complete; figures of each frame go beside it.
+    """Train a job into the `.slod` file `out`, which appears when it is complete; figures and sound go beside it.
 
     Args:
         job: the recording and the settings; ``TrainJob(data=Path("clip"), test=("cam00",))``.
         on_frame: called with each frame as soon as it is written.
+        sound: ``auto`` for that of the first camera that has some, ``none``, a camera's name, or a file.
 
     Raises:
         InputError: the recording, the choice of cameras or the place of the file cannot be used.
@@ -47,5 +49,5 @@ def train_recording(
         count += 1
         on_frame(frame)
 
-    train_clip(open_job(job), out, counted)
+    train_clip(open_job(job), out, counted, sound=sound)
     return TrainingFigures(count, out.stat().st_size, time.perf_counter() - begin)

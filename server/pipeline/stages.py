@@ -39,6 +39,7 @@ from streamlod.server.pipeline.bounded_queue import Outlet, made_by
 from streamlod.server.pipeline.draft import draft_scene
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.rehearsal import rehearse
+from streamlod.server.pipeline.sound import AUTO, choose_sound, write_beside
 from streamlod.server.pipeline.trace import Span, timed, timing
 
 _LOG = logging.getLogger(__name__)
@@ -223,14 +224,18 @@ def train_clip(
     out: Path,
     on_frame: Callable[[EncodedFrame], None],
     on_progress: Callable[[Progress], None] | None = None,
+    sound: str = AUTO,
 ) -> None:
     """Train a clip into the file `out`, which appears when it is complete; figures go into `out`.json.
 
-    A fault after the first frame, such as a damaged picture, ends the file there, with all frames trained before.
+    The sound that `sound` names, as in `choose_sound`, goes into `out`.opus. A fault after the first frame, such as a
+    damaged picture, ends the files there, with all frames trained before.
 
     Raises:
         TrainingCutShort: such a fault, one that is foreseen; another one is raised as it is, with a note.
     """
+    dataset = opened.dataset
+    chosen = choose_sound(dataset, sound) if isinstance(dataset, Dataset) else None
     first_seconds, seconds, reports, faults = 0.0, [], [], list[Exception]()
     with SlodWriter(out) as writer, closing(train_stream(opened, on_progress=on_progress)) as frames:
         for encoded in _up_to_fault(frames, faults):
@@ -246,6 +251,9 @@ def train_clip(
             on_frame(replace(encoded, spans=(*encoded.spans, written)))
         if faults and not reports:
             raise faults[0]
+    if isinstance(dataset, Dataset):
+        source = dataset.recording.source
+        write_beside(out, chosen, source.time_ns(len(reports) - 1) / 1e9 + 1 / source.fps)
     cut = TrainingCutShort(out, str(faults[0]), len(reports), opened.stop) if faults else None
     figures = {
         "train_seconds": float(np.mean(seconds)) if seconds else None,

@@ -22,7 +22,7 @@ _SECOND_NS = 1_000_000_000
 _LATEST_BEGIN_NS = 5 * _SECOND_NS
 _IN_ORDER = "avi"  # has a time for each sample in their order, and none for the pictures
 _UNTIMED = {"h264", "hevc", "vvc", "m4v", "mpegvideo", "mjpeg", "mpjpeg", "obu"}  # FFmpeg supposes a rate for these
-_OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
+OWN_CLOCK = {"mpegts", "mpeg"}  # formats whose time does not begin at 0
 
 
 def pictures_of(container: av.container.InputContainer) -> av.video.stream.VideoStream | None:
@@ -56,7 +56,7 @@ class PictureTimes:
         self._waiting: deque[int] = deque()
         self._key_ns: int | None = None
         self._origin_ns: int | None = None
-        if self._format in _OWN_CLOCK and container.start_time is not None:
+        if self._format in OWN_CLOCK and container.start_time is not None:
             self._origin_ns = _nanoseconds(container.start_time, Fraction(1, av.time_base))
 
     def sample(self, packet: av.Packet[Any]) -> int | None:

@@ -18,7 +18,9 @@ from streamlod.codec.decoder import SceneDecoder
 from streamlod.codec.encoder import encode_residual
 from streamlod.codec.packet.info import peek
 from streamlod.codec.packet.packet import PacketKind
+from streamlod.codec.sound.opus import SAMPLE_RATE, read_sound
 from streamlod.core.camera.space import Similarity
+from streamlod.core.data.dataset import FPS_OF_PICTURES
 from streamlod.core.errors import InputError, ModelError, TrainingCutShort
 from streamlod.core.frames import FrameSet
 from streamlod.core.scene.anchors import Scene
@@ -28,6 +30,7 @@ from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.stages import EncodedFrame, open_job, train_clip, train_stream
 from streamlod.server.pipeline.trace import Span
 from streamlod.server.worker.process import Resume, Sender, Tag, show_again, train
+from tests.clicks import write_sounding
 from tests.core.data import writers
 from tests.core.data.writers import write_colmap_binary, write_picture
 from tests.core.true_points import true_points
@@ -286,15 +289,18 @@ def test_a_late_fault_keeps_what_was_trained(job: TrainJob, tmp_path: Path) -> N
     late = replace(_photographs(tmp_path / "data", 3), points=job.points)
     for picture in (tmp_path / "data" / "frames" / "0002").iterdir():
         picture.write_bytes(picture.read_bytes()[:-500])
+    write_sounding(tmp_path / "recorder.wav", 1.0, "pcm_s16le", pictures=False)
     seen, out = list[EncodedFrame](), tmp_path / "scene.slod"
     with pytest.raises(
         TrainingCutShort, match=r"frame 2 has no picture from any camera; .*scene\.slod holds the first 2 of 3 frames"
     ) as caught:
-        train_clip(open_job(late), out, seen.append)
+        train_clip(open_job(late), out, seen.append, sound=str(tmp_path / "recorder.wav"))
     assert (caught.value.kept, caught.value.wanted) == (2, 3)
     with SlodReader(out) as reader:
         assert [*reader.packets()] == [p for frame in seen for p in frame.packets]
     assert len(seen) == 2
+    heard = sum(map(len, read_sound(tmp_path / "scene.slod.opus")))
+    assert heard == round(2 * SAMPLE_RATE / FPS_OF_PICTURES)  # as long as the pictures that were kept
     assert json.loads((tmp_path / "scene.slod.json").read_text())["cut_short"] == str(caught.value)
 
 

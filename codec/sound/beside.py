@@ -1,0 +1,76 @@
+"""Where the sound of a `.slod` file lies, and the beginning of such a file, read without a media library."""
+
+from __future__ import annotations
+
+import re
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from streamlod.core.errors import InputError
+
+BEGIN_COMMENT = "STREAMLOD_BEGIN_NS"
+MAX_TIME_NS = 2**63 - 1
+MEDIA_TYPE = "audio/ogg"
+_HEAD_BYTES = 4096  # both headers and their pages, where comments are as short as ours
+_HEAD = re.compile(rb"OggS\0.{21}\x01\x13OpusHead\x01([\x01\x02])", re.DOTALL)
+_BEGIN = re.compile(BEGIN_COMMENT.encode() + rb"=([0-9]{1,19})(?![0-9])", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class SoundFile:
+    """An Ogg Opus file that belongs to a stream.
+
+    Attributes:
+        path: the file.
+        begin_ns: time of its first sample, on the clock of the packets' times.
+        channels: 1 or 2.
+        size_bytes, changed_ns: of the file when it was looked at.
+    """
+
+    path: Path
+    begin_ns: int
+    channels: int
+    size_bytes: int
+    changed_ns: int
+
+
+def sound_beside(slod: Path) -> Path:
+    """The name of the file that holds the sound of the `.slod` file `slod`, whether it exists or not."""
+    return slod.with_name(f"{slod.name}.opus")
+
+
+def look_at_sound(path: Path) -> SoundFile:
+    """Facts of a file of sound from its first bytes; a file without a begin comment begins at 0.
+
+    Raises:
+        InputError: missing, no regular file, or not Ogg Opus of one or two channels.
+    """
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise InputError(path, "is no file")
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})") from error
+    found = _HEAD.match(head)
+    if found is None:
+        raise InputError(path, "is not Ogg Opus with one or two channels; make it with streamlod train --sound")
+    begin = _BEGIN.search(head)
+    begin_ns = 0 if begin is None else int(begin[1])
+    if begin_ns > MAX_TIME_NS:
+        raise InputError(path, f"says that it begins at {begin_ns} ns, which no clock shows")
+    return SoundFile(path, begin_ns, found[1][0], status.st_size, status.st_mtime_ns)
+
+
+def find_sound(slod: Path) -> SoundFile | None:
+    """The sound of the `.slod` file `slod`; None where there is none that can be used.
+
+    It has to lie in the folder itself: a link leads to what nobody allowed to be read.
+    """
+    path = sound_beside(slod)
+    try:
+        return None if path.is_symlink() else look_at_sound(path)
+    except InputError:
+        return None

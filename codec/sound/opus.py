@@ -1,0 +1,76 @@
+"""Ogg Opus files (RFC 7845), written from samples and read back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from fractions import Fraction
+from pathlib import Path
+from typing import cast
+
+import av
+import av.audio.stream
+import numpy as np
+from numpy.typing import NDArray
+
+from streamlod.codec.sound.beside import BEGIN_COMMENT
+from streamlod.core.errors import InputError
+from streamlod.core.files import put_in_place, temporary_beside
+
+SAMPLE_RATE = 48_000  # the only rate at which Opus counts (RFC 7845, section 4)
+PACKET_SAMPLES = 960  # 20 ms
+_BITS_A_SECOND = {1: 64_000, 2: 96_000}
+_LAYOUTS = {1: "mono", 2: "stereo"}
+
+Samples = NDArray[np.int16]
+
+
+def write_sound(path: Path, blocks: Iterable[Samples], channels: int, begin_ns: int) -> None:
+    """Write a whole file of sound, which appears when it is complete.
+
+    Args:
+        blocks: samples [N, channels] at 48 kHz, in order.
+        channels: 1 or 2.
+        begin_ns: time of the first sample, on the clock of the packets' times.
+
+    Raises:
+        InputError: it cannot be written; what was there before stays.
+    """
+    temporary = temporary_beside(path)
+    try:
+        with closing(av.open(str(temporary), "w", format="ogg", options={"fflags": "+bitexact"})) as container:
+            stream = container.add_stream("libopus", rate=SAMPLE_RATE)
+            stream.layout, stream.format = _LAYOUTS[channels], "s16"
+            stream.bit_rate = _BITS_A_SECOND[channels]
+            stream.options = {"frame_duration": "20"}
+            stream.metadata[BEGIN_COMMENT] = str(begin_ns)
+            at = 0
+            for block in blocks:
+                frame = av.AudioFrame.from_ndarray(
+                    np.ascontiguousarray(block).reshape(1, -1), format="s16", layout=_LAYOUTS[channels]
+                )
+                frame.sample_rate, frame.pts, frame.time_base = SAMPLE_RATE, at, Fraction(1, SAMPLE_RATE)
+                at += len(block)
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode(None))
+        put_in_place(temporary, path)
+    except (av.FFmpegError, OSError) as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_sound(path: Path) -> Iterator[Samples]:
+    """Blocks [N, channels] of a file's samples at 48 kHz, decoded as they are asked for.
+
+    Raises:
+        InputError: missing, or bytes that do not decode.
+    """
+    try:
+        with closing(av.open(str(path.absolute()), format="ogg", options={"protocol_whitelist": "file"})) as container:
+            resampler = av.AudioResampler("s16", rate=SAMPLE_RATE)
+            for frame in container.decode(container.streams.audio[0]):
+                for part in resampler.resample(frame):
+                    yield cast(Samples, part.to_ndarray()).reshape(-1, part.layout.nb_channels)
+    except (av.FFmpegError, OSError, ValueError, IndexError) as error:
+        raise InputError(path, "cannot be decoded as Ogg Opus; copy it again") from error

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from streamlod.codec.sound.beside import look_at_sound, sound_beside
+from streamlod.codec.sound.opus import SAMPLE_RATE, read_sound
+from streamlod.core.data import Dataset, open_dataset
+from streamlod.core.errors import InputError
+from streamlod.server.pipeline.sound import choose_sound, write_beside
+from tests.clicks import onsets, write_sounding
+from tests.core.data.writers import picture, write_video, write_video_clip
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Three cameras, of which cam01 and cam02 have sound, and a recorder's file."""
+    folder = tmp_path_factory.mktemp("sounding")
+    write_video_clip(folder, ["cam00", "cam01", "cam02"], 3)
+    write_video(folder / "cam00.mp4", [picture(0, 0)] * 75, 25)
+    for name, begin in ("cam01", 0.0), ("cam02", 0.5):
+        write_sounding(folder / f"{name}.mp4", 3.0, channels=1 if begin else 2, begin=begin)
+    write_sounding(folder / "recorder.wav", 3.0, "pcm_s16le", pictures=False)
+    return open_dataset(folder)
+
+
+def test_the_first_camera_with_sound_is_taken_unless_told_otherwise(dataset: Dataset) -> None:
+    folder = dataset.recording.path
+    chosen = {choice: choose_sound(dataset, choice) for choice in ("auto", "none", "cam02", f"{folder}/recorder.wav")}
+    assert {choice: found and found.film.path.name for choice, found in chosen.items()} == {
+        "auto": "cam01.mp4", "none": None, "cam02": "cam02.mp4", f"{folder}/recorder.wav": "recorder.wav",
+    }  # fmt: skip
+    assert [found and found.channels for found in chosen.values()] == [2, None, 1, 1]
+
+
+def test_what_has_no_sound_is_refused(dataset: Dataset) -> None:
+    with pytest.raises(InputError, match=r"cam00\.mp4: has no sound"):
+        choose_sound(dataset, "cam00")
+    with pytest.raises(InputError, match="'nobody' is neither a camera nor a file; cameras are cam00, cam01, cam02"):
+        choose_sound(dataset, "nobody")
+    with pytest.raises(InputError, match="cannot be opened for its sound"):
+        choose_sound(dataset, str(dataset.recording.path / "poses_bounds.npy"))
+
+
+def test_sound_is_written_as_long_as_the_pictures_and_removed_with_them(dataset: Dataset, tmp_path: Path) -> None:
+    out = tmp_path / "clip.slod"
+    write_beside(out, choose_sound(dataset, "cam02"), 2.5)
+    assert look_at_sound(sound_beside(out)).begin_ns == 0
+    samples = np.concatenate(list(read_sound(sound_beside(out))))
+    assert len(samples) == round(2.5 * SAMPLE_RATE)
+    assert onsets(samples) == pytest.approx([1.0, 2.0], abs=0.02)
+    write_beside(out, None, 2.5)  # other pictures, and silent ones: the earlier sound is not theirs
+    assert list(tmp_path.iterdir()) == []
