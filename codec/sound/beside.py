@@ -69,8 +69,8 @@ def find_sound(slod: Path) -> SoundFile | None:
 
     It has to lie in the folder itself: a link leads to what nobody allowed to be read.
     """
-    path = sound_beside(slod)
     try:
+        path = sound_beside(slod.resolve())
         return None if path.is_symlink() else look_at_sound(path)
-    except InputError:
+    except (InputError, OSError, ValueError, RuntimeError):  # the last two: a name with a NUL, a circle of links
         return None

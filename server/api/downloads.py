@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from streamlod.codec.container import joined, size_of
+from streamlod.codec.container import FilePart, joined, size_of
+from streamlod.codec.sound.beside import MEDIA_TYPE, find_sound
 from streamlod.core.errors import InputError, StreamlodError
 from streamlod.server.api.access import StreamOf, need_download
 from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
@@ -33,7 +34,7 @@ router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], depende
 played = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
 
 
-RECORDING = "/recording"
+RECORDING, SOUND = "/recording", "/sound"
 _PACKET, _GROUP = "/packets/{epoch}/{version}", "/gops/{epoch}/{first}"
 _FOR_GOOD = "/incarnations/{incarnation}"  # addresses below it never lead to anything else
 Incarnation = Annotated[str, Path(pattern="^[0-9a-f]{16}$", description="of the stream", examples=["9f86d081884c7d65"])]
@@ -108,6 +109,17 @@ async def recording(stream: StreamOf, request: Request) -> Response:
     changed_ns = (await asyncio.to_thread(stream.played_file.stat)).st_mtime_ns
     state = f"{stream.id} {changed_ns} {list(map(size_of, pieces))}"
     return respond(request, Download(pieces, _hash(state.encode()), _FILE_TYPE, FRESH, f"{stream.id}.slod"))
+
+
+@played.get(SOUND, summary="The sound of the file that the stream plays", response_class=Response, responses=ANSWERS)
+async def sound(stream: StreamOf, request: Request) -> Response:
+    """The Ogg Opus file that belongs to the recording of a stream whose description tells of `sound`."""
+    found = None if stream.played_file is None else await asyncio.to_thread(find_sound, stream.played_file)
+    if found is None:
+        raise Problem(404, "the stream has no sound")
+    state = f"{stream.id} {found.changed_ns} {found.size_bytes} sound"
+    whole = FilePart(found.path, 0, found.size_bytes)
+    return respond(request, Download((whole,), _hash(state.encode()), MEDIA_TYPE, FRESH, f"{stream.id}.opus"))
 
 
 async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Download:

@@ -11,7 +11,7 @@ from streamlod.server.auth.links import MAX_LINK_SECONDS
 
 _STREAM_EXAMPLE: dict[str, Any] = {
     "id": "main", "name": "main", "incarnation": "9f86d081884c7d65", "source": "cameras", "loop": False,
-    "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
+    "sound": None, "state": "live", "detail": "", "epoch": 1, "version": 57, "fps": 30.0, "levels": 5,
     "anchors": 20413, "viewers": 2, "restarts": 0, "recording": "on",
     "progress": {"fraction": 1.0, "loss": 0.03, "text": "first frame"},
     "report": {"version": 57, "total_seconds": 0.8}, "ingest": None, "camera_pictures": ["cam00"],
@@ -45,6 +45,13 @@ class WindowBody(BaseModel):
     newest_time_ns: int = Field(description="when the newest was filmed, as its packet says")
 
 
+class SoundBody(BaseModel):
+    """The sound of a stream, which is at `sound`."""
+
+    begin_ns: int = Field(description="time of its first sample, on the clock of the packets' times")
+    channels: int
+
+
 class StreamBody(BaseModel):
     """A stream's state."""
 
@@ -57,6 +64,7 @@ class StreamBody(BaseModel):
         description="live cameras, pictures taken earlier that are trained now, or a recorded bitstream"
     )
     loop: bool = Field(description="whether a recording begins again at its end")
+    sound: SoundBody | None = Field(description="the sound that belongs to a played recording; null without")
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
     detail: str = Field(description="why, where the state needs an explanation")
     epoch: int | None
@@ -123,7 +131,7 @@ class NewLink(BaseModel):
 
     path: str = Field(
         default="",
-        pattern=r"^(bitstream|(gops|packets)/[0-9]{1,10}/[0-9]{1,10})?$",
+        pattern=r"^(bitstream|sound|(gops|packets)/[0-9]{1,10}/[0-9]{1,10})?$",
         description="download below the stream; all of them without",
     )
     seconds: int = Field(default=3600, ge=1, le=MAX_LINK_SECONDS, description="how long the address is good")

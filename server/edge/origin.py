@@ -15,6 +15,7 @@ from urllib.parse import quote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from streamlod.codec.sound.beside import MAX_TIME_NS
 from streamlod.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -43,11 +44,21 @@ class UnknownStream(BaseModel):
     state: str = Field(max_length=64)
 
 
+class OriginSound(BaseModel):
+    """The sound of a stream, as the origin tells of it."""
+
+    model_config = ConfigDict(frozen=True)
+
+    begin_ns: int = Field(ge=0, le=MAX_TIME_NS)
+    channels: int = Field(ge=1, le=2)
+
+
 class OriginStream(UnknownStream):
     """The fields that an edge takes over from STREAM of docs/protocol.md, checked."""
 
     source: Literal["cameras", "data", "recording"]
     loop: bool = False
+    sound: OriginSound | None = None
     state: Literal["idle", "starting", "live", "degraded", "ended", "failed"]
     detail: str = Field(default="", max_length=4096)
     progress: dict[str, Any] | None = None

@@ -1,4 +1,4 @@
-"""Requests for what an edge does not hold: the file that a stream of a recording plays, passed on from the origin."""
+"""Requests for what an edge does not hold: the files that a stream of a recording plays, passed on from the origin."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.responses import StreamingResponse
 
 from streamlod.server.api.access import StreamOf, need_download
-from streamlod.server.api.downloads import ANSWERS, RECORDING
+from streamlod.server.api.downloads import ANSWERS, RECORDING, SOUND
 from streamlod.server.api.ranges import FRESH, caching
 from streamlod.server.edge.origin import Origin
 from streamlod.server.http.head import is_head
@@ -35,9 +35,24 @@ router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], depende
 )
 async def recording(stream: StreamOf, request: Request) -> Response:
     """The whole `.slod` file behind a stream whose source is a recording, as the origin sends it."""
+    return await _pass_on(request, f"/v1/streams/{stream.id}{RECORDING}")
+
+
+@router.get(
+    SOUND,
+    summary="The sound of the file that the stream plays",
+    response_class=Response,
+    responses=ANSWERS | {502: PROBLEMS[502]},
+)
+async def sound(stream: StreamOf, request: Request) -> Response:
+    """The Ogg Opus file that belongs to the recording, as the origin sends it."""
+    return await _pass_on(request, f"/v1/streams/{stream.id}{SOUND}")
+
+
+async def _pass_on(request: Request, path: str) -> Response:
+    """The origin's answer to the same request for `path`."""
     origin: Origin = request.app.state.origin
     asked = {name: value for name in _ASKED if (value := request.headers.get(name)) is not None}
-    path = f"/v1/streams/{stream.id}{RECORDING}"
     connection = AsyncExitStack()  # open until the body has been passed on
     try:
         answer = await connection.enter_async_context(origin.open(path, asked, "HEAD" if is_head(request) else "GET"))

@@ -131,7 +131,7 @@ def welcome(
         edges: addresses of servers that serve the same stream.
     """
     about = {"version": PROTOCOL_VERSION, "session": session, "stream": stream["id"]}
-    names = ("incarnation", "source", "loop", "state", "detail", "progress", "epoch", "levels", "fps")
+    names = ("incarnation", "source", "loop", "sound", "state", "detail", "progress", "epoch", "levels", "fps")
     shared = {name: stream[name] for name in names}
     rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": now_ns, "edges": list(edges)}
     return {"type": "welcome", **about, **shared, **rest}

@@ -44,6 +44,7 @@ class Stream:
         replaced: its viewers are told to connect again.
         push_socket: where its worker takes pictures that capture nodes push, or None.
         played_file: the recording that it plays, or None.
+        sound: what is told of the sound that belongs to it: `begin_ns` and `channels`; None without.
         worker_node: address of the cluster's node that its worker runs on; empty where it runs on this machine, or not.
         is_paused: whether it plays a file that nobody watches, and so makes no packets for now.
         camera_pictures: a small JPEG file of what each camera saw last, where the server shows that.
@@ -54,6 +55,7 @@ class Stream:
     created_at = datetime.fromtimestamp(0, UTC)
     push_socket: Path | None = None
     played_file: Path | None = None
+    sound: dict[str, int] | None = None
     worker_node = ""
     is_paused = False
 
@@ -139,6 +141,7 @@ class Stream:
             "incarnation": self.incarnation,
             "source": self.source,
             "loop": self.loop,
+            "sound": self.sound,
             "state": self.state,
             "detail": masked(self.detail),
             "epoch": newest.epoch if newest else None,

@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from streamlod.codec.sound.beside import find_sound
 from streamlod.core.errors import StorageError, StreamlodError
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.messages import event
@@ -87,6 +88,8 @@ class WorkerStream(Stream):
         self.spec, self.push_socket, self._frames_done = spec, push_socket, 0
         self.source, self.played_file = spec.source, spec.play
         self.loop = spec.play is not None and spec.loop
+        sound = None if spec.play is None else find_sound(spec.play)
+        self.sound = None if sound is None else {"begin_ns": sound.begin_ns, "channels": sound.channels}
 
     @property
     def etag(self) -> str:

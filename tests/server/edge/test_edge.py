@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import httpx
 import pytest
 
+from streamlod.codec.sound.beside import sound_beside
 from streamlod.core.scene.anchors import Scene
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip
@@ -126,6 +127,14 @@ def test_page_and_whole_recording_come_from_the_edge(chain: tuple[Node, Node, No
     etag = whole.headers["etag"]
     assert edge.get("/v1/streams/main/recording", **{"If-None-Match": etag}).status_code == 304
     assert edge.get("/v1/streams/main/recording", Range="bytes=99999999-").status_code == 416
+
+
+def test_sound_comes_from_the_edge_too(chain: tuple[Node, Node, Node], long_clip: Clip) -> None:
+    edge = chain[2]
+    assert edge.stream()["sound"] == {"begin_ns": 20_000_000, "channels": 1}
+    part = edge.get("/v1/streams/main/sound", Range="bytes=100-299")
+    assert (part.status_code, part.content) == (206, sound_beside(long_clip.path).read_bytes()[100:300])
+    assert part.headers["content-type"] == "audio/ogg"
 
 
 def test_an_edge_makes_and_controls_nothing(chain: tuple[Node, Node, Node]) -> None:
