@@ -24,6 +24,7 @@ MAX_LAUNCHES = 240  # of a step (234 when this was set)
 ONCE = {f"core/train/keyframe/{name}.py" for name in ("precision", "drawing")}
 
 
+@pytest.mark.long
 def test_steps_do_not_wait(gpu: str, monkeypatch: pytest.MonkeyPatch) -> None:
     spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2)
     clip, config = open_synthetic(spec), preset("live")

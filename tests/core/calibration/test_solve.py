@@ -101,6 +101,7 @@ def test_a_camera_that_saw_the_board_too_rarely_is_named() -> None:
         calibrate([*tracks[:2], half(tracks[2], 0.5, 0.53), tracks[3]], BOARD)
 
 
+@pytest.mark.long
 def test_a_video_of_another_walk_is_named() -> None:
     truth = rig()
     tracks = walked(truth, fps=FPS, seconds=24)

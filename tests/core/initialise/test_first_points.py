@@ -53,6 +53,7 @@ def test_swept_points_lie_on_the_surfaces(swept: PointCloud) -> None:
     assert (error < 0.05).mean() > 0.96
 
 
+@pytest.mark.long
 def test_swept_points_carry_the_colours_of_the_pictures(frame: FrameSet, swept: PointCloud) -> None:
     camera = DATASET.cameras[0]
     pixels, depth = project(camera, swept.positions.astype(np.float64))
@@ -70,6 +71,7 @@ def test_bounds_need_not_be_known(frame: FrameSet) -> None:
     assert (surface_error(points) < 0.05).mean() > 0.94
 
 
+@pytest.mark.long
 def test_absent_cameras_are_left_out(frame: FrameSet, swept: PointCloud) -> None:
     present = np.array([True, True, True, False])
     images = np.where(present[:, None, None, None], frame.images, np.uint8(0))

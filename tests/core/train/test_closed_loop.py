@@ -125,6 +125,7 @@ def test_a_scene_comes_back_after_bad_pictures(
     assert ended > min(begun - 3, spoilt + 3)  # a few frames of a few steps do not heal everything
 
 
+@pytest.mark.long
 def test_a_change_is_trained_until_that_helps_no_more(clip: Dataset, images: list[UInt8], first: Scene) -> None:
     """Not for one frame only; and a scene that stands still costs nothing in the end, however wrong it is shown."""
     gains = []

@@ -110,6 +110,7 @@ def test_nothing_moves_nothing_is_sent(clip: Dataset, frames: list[FrameSet], tr
     assert len(packet) <= 64
 
 
+@pytest.mark.long
 def test_a_frame_that_has_converged_ends_early_and_is_as_good(
     clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]
 ) -> None:

@@ -19,6 +19,7 @@ from streamlod.server.pipeline.draft import draft_scene
 SPEC = SyntheticSpec(kind="room", cameras=4, frames=1, width=160, height=90)
 
 
+@pytest.mark.long
 def test_a_draft_shows_every_camera_the_right_colours_in_the_right_places() -> None:
     dataset = open_synthetic(SPEC)
     frame = next(iter(dataset.frames()))

@@ -93,6 +93,7 @@ def test_a_log_that_nobody_reads_holds_nothing_up(clip: Clip, reader: str) -> No
         os.close(ours)
 
 
+@pytest.mark.long
 def test_a_full_log_disk_holds_nothing_up(clip: Clip) -> None:
     with Path("/dev/full").open("wb") as full, serving(clip, full.fileno()) as (process, port):
         goes_on(process, port)

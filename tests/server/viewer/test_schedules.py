@@ -240,6 +240,7 @@ def run_schedules(folder: Path, monkeypatch: pytest.MonkeyPatch, rounds: int) ->
         asyncio.run(play(folder / str(seed) if seed % 2 else None, seed, VIEWERS))
 
 
+@pytest.mark.long
 def test_a_hundred_random_schedules_decode_to_the_same_states(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_schedules(tmp_path, monkeypatch, 4)
 

@@ -36,6 +36,7 @@ def lines(out: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (out / "cells.jsonl").read_text().splitlines()]
 
 
+@pytest.mark.long
 def test_a_row_is_measured_with_equal_time(out: Path) -> None:
     ours, plain = lines(out)
     assert (ours["key"]["system"], plain["key"]["system"]) == ("ours", "plain")
@@ -51,6 +52,7 @@ def test_a_row_is_measured_with_equal_time(out: Path) -> None:
     assert ours["figures"]["frames"][0]["bytes"] > 0
 
 
+@pytest.mark.long
 def test_pictures_and_report_lie_beside_the_cells(out: Path) -> None:
     both = cv2.imread(str(out / "pictures" / "bright_3_live_0_all.png"))
     assert both is not None
@@ -61,6 +63,7 @@ def test_pictures_and_report_lie_beside_the_cells(out: Path) -> None:
     assert "reporting half" not in report
 
 
+@pytest.mark.long
 def test_it_goes_on_where_it_stopped(out: Path) -> None:
     before = (out / "cells.jsonl").read_bytes()
     run_zoo(None, out, QUICK)

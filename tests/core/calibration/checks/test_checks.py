@@ -134,6 +134,7 @@ def test_clocks(times: np.ndarray, severity: str | None, sentence: str) -> None:
     assert all(finding.sentence.startswith(sentence) for finding in found)
 
 
+@pytest.mark.long
 def test_the_command_checks_files(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 

@@ -150,6 +150,7 @@ def test_trusted_surfaces_leave_a_gap_behind_them_alone(depth: float, gap: bool)
     assert in_gaps(maps, [all_of_it, nothing, nothing])[0].all()  # its own view is not asked
 
 
+@pytest.mark.long
 def test_noise_on_a_plain_floor_is_not_believed() -> None:
     """By chance some depth agrees with some view at every pixel."""
     generator, cameras = np.random.default_rng(0), tuple(floor_camera(x) for x in np.linspace(-0.5, 0.5, 8))

@@ -88,6 +88,7 @@ def printed_wall(cameras: tuple[Camera, ...], period: float) -> np.ndarray:
     return np.stack(pictures).astype(np.uint8)
 
 
+@pytest.mark.long
 def test_a_plain_wall_gets_fewer_levels_than_a_printed_one() -> None:
     cameras = ring(3)
     config = short(preset("live"), 200, finer_levels=2, cell_pixels=8.0)

@@ -172,13 +172,15 @@ def test_without_a_step_nothing_is_added(scene: Scene, targets: Tensor) -> None:
 def test_a_frame_adds_a_share_of_the_anchors_while_there_is_room(
     scene: Scene, targets: Tensor, share: float, room: int, most: int
 ) -> None:
-    """With few to add, one frame in three finds no place that is worth it, so three seeds are asked."""
+    """With few to add, one frame in three finds no place that is worth it, so up to three seeds are asked."""
     found = 0
-    for seed in range(3):
+    for seed in range(3 if most else 1):
         trainer = Trainer(CAMERAS, replace(configuration(share, room), seed=seed), 30.0, "cpu")
         trainer.resume(scene)
         found += len(added(trainer.predict(pictures(1, targets))))
         assert trainer.scene.anchor_count <= scene.anchor_count + most
+        if found:
+            break
     assert (found > 0) == (most > 0)
 
 

@@ -71,6 +71,7 @@ def quality(scene: Scene, clip: Dataset, frame: FrameSet) -> float:
     return float(np.mean([psnr(picture, truth) for picture, truth in zip(pictures, truths, strict=True)]))
 
 
+@pytest.mark.long
 def test_catches_up_and_goes_on(clip: Dataset, frames: list[FrameSet], first: Scene) -> None:
     """It shows its frame better than the state did, and the frames after it lead on from what viewers decode."""
     trainer = trainer_at(clip, first, frames[1:5])
