@@ -24,6 +24,7 @@ from torch import Tensor
 from torch.utils import backend_registration
 
 NAME = "pretend"
+_ROOT = Path(__file__).parents[2]
 _ATEN = torch.ops.aten
 _COPIES = {_ATEN.copy_.default, _ATEN._to_copy.default, _ATEN.set_.source_Tensor}
 _WAITS = {
@@ -237,7 +238,8 @@ def _place() -> str:
 @cache
 def _source(path: str) -> str | None:
     """The name of a source file of `core`; None for any other file."""
-    parts = Path(path).parts
+    inside = Path(path).is_relative_to(_ROOT)  # the checkout's own folder may have any name
+    parts = Path(path).relative_to(_ROOT).parts if inside else Path(path).parts
     return "/".join(parts[parts.index("core") :]) if "core" in parts and "tests" not in parts else None
 
 
