@@ -26,7 +26,7 @@ export function createHandle(viewer, timeline, delay, destroy) {
         phase: status?.phase ?? "connecting", source: status?.source ?? null, mode: status?.mode ?? "live",
         behindSeconds: status?.lagSeconds ?? null, latencyMs: delay.seconds === null ? null : Math.round(1000 * delay.seconds), fraction: status?.fraction ?? null, position: status?.position ?? null,
         window: status?.window ?? null, version: picture?.version ?? null, splats: picture?.splats ?? 0, fps: viewer.fps, camera: toText(viewer.pose),
-        viewers: viewer.watchers,
+        viewers: viewer.watchers, sound: viewer.sound?.state ?? null,
       };
     },
     /** @type {(name: string, listener: (detail: any) => void) => () => void} returns the way to stop listening */

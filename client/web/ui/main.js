@@ -109,6 +109,12 @@ async function start(viewer) {
     if (detail.version !== shown) refresh(); // the same frame from elsewhere changes nothing around it
     shown = detail.version;
   });
+  viewer.addEventListener("sound", async (event) => {
+    const { begin_ns: begin } = /** @type {CustomEvent} */ (event).detail;
+    if (viewer.thin) return; // pictures that the server draws do not say when they were filmed
+    const { Sound } = await import("./sound.js");
+    if (!recording) viewer.sound = new Sound(viewer, timeline, place, token, begin / 1e6);
+  }, { once: true });
   viewer.addEventListener("moments", (event) => timeline.holds(/** @type {CustomEvent} */ (event).detail.moments));
   viewer.addEventListener("drawn", (event) => {
     const { ms, all } = /** @type {CustomEvent} */ (event).detail;
@@ -264,6 +270,8 @@ async function start(viewer) {
     if (/\.json$/i.test(file.name)) return (await loadPaths()).open(await file.text());
     if (viewer.thin) return toast("Files play only where this page draws");
     recording = URL.createObjectURL(file);
+    viewer.sound?.close();
+    viewer.sound = null;
     source.address = () => recording;
     document.title = `${file.name} · streamlod`;
     viewer.forget();

@@ -3,7 +3,7 @@
 import { button, element } from "./page.js";
 import { show } from "./status.js";
 
-/** @typedef {{ id: string, name: string, state: string, viewers: number, camera_pictures?: string[] }} Stream */
+/** @typedef {{ id: string, name: string, state: string, viewers: number, camera_pictures?: string[], sound?: { begin_ns: number } | null }} Stream */
 
 /** An address of the server that the page is from, which may stand under a path of a proxy. @param {string} path - without a slash at its begin */
 export const serverPath = (path) => new URL(path, new URL(".", location.href)).href;
@@ -59,6 +59,7 @@ export async function countWatchers(options, stream, viewer) {
     if (told && ["deleted", "missing"].includes(viewer.status?.phase ?? "")) location.reload(); // it was made again
     viewer.watchers = told?.viewers ?? null;
     viewer.pictured = told?.camera_pictures ?? [];
+    if (told?.sound) viewer.dispatchEvent(new CustomEvent("sound", { detail: told.sound }));
     element("status-viewers").textContent = (viewer.watchers ?? 0) > 1 ? `${viewer.watchers} watching` : "";
   }
 }

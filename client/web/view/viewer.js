@@ -53,6 +53,8 @@ export class Viewer extends EventTarget {
     this.picture = null;
     /** @type {number | null} how many watch the stream, as far as the server says */
     this.watchers = null;
+    /** @type {{ state: object, close: () => void } | null} what plays the sound */
+    this.sound = null;
     /** @type {string[]} cameras of the rig whose own pictures the server shows */
     this.pictured = [];
     this.isLost = false; // the browser took the graphics card away

@@ -1,0 +1,136 @@
+/**
+ * The sound of what is shown: an audio element that is kept in step with the pictures; docs/sound.md.
+ *
+ * Nothing is loaded before somebody asks for sound. Pictures are the clock: each tells what was filmed when it is on
+ * the screen; the element runs a little faster or slower to be there too, and jumps where that would take long.
+ */
+
+import { element } from "./page.js";
+
+const STEP_MS = 100; // from one correction to the next
+const JUMP_MS = 150; // further off, it jumps
+const JUMP_PAUSE_MS = 700; // that a jump may take
+const PULL_MS = 500; // in which what it is off is made up for
+const MAX_PULL = 0.15; // by which it runs faster or slower, at its pitch
+const SMOOTH = 0.15; // share of a new picture in the clock: pictures come unevenly
+const SEEK_MS = 300; // the clock is this far off what a picture says: it was sought
+const LATE_MS = 400, LATE_PICTURES = 2; // that pictures stay away before sound waits for them
+const MOVING = ["live", "behind", "replay"]; // phases in which pictures go on by themselves
+const MAX_TRIES = 2; // to load it, after the first
+const LINK_SECONDS = 24 * 3600;
+
+export class Sound {
+  /**
+   * @param {import("../view/viewer.js").Viewer} viewer
+   * @param {import("./timeline.js").Timeline} timeline
+   * @param {string} address - of the stream
+   * @param {string | null} token
+   * @param {number} beginMs - time of the first sample, on the clock of the pictures
+   */
+  constructor(viewer, timeline, address, token, beginMs) {
+    this.viewer = viewer;
+    this.timeline = timeline;
+    this.address = address;
+    this.token = token;
+    this.beginMs = beginMs;
+    this.audio = new Audio();
+    this.audio.preload = "auto";
+    this.isOn = false;
+    this.clock = NaN; // what was filmed, less the time of this page times the speed, ms
+    this.speed = 1;
+    this.shown = { filmed: NaN, at: 0, gap: 0 }; // newest picture, ms
+    this.jumpedAt = -Infinity;
+    this.tried = 0; // loading
+    this.opener = Object.assign(document.createElement("button"), { id: "t-sound", innerHTML: '<svg viewBox="0 0 24 24"><path/></svg>' });
+    this.opener.onclick = () => this.#turn(!this.isOn);
+    this.volume = Object.assign(document.createElement("input"), { id: "t-volume", type: "range", min: "0", max: "1", step: "any", value: "1", ariaLabel: "Volume" });
+    this.volume.style.width = "64px";
+    this.volume.oninput = () => (this.audio.volume = Number(this.volume.value));
+    element("t-time").after(this.opener, this.volume);
+    this.ends = new AbortController();
+    const { signal } = this.ends;
+    viewer.addEventListener("picture", (event) => this.#note(/** @type {CustomEvent} */ (event).detail), { signal });
+    this.audio.addEventListener("error", () => this.isOn && this.#load(), { signal }); // perhaps the address has expired
+    this.timer = setInterval(() => this.#step(performance.now()), STEP_MS);
+    this.#turn(false);
+  }
+
+  /** What programs are told; `behindMs` is how far it is behind the picture. */
+  get state() {
+    const { audio } = this, now = performance.now();
+    const heard = 1000 * audio.currentTime + this.beginMs;
+    return { on: this.isOn, playing: !audio.paused && !audio.seeking, volume: audio.volume, timeMs: heard, behindMs: this.#filmed(now) - heard };
+  }
+
+  /** Time that is shown now. @param {number} now */
+  #filmed(now) {
+    return this.clock + this.speed * now;
+  }
+
+  /** @param {import("../view/messages.js").PictureMessage} picture */
+  #note({ timeMs, overMs }) {
+    const now = performance.now(), filmed = timeMs ?? NaN;
+    if (Number.isNaN(filmed) || filmed === this.shown.filmed) return; // the same from elsewhere
+    const { speed } = this.timeline;
+    this.shown = { filmed, at: now, gap: Math.max(0, filmed - this.shown.filmed) / speed || 0 };
+    const clock = filmed - speed * (now + (overMs ?? 0)); // it is reached then
+    const isOld = speed !== this.speed || !(Math.abs(clock - this.clock) < SEEK_MS);
+    this.speed = speed;
+    this.clock = isOld ? clock : this.clock + SMOOTH * (clock - this.clock);
+  }
+
+  /** @param {number} now */
+  #step(now) {
+    const { audio, viewer, shown } = this;
+    if (!this.isOn) return;
+    const isLate = now - shown.at > LATE_MS + LATE_PICTURES * shown.gap;
+    const at = this.#filmed(now) - this.beginMs, off = 1000 * audio.currentTime - at;
+    const isOutside = !(at >= 0) || at > 1000 * (audio.duration || Infinity);
+    if (isLate || isOutside || this.timeline.stands || !MOVING.includes(viewer.status?.phase ?? "")) {
+      audio.pause();
+      if (isLate) this.clock = NaN;
+      return;
+    }
+    if (Math.abs(off) > JUMP_MS && now - this.jumpedAt > JUMP_PAUSE_MS) {
+      audio.currentTime = at / 1000;
+      this.jumpedAt = now;
+    }
+    const pull = Math.min(Math.max(off / PULL_MS, -MAX_PULL), MAX_PULL);
+    audio.playbackRate = this.speed * (1 - pull);
+    if (audio.paused) audio.play().catch(() => this.#turn(false)); // not allowed yet
+  }
+
+  async #load() {
+    let query = "";
+    if (this.tried++ > MAX_TRIES) return this.#turn(false);
+    if (this.token) { // an audio element cannot send it
+      const headers = { Authorization: `Bearer ${this.token}`, "Content-Type": "application/json" };
+      const body = JSON.stringify({ path: "sound", seconds: LINK_SECONDS });
+      const answer = await fetch(`${this.address}/links`, { method: "POST", headers, body });
+      if (!answer.ok) return this.#turn(false);
+      query = `?${(await answer.json()).query}`;
+    }
+    this.audio.src = `${this.address}/sound${query}`;
+  }
+
+  /** Sound on or off. @param {boolean} on */
+  #turn(on) {
+    this.isOn = on;
+    if (!on) this.audio.pause();
+    else if (!this.audio.src) this.#load();
+    const name = on ? "Mute" : "Sound";
+    Object.assign(this.opener, { title: name, ariaLabel: name, ariaPressed: String(on) });
+    this.opener.querySelector("path")?.setAttribute("d", `M4 9.5v5h3.5L12 19V5L7.5 9.5z${on ? "M15 9a4 4 0 0 1 0 6M17.5 6.5a8 8 0 0 1 0 11" : "M15.5 9.5l5 5M20.5 9.5l-5 5"}`);
+    this.volume.hidden = !on;
+  }
+
+  /** Something else is shown from now on. */
+  close() {
+    clearInterval(this.timer);
+    this.ends.abort();
+    this.#turn(false);
+    this.audio.removeAttribute("src");
+    this.opener.remove();
+    this.volume.remove();
+  }
+}

@@ -1,0 +1,135 @@
+"""Sound in step with the pictures of a recording, in Chromium, from a real server."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from streamlod.codec.container import SlodWriter
+from streamlod.codec.sound.beside import sound_beside
+from streamlod.codec.sound.opus import write_sound
+from streamlod.server.auth.gate import hash_token
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
+from tests.clicks import clicks
+from tests.client.web.miniserver import make_clip
+from tests.client.web.scenes import make_scene
+from tests.client.web.test_browser import WAIT, shows
+from tests.server.conftest import running
+
+pytestmark = pytest.mark.browser
+FRAMES, FRAME_MS = 200, 100
+BEGIN_MS = 250  # the sound begins after the pictures
+
+# Collects, whenever a picture comes, how far the sound is from what the screen then shows: a played picture is reached
+# only after `overMs`.
+WATCH = """() => {
+  window.speed = 1;
+  window.offsets = [];
+  streamlod.on("picture", ({ timeMs, overMs }) => {
+    const { sound } = streamlod.state;
+    if (sound?.playing) window.offsets.push(sound.timeMs - (timeMs - speed * (overMs ?? 0)));
+  });
+}"""
+# The newest 15 are in step, in time of the wall.
+IN_STEP = """() => {
+  const newest = window.offsets.slice(-15).map((off) => Math.abs(off) / speed).sort((a, b) => a - b);
+  return newest.length === 15 && newest[7] <= 40;
+}"""
+
+
+@pytest.fixture(scope="module")
+def sounding(kernel: bytes, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twenty seconds at ten pictures a second, with sound."""
+    clip = make_clip(make_scene(60), FRAMES, frame_ns=FRAME_MS * 1_000_000)
+    path = tmp_path_factory.mktemp("sounding") / "clip.slod"
+    with SlodWriter(path) as writer:
+        writer.append(clip.key())
+        for version in range(1, FRAMES):
+            writer.append(clip.residual(version - 1, version))
+    write_sound(sound_beside(path), [clicks(19.0)], 1, BEGIN_MS * 1_000_000)
+    return path
+
+
+def in_step(page: Any) -> None:
+    """Wait until sound and picture have been within 40 ms for a while."""
+    page.evaluate("window.offsets = []")
+    try:
+        page.wait_for_function(IN_STEP, **WAIT)
+    except Exception as error:
+        raise AssertionError(f"{page.evaluate('[streamlod.state, window.offsets]')}") from error
+
+
+@pytest.mark.long
+def test_sound_follows_the_picture(page: Any, sounding: Path) -> None:
+    asked = []
+    page.on("request", lambda request: asked.append(request.url.rpartition("/")[2]))
+    page.set_viewport_size({"width": 900, "height": 506})
+    with running(Settings(), StreamSpec(play=sounding, loop=False)) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0")
+        shows(page, "s.sound !== null && s.version > 2")
+        assert not page.evaluate("streamlod.state.sound.on")
+        assert "sound" not in asked  # nobody wants it yet
+        page.locator("#t-sound").click()
+        page.evaluate(WATCH)
+        in_step(page)
+        assert page.evaluate("streamlod.state.sound.timeMs") > BEGIN_MS
+        page.evaluate("streamlod.pause()")
+        shows(page, "s.phase === 'paused' && !s.sound.playing")
+        page.evaluate("streamlod.seek(100)")
+        shows(page, "s.version === 100")
+        page.evaluate("streamlod.play()")
+        in_step(page)
+        assert 100 * FRAME_MS < page.evaluate("streamlod.state.sound.timeMs") < FRAMES * FRAME_MS
+        page.evaluate("streamlod.seek(20)")  # back, while it plays
+        shows(page, "s.version < 90")
+        in_step(page)
+        assert page.evaluate("streamlod.state.sound.timeMs") < 100 * FRAME_MS
+        page.locator("#t-volume").fill("0.25")
+        assert page.evaluate("streamlod.state.sound.volume") == 0.25
+        page.locator("#t-sound").click()
+        shows(page, "!s.sound.on && !s.sound.playing")
+        page.locator("#t-sound").click()
+        page.evaluate("streamlod.seek(10)")
+        shows(page, "s.version < 90")
+        page.locator("#t-speed").click()
+        page.evaluate("window.speed = 2")
+        page.evaluate("streamlod.seek(10)")
+        in_step(page)
+        page.evaluate("streamlod.seek(195)")
+        shows(page, "s.phase === 'ended' && !s.sound.playing")
+
+
+def test_sound_of_a_stream_that_needs_a_token(page: Any, sounding: Path, tmp_path: Path) -> None:
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "main"}]))
+    page.set_viewport_size({"width": 900, "height": 506})
+    with running(Settings(tokens=tokens), StreamSpec(play=sounding)) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0&token=a")
+        shows(page, "s.sound !== null && s.version > 2")
+        page.locator("#t-sound").click()
+        shows(page, "s.sound.playing && s.sound.timeMs > 500")
+
+
+def test_one_clock_for_all_who_watch_together(page: Any, sounding: Path) -> None:
+    """The server plays, and begins again at the end; pictures come over the websocket."""
+    page.set_viewport_size({"width": 900, "height": 506})
+    with running(Settings(), StreamSpec(play=sounding)) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0&together=1")
+        shows(page, "s.sound !== null && s.version > 2")
+        page.locator("#t-sound").click()
+        page.evaluate(WATCH)
+        in_step(page)
+
+
+def test_a_stream_without_sound_loads_nothing_for_it(page: Any, recording: Path) -> None:
+    asked = []
+    page.on("request", lambda request: asked.append(request.url.rpartition("/")[2]))
+    with running(Settings(), StreamSpec(play=recording)) as server:
+        page.goto(f"{server.url}/")
+        shows(page, "s.version > 2 && s.viewers !== null")
+        assert page.evaluate("streamlod.state.sound") is None
+        assert not {"sound", "sound.js"} & set(asked)
