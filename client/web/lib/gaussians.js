@@ -5,7 +5,7 @@ import { Expander, MIN_ALPHA, RECORD } from "../decode/expand.js";
 import { versionOf } from "../decode/scene.js";
 
 /** @typedef {import("../decode/scene.js").Scene} Scene */
-/** @typedef {[number, number, number]} Vec3 */
+/** @typedef {import("./vectors.js").Vec3} Vec3 */
 
 const TURN = 0.02; // view-dependent anchors are expanded again after moves beyond this fraction of the distance to them
 

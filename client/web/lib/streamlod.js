@@ -15,13 +15,17 @@ import { Connection } from "../stream/connection.js";
 import { FileReader } from "../stream/file.js";
 import { Columns } from "./frame.js";
 import { Gaussians } from "./gaussians.js";
+import { centreOf } from "./rig.js";
+import { add } from "./vectors.js";
 
+export { follow } from "./follow.js";
 export { decompose } from "./frame.js";
+export { upright, viewOf } from "./rig.js";
 
 /** @typedef {import("./frame.js").Frame} Frame */
-/** @typedef {import("./gaussians.js").Vec3} Vec3 */
+/** @typedef {import("./vectors.js").Vec3} Vec3 */
 /** @typedef {import("../decode/scene.js").RigCamera} RigCamera */
-/** @typedef {{ fps: number, cameras: RigCamera[], background: number[], levels: number, isViewDependent: boolean }} Scene */
+/** `middle`: of all anchors of the last keyframe, world units. @typedef {{ fps: number, cameras: RigCamera[], background: number[], levels: number, isViewDependent: boolean, middle: Vec3 }} Scene */
 
 /**
  * @typedef {object} Options
@@ -42,16 +46,16 @@ async function fetchKernel() {
 }
 
 /** @param {Gaussians} gaussians @returns {Scene} */
-function sceneOf({ scene }) {
+function sceneOf({ scene, centre }) {
   if (!scene) throw new Error("there is no keyframe yet");
   const { fps, cameras, background, levels, viewDependent } = scene.header;
-  return { fps, cameras, background: [...background], levels, isViewDependent: viewDependent };
+  return { fps, cameras, background: [...background], levels, isViewDependent: viewDependent, middle: centre };
 }
 
 /** The middle of the rig, from which view-dependent colours are right if nobody says otherwise. @param {Gaussians} gaussians @returns {Vec3} */
 function middleOf({ scene }) {
-  const places = (scene?.header.cameras ?? []).map(({ worldToCamera: m }) => [0, 1, 2].map((i) => -m[i] * m[3] - m[4 + i] * m[7] - m[8 + i] * m[11]));
-  return /** @type {Vec3} */ ([0, 1, 2].map((i) => places.reduce((sum, place) => sum + place[i], 0) / (places.length || 1)));
+  const cameras = scene?.header.cameras ?? [];
+  return cameras.reduce((sum, camera) => add(sum, centreOf(camera), 1 / cameras.length), /** @type {Vec3} */ ([0, 0, 0]));
 }
 
 /**

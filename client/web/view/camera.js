@@ -4,7 +4,9 @@
  * Axes as everywhere in streamlod: x right, y down, z forward; `rotation` holds the world-to-camera rows.
  */
 
-/** @typedef {[number, number, number]} Vec3 */
+import { add, centre, cross, dot, row, unit } from "../lib/vectors.js";
+
+/** @typedef {import("../lib/vectors.js").Vec3} Vec3 */
 
 /**
  * @typedef {object} Pose
@@ -18,19 +20,7 @@
 
 /** @typedef {import("../decode/scene.js").RigCamera} RigCamera */
 
-/** @type {(a: ArrayLike<number>, b: ArrayLike<number>) => number} */
-export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-/** @type {(a: Vec3, b: Vec3) => Vec3} */
-export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-/** @type {(a: Vec3, b: Vec3, s?: number) => Vec3} a + s b */
-export const add = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
-/** @type {(a: Vec3) => Vec3} */
-export const unit = (a) => {
-  const length = Math.hypot(...a) || 1;
-  return [a[0] / length, a[1] / length, a[2] / length];
-};
-/** @type {(r: ArrayLike<number>, row: number) => Vec3} */
-export const row = (r, i) => [r[3 * i], r[3 * i + 1], r[3 * i + 2]];
+export { add, centre, cross, dot, row, unit } from "../lib/vectors.js";
 
 /** @type {(v: Vec3, axis: Vec3, angle: number) => Vec3} Rodrigues' rotation */
 function turn(v, axis, angle) {
@@ -101,22 +91,11 @@ export function focusOn(pose, point, up) {
   return { ...pose, distance, rotation: [...right, ...cross(forward, right), ...forward], shift: [0, 0] };
 }
 
-/** Where a camera stands that maps x to r x + t. @type {(r: number[], t: ArrayLike<number>) => Vec3} */
-export const centre = (r, t) => /** @type {Vec3} */ ([0, 1, 2].map((i) => -r[i] * t[0] - r[3 + i] * t[1] - r[6 + i] * t[2]));
-
 /** @type {(camera: RigCamera, distance: number) => Pose} */
 export function fromCamera(camera, distance) {
   const m = camera.worldToCamera, k = camera.intrinsics, h = camera.height;
   const rotation = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
   return { rotation, position: centre(rotation, [m[3], m[7], m[11]]), distance, focal: k[4] / h, stretch: k[0] / k[4], shift: [(k[2] - camera.width / 2) / h, (k[5] - h / 2) / h] };
-}
-
-/** What points up for most of the rig. @type {(cameras: RigCamera[]) => Vec3} */
-export function rigUp(cameras) {
-  /** @type {Vec3} */
-  let sum = [0, 0, 0];
-  for (const { worldToCamera: m } of cameras) sum = add(sum, [m[4], m[5], m[6]], -1);
-  return Math.hypot(...sum) > 1e-6 ? unit(sum) : [0, -1, 0];
 }
 
 /** The camera nearest to the middle of the rig, where a visit begins. @type {(cameras: RigCamera[]) => number} */

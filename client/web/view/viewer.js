@@ -4,7 +4,8 @@
  */
 
 import { exposureAt } from "./exposure.js";
-import { between, dot, fromCamera, homeCamera, rigUp, row, target } from "./camera.js";
+import { rigUp } from "../lib/rig.js";
+import { between, dot, fromCamera, homeCamera, row, target } from "./camera.js";
 import { braked, held, outside, seenSpace } from "./limits.js";
 import { Renderer } from "./renderer.js";
 import { Warp } from "./warp.js";

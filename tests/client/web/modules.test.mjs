@@ -8,6 +8,8 @@ import { crc32 } from "../../../client/web/decode/checksum.js";
 import { FOOTER, moments, plan, readFooter, readIndex, walkRecords } from "../../../client/web/decode/container.js";
 import { inflateColumns } from "../../../client/web/decode/deflate.js";
 import { Reader } from "../../../client/web/decode/packet.js";
+import { follow } from "../../../client/web/lib/follow.js";
+import { rigUp, upright, viewOf } from "../../../client/web/lib/rig.js";
 import { braked, held, outside, seenSpace, spread } from "../../../client/web/view/limits.js";
 import { Quality } from "../../../client/web/view/quality.js";
 import { heard } from "../../../client/web/stream/heard.js";
@@ -558,7 +560,7 @@ test("a flight goes to one end of the rig, to the other, and back", () => {
     const m = rows.flatMap((r) => [...r, -(r[0] * at[0] + r[1] * at[1] + r[2] * at[2])]);
     return { name: `at ${angle}`, width: 320, height: 180, intrinsics: [200, 0, 160, 0, 200, 90, 0, 0, 1], worldToCamera: [...m, 0, 0, 0, 1] };
   };
-  const cameras = [-0.4, 0, 0.7].map(eye), up = camera.rigUp(cameras), pose = camera.fromCamera(cameras[1], 3);
+  const cameras = [-0.4, 0, 0.7].map(eye), up = rigUp(cameras), pose = camera.fromCamera(cameras[1], 3);
   const space = seenSpace(cameras, camera.target(pose)), [left, right] = turns(space, pose, up);
   assert.ok(Math.abs(spread(space) - 0.6) < 0.07, String(spread(space)));
   assert.deepEqual([Math.min(-left, right), Math.max(-left, right)].map((x) => x.toFixed(2)), ["0.36", "0.63"]);
@@ -583,4 +585,63 @@ test("Auto that is too slow even with the fewest splats moves the last picture, 
     quality.tick();
   }
   assert.ok(!quality.isTooSlow && !viewer.warps);
+});
+
+/** A matrix of 16 numbers, column by column, on a direction (w = 0) or a place (w = 1). */
+const applied = (m, [x, y, z], w) => [0, 1, 2].map((i) => m[i] * x + m[4 + i] * y + m[8 + i] * z + m[12 + i] * w);
+
+test("a rig of any axes stands upright in an engine's scene, and its cameras look along -z", () => {
+  const rows = [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]; // right is y, down is -z, forward is -x
+  const place = [4, 1, 2], m = rows.flatMap((r) => [...r, -(r[0] * place[0] + r[1] * place[1] + r[2] * place[2])]);
+  const rig = [{ name: "a", width: 320, height: 180, intrinsics: [90, 0, 160, 0, 90, 90, 0, 0, 1], worldToCamera: [...m, 0, 0, 0, 1] }];
+  const matrix = upright(rig), { pose, fov } = viewOf(rig[0]);
+  near(applied(matrix, [0, 0, 1], 0), [0, 1, 0]);
+  near(applied(matrix, [-1, 0, 0], 0), [0, 0, -1]);
+  near(applied(matrix, [0, 1, 0], 0), [1, 0, 0]);
+  near(applied(pose, [0, 0, 0], 1), place);
+  near(applied(matrix, applied(pose, [0, 0, -1], 0), 0), [0, 0, -1]);
+  near(applied(matrix, applied(pose, [0, 1, 0], 0), 0), [0, 1, 0]);
+  near([fov], [90]);
+  near(applied(upright([]), [0, -1, 0], 0), [0, 1, 0]);
+});
+
+test("straight down or up, a rig still has a rotation to stand upright by", () => {
+  for (const down of [[0, 0, 1], [0, 1, 0], [0.6, 0, 0.8]]) {
+    const [x, y, z] = down, m = [0, 0, 0, 0, x, y, z, 0, x, y, z, 0]; // as if it looked along its own down
+    const matrix = upright([{ name: "a", width: 1, height: 1, intrinsics: [1, 0, 0, 0, 1, 0, 0, 0, 1], worldToCamera: [...m, 0, 0, 0, 1] }]);
+    const [a, b, c] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => applied(matrix, axis, 0));
+    near([a, b, c].map((v) => Math.hypot(...v)), [1, 1, 1]);
+    near(camera.cross(a, b), c);
+    near(applied(matrix, down, 0), [0, -1, 0]);
+  }
+});
+
+test("a live stream is followed from what it shows now until the signal, or until a frame cannot be taken", async () => {
+  const live = Object.assign(new EventTarget(), { frame: async () => ({ version: 3, count: 5, changes: [] }) });
+  const stop = new AbortController(), versions = [];
+  const come = (version) => live.dispatchEvent(Object.assign(new Event("frame"), { detail: { version, changes: [{ first: 0, count: 1 }] } }));
+  const ended = follow(/** @type {any} */ (live), ({ version, changes }) => versions.push([version, changes[0].count]), stop.signal);
+  await new Promise((resolve) => setImmediate(resolve));
+  come(4);
+  stop.abort();
+  come(5);
+  await ended;
+  assert.deepEqual(versions, [[3, 5], [4, 1]], "the first is new as a whole");
+  const failed = follow(/** @type {any} */ (live), ({ version }) => {
+    if (version === 6) throw new Error("full");
+  });
+  await new Promise((resolve) => setImmediate(resolve));
+  come(6);
+  await assert.rejects(failed, /full/);
+});
+
+test("a recording is followed in its own time, over and over", async () => {
+  const stop = new AbortController(), seconds = [];
+  const clip = { times: [0, 0.02], duration: 0.02, scene: { fps: 50 }, frame: async (at) => ({ at, count: 1, changes: at < 0.02 ? [] : [{ first: 0, count: 1 }] }) };
+  await follow(/** @type {any} */ (clip), ({ at }) => {
+    seconds.push(at);
+    if (seconds.length === 8) stop.abort();
+  }, stop.signal);
+  assert.equal(seconds[0], 0);
+  assert.ok(seconds.slice(1).every((at) => at >= 0.02 && at < 0.04), "frames in which nothing changed are not handed over");
 });
