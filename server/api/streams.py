@@ -20,6 +20,8 @@ from streamlod.server.api.registry import Registry
 from streamlod.server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.pipeline.checks import check_job
+from streamlod.server.pipeline.job import POINT_METHODS
 from streamlod.server.pipeline.new_stream import NewStream, StreamChange
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.packets import Position
@@ -270,7 +272,7 @@ async def _checked(make: Callable[[], StreamSpec], request: Request) -> StreamSp
 
 
 def _check_source(spec: StreamSpec) -> None:
-    """Refuse a source that cannot be used, as far as it takes no training library to know; InputError if so."""
+    """Refuse what cannot be used, as far as no camera or recording need be opened to know; InputError if so."""
     if spec.play is not None:
         with SlodReader(spec.play):
             return
@@ -279,9 +281,11 @@ def _check_source(spec: StreamSpec) -> None:
         from streamlod.server.ingest.cameras.definition import read_definition
 
         read_definition(spec.job.live)
-    for name, path in (("data", spec.job.data), ("live", spec.job.live)):
+    points = None if spec.job.points in POINT_METHODS else Path(spec.job.points)
+    for name, path in (("data", spec.job.data), ("live", spec.job.live), ("points", points)):
         if isinstance(path, Path) and not path.exists():
             raise InputError(name, f"there is no {str(path)!r:.200} on the server")
+    check_job(spec.job)
 
 
 async def _wait_for_later(registry: Registry, stream: Stream, place: Position, seconds: float) -> None:

@@ -30,12 +30,13 @@ from streamlod.core.initialise import first_points
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.metadata import Metadata
 from streamlod.core.scene.residual import Residual
-from streamlod.core.synthetic import SyntheticSpec, open_synthetic
+from streamlod.core.synthetic import open_synthetic
 from streamlod.core.train import Progress, TrainedFrame, Trainer, preset
 from streamlod.core.train.presets.settings import with_settings
 from streamlod.server.ingest.live import LiveDataset, open_live
 from streamlod.server.ingest.statistics import Statistics
 from streamlod.server.pipeline.bounded_queue import Outlet, made_by
+from streamlod.server.pipeline.checks import synthetic_spec
 from streamlod.server.pipeline.draft import draft_scene
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.rehearsal import rehearse
@@ -167,7 +168,7 @@ def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
     elif job.data is not None:
         dataset = open_dataset(job.data, layout=job.layout, downscale=job.downscale)
     else:
-        dataset = open_synthetic(_synthetic(job.synthetic or {}))
+        dataset = open_synthetic(synthetic_spec(job.synthetic or {}))
     names = job.train or linspace_split(dataset.names, job.views, job.test).train
     dataset = dataset.normalised()
     chosen = dataset.select(names)
@@ -178,13 +179,6 @@ def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
     # a scene's header has room for so many: of a larger rig, viewers are offered the places that trained
     rig = dataset.cameras if len(dataset.cameras) <= MAX_CAMERAS else chosen.cameras
     return OpenJob(job, chosen, rig)
-
-
-def _synthetic(values: dict[str, Any]) -> SyntheticSpec:
-    try:
-        return SyntheticSpec(**values)
-    except TypeError as error:  # a name that it does not have, or a value of another type
-        raise InputError("synthetic clip", f"has a wrong field ({error})") from error
 
 
 def train_stream(

@@ -207,6 +207,39 @@ def test_streams_are_created_started_stopped_and_deleted(
         assert client.post("/v1/streams", json=body).status_code == 422
 
 
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"set": {"keyframe.stepz": 5}}, "setting 'keyframe.stepz': unknown; did you mean keyframe.steps"),
+        ({"synthetic": {"camera": 5}}, "synthetic clip: has no field 'camera'"),
+        ({"synthetic": {"cameras": 2.5}}, "synthetic clip: cameras must be of type int, not 2.5"),
+        ({"synthetic": {"kind": "cellar"}}, "synthetic clip: kind must be one of"),
+        ({"synthetic": {"cameras": 3}, "test": ["cam07"]}, "cam07"),
+        ({"synthetic": {"cameras": 3}, "train": ["cam07"]}, "cam07"),
+        ({"synthetic": {"cameras": 3}, "views": 4}, "4 training cameras asked for"),
+        ({"points": "guessed"}, "points: there is no 'guessed' on the server"),
+        ({"preset": "best"}, "preset"),
+    ],
+)
+def test_what_no_worker_could_train_is_refused_at_once(
+    client: httpx.Client, fields: dict[str, object], sentence: str
+) -> None:
+    """The stream is not made, so that nothing fails later."""
+    answer = client.post("/v1/streams", json={"id": "wrong", "synthetic": {}} | fields)
+    assert (answer.status_code, answer.headers["content-type"]) == (422, "application/problem+json")
+    assert sentence in answer.text
+    assert client.get("/v1/streams/wrong").status_code == 404
+
+
+@pytest.mark.long
+def test_settings_that_are_known_are_no_fault(client: httpx.Client) -> None:
+    body = {"id": "other", "synthetic": {"cameras": 3}, "test": ["cam01"], "set": {"keyframe.steps": 5}}
+    assert client.post("/v1/streams", json=body).status_code == 201
+    wrong = client.patch("/v1/streams/other", json={"set": {"keyframe.steps": -1}})
+    assert (wrong.status_code, "setting keyframe.steps: must be a whole number" in wrong.text) == (422, True)
+    assert client.delete("/v1/streams/other").status_code == 204
+
+
 def test_a_window_that_moved_on_is_gone_not_unknown(clip: Clip) -> None:
     settings = Settings.model_validate({"retention": {"memory_bytes": 1_000_000}})
     with running(settings, StreamSpec(play=clip.path)) as server, server.client() as client:
