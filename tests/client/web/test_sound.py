@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from tests.clicks import clicks
 from tests.client.web.miniserver import make_clip
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import WAIT, shows
-from tests.server.conftest import running
+from tests.server.conftest import Running, running
 
 pytestmark = pytest.mark.browser
 FRAMES, FRAME_MS = 200, 100
@@ -54,6 +56,14 @@ def sounding(kernel: bytes, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@contextmanager
+def served(page: Any, settings: Settings, path: Path, loop: bool = True) -> Iterator[Running]:
+    """A server that plays a file; the page leaves it before it ends, and so has nothing to complain of."""
+    with running(settings, StreamSpec(play=path, loop=loop)) as server:
+        yield server
+        page.goto("about:blank")
+
+
 def in_step(page: Any) -> None:
     """Wait until sound and picture have been within 40 ms for a while."""
     page.evaluate("window.offsets = []")
@@ -68,7 +78,7 @@ def test_sound_follows_the_picture(page: Any, sounding: Path) -> None:
     asked = []
     page.on("request", lambda request: asked.append(request.url.rpartition("/")[2]))
     page.set_viewport_size({"width": 900, "height": 506})
-    with running(Settings(), StreamSpec(play=sounding, loop=False)) as server:
+    with served(page, Settings(), sounding, loop=False) as server:
         page.goto(f"{server.url}/?quality=low&sway=0")
         shows(page, "s.sound !== null && s.version > 2")
         assert not page.evaluate("streamlod.state.sound.on")
@@ -107,7 +117,7 @@ def test_sound_of_a_stream_that_needs_a_token(page: Any, sounding: Path, tmp_pat
     tokens = tmp_path / "tokens.json"
     tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "main"}]))
     page.set_viewport_size({"width": 900, "height": 506})
-    with running(Settings(tokens=tokens), StreamSpec(play=sounding)) as server:
+    with served(page, Settings(tokens=tokens), sounding) as server:
         page.goto(f"{server.url}/?quality=low&sway=0&token=a")
         shows(page, "s.sound !== null && s.version > 2")
         page.locator("#t-sound").click()
@@ -117,7 +127,7 @@ def test_sound_of_a_stream_that_needs_a_token(page: Any, sounding: Path, tmp_pat
 def test_one_clock_for_all_who_watch_together(page: Any, sounding: Path) -> None:
     """The server plays, and begins again at the end; pictures come over the websocket."""
     page.set_viewport_size({"width": 900, "height": 506})
-    with running(Settings(), StreamSpec(play=sounding)) as server:
+    with served(page, Settings(), sounding) as server:
         page.goto(f"{server.url}/?quality=low&sway=0&together=1")
         shows(page, "s.sound !== null && s.version > 2")
         page.locator("#t-sound").click()
@@ -128,7 +138,7 @@ def test_one_clock_for_all_who_watch_together(page: Any, sounding: Path) -> None
 def test_a_stream_without_sound_loads_nothing_for_it(page: Any, recording: Path) -> None:
     asked = []
     page.on("request", lambda request: asked.append(request.url.rpartition("/")[2]))
-    with running(Settings(), StreamSpec(play=recording)) as server:
+    with served(page, Settings(), recording) as server:
         page.goto(f"{server.url}/")
         shows(page, "s.version > 2 && s.viewers !== null")
         assert page.evaluate("streamlod.state.sound") is None
