@@ -25,6 +25,7 @@ class Welcome:
     fps: float | None
     edges: tuple[str, ...] = ()
     incarnation: str = ""
+    has_sound: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

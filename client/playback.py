@@ -125,6 +125,7 @@ class Playback:
             float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else None,
             edges_in(message.get("edges")),
             str(message.get("incarnation", "")),
+            isinstance(message.get("sound"), dict),
         )
 
     def _current_levels(self, version: int) -> int:

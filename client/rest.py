@@ -28,6 +28,7 @@ from streamlod.core.files import put_in_place, temporary_beside
 _SECONDS = 30.0
 _MAX_ITEMS = 200  # of a page
 _JSON, _FILE, _EVENTS = "application/json", "application/vnd.streamlod", "text/event-stream"
+_SOUND, _MAX_SOUND_BYTES = "audio/ogg", 1 << 30
 
 
 class ServerClient:
@@ -117,12 +118,21 @@ class ServerClient:
     ) -> int:
         """Write a recording, or what of it lies between two times, to a `.slod` file; returns its length in bytes."""
         params = _times(begin, end) | ({} if epoch is None else {"epoch": epoch})
+        return self._save(f"/v1/recordings/{quote(name, safe='')}/bitstream", _FILE, params, path)
+
+    def download_sound(self, name: str, path: Path) -> int:
+        """Write the sound of a stream to an Ogg Opus file; returns its length in bytes."""
+        return self._save(f"/v1/streams/{quote(name, safe='')}/sound", _SOUND, {}, path, _MAX_SOUND_BYTES)
+
+    def _save(self, place: str, kind: str, params: dict[str, Any], path: Path, most: int | None = None) -> int:
+        """Write what is at `place` to a file, whole or not at all; returns its length in bytes, at most `most`."""
         written, size = temporary_beside(path), 0
         try:
-            place = f"/v1/recordings/{quote(name, safe='')}/bitstream"
-            with self._open("GET", place, _FILE, params) as answer, written.open("wb") as file:
+            with self._open("GET", place, kind, params) as answer, written.open("wb") as file:
                 for chunk in answer.iter_bytes():
                     size += file.write(chunk)
+                    if most is not None and size > most:
+                        raise InputError(self._http.base_url, f"sends more than {most} bytes of sound")
             put_in_place(written, path)
         except httpx.HTTPError as error:
             raise InputError(self._http.base_url, f"the download broke off ({error})") from error

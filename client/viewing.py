@@ -11,6 +11,7 @@ from pathlib import Path
 from streamlod.client.connection.link import WatchOptions
 from streamlod.client.connection.watch import watch
 from streamlod.client.events import Event, NewScene, Notice, Welcome
+from streamlod.client.film_sound import fetch_and_add
 from streamlod.client.recorder import Recorder, open_recorder
 from streamlod.client.viewpoints import CameraPath
 from streamlod.core.arrays import UInt8
@@ -72,6 +73,9 @@ async def record_stream(
     take.close(None)
     if take.count == 0:
         raise InputError(url, "the stream ended before it had a picture")
+    if take.has_sound and out.suffix == ".mp4":
+        token = None if options is None else options.token
+        await asyncio.to_thread(fetch_and_add, url, token, out, take.filmed_ns, take.fps)
     return take.count
 
 
@@ -94,7 +98,13 @@ class _Take:
         self._place = -1  # of the newest state in the stream, in frames
         self.newest: NewScene | None = None
         self.count = 0
-        self._ended = False
+        self.filmed_ns: list[int | None] = []  # of each picture; None once the stream is over
+        self.has_sound = self._ended = False
+
+    @property
+    def fps(self) -> float:
+        """Pictures a second of the recording."""
+        return self._film_fps
 
     @property
     def is_full(self) -> bool:
@@ -118,6 +128,7 @@ class _Take:
         if isinstance(event, NewScene):
             await self.draw(event)
         elif isinstance(event, Welcome):
+            self.has_sound = event.has_sound
             self._ended = event.state == "ended"
             self._tell(f"{event.stream} is {event.state}")
         elif isinstance(event, Notice) and event.name == "state":
@@ -130,12 +141,14 @@ class _Take:
 
     async def draw(self, event: NewScene) -> None:
         """The pictures after the state before, up to and with the moment of this one."""
+        is_over = event is self.newest
         before, self.newest = self.newest or event, event
         self._place += 1
         path, recorder = self._opened(event.scene.header)
         while not self.is_full and (place := self.count * self._stream_fps / self._film_fps) <= self._place:
             share = 1 + place - self._place
             recorder.add(await asyncio.to_thread(self._picture, before, event, share, path(self.count)))
+            self.filmed_ns.append(None if is_over else _filmed_ns(before, event, share))
             self.count += 1
             self._tell(f"picture {self.count}, version {event.scene.version}")
 
@@ -162,3 +175,9 @@ class _Take:
         if self._recorder is not None:
             keep = error is None or isinstance(error, KeyboardInterrupt | asyncio.CancelledError)
             self._recorder.__exit__(*((None, None, None) if keep or error is None else (type(error), error, None)))
+
+
+def _filmed_ns(before: NewScene, after: NewScene, share: float) -> int:
+    """When a picture was filmed that lies `share` of the way from one state to the next."""
+    begin, end = before.info.time_ns, after.info.time_ns
+    return end if end < begin else round(begin + share * (end - begin))  # a recording that begins again
