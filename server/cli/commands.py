@@ -14,7 +14,7 @@ import shutil
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from tqdm import tqdm
 
@@ -144,9 +144,10 @@ def playable(path: Path) -> Path:
     return made
 
 
-def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Callable[[], Settings]) -> str:
-    """Serve until told to stop; SIGHUP calls `read_settings`."""
+def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Callable[[], Settings]) -> NoReturn:
+    """Serve until told to stop, which ends the process; SIGHUP calls `read_settings`."""
     from streamlod.core.render import select
+    from streamlod.server.service.ending import end_process
     from streamlod.server.service.run import serve as run
 
     for stream in streams:
@@ -158,7 +159,7 @@ def serve(settings: Settings, streams: tuple[StreamSpec, ...], read_settings: Ca
             select(job.device)  # a GPU that was asked for is never replaced by the CPU in silence
     with suppress(KeyboardInterrupt):  # the signal that ended it, raised again after an orderly end
         run(settings, streams, read_settings)
-    return ""
+    end_process()
 
 
 def push(url: str, sources: list[str], fps: float, size: str | None, loop: bool, ca: Path | None = None) -> str:

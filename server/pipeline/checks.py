@@ -14,7 +14,7 @@ from streamlod.server.pipeline.job import TrainJob
 if TYPE_CHECKING:
     from streamlod.core.synthetic import SyntheticSpec
 
-_SECONDS = 60  # for a process that loads the training library, on a busy machine
+_SECONDS = 30  # for a process that loads the training library, on a busy machine
 
 
 def check_job(job: TrainJob) -> None:
