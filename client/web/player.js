@@ -8,7 +8,7 @@
  */
 (() => {
   const base = new URL(".", /** @type {HTMLScriptElement} */ (document.currentScript).src);
-  const PARAMETERS = ["stream", "src", "camera", "t", "quality", "thin", "together", "token"]; // of the page's address
+  const PARAMETERS = ["stream", "src", "sound", "camera", "t", "quality", "thin", "together", "token"]; // of the page's address
   const METHODS = ["state", "seek", "play", "pause", "step", "loop", "setCamera", "captureFrame", "inspect", "destroy"];
   const VERSION = 1;
   const SILENT = `The player at ${base.host} does not answer: the server is down, or does not allow this page to embed it (setting frame_ancestors).`;

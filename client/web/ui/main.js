@@ -109,12 +109,13 @@ async function start(viewer) {
     if (detail.version !== shown) refresh(); // the same frame from elsewhere changes nothing around it
     shown = detail.version;
   });
-  viewer.addEventListener("sound", async (event) => {
-    const { begin_ns: begin } = /** @type {CustomEvent} */ (event).detail;
+  /** @param {string} address @param {number | null} beginMs */
+  const offerSound = async (address, beginMs) => {
     if (viewer.thin) return; // pictures that the server draws do not say when they were filmed
-    const { Sound } = await import("./sound.js");
-    if (!recording) viewer.sound = new Sound(viewer, timeline, place, token, begin / 1e6);
-  }, { once: true });
+    const played = recording, { Sound } = await import("./sound.js");
+    if (recording === played) viewer.sound ??= new Sound(viewer, timeline, address, token, beginMs);
+  };
+  viewer.addEventListener("sound", (event) => recording || offerSound(`${place}/sound`, /** @type {CustomEvent} */ (event).detail.begin_ns / 1e6), { once: true });
   viewer.addEventListener("moments", (event) => timeline.holds(/** @type {CustomEvent} */ (event).detail.moments));
   viewer.addEventListener("drawn", (event) => {
     const { ms, all } = /** @type {CustomEvent} */ (event).detail;
@@ -288,6 +289,8 @@ async function start(viewer) {
   if (recording) {
     const url = new URL(recording, location.href).href;
     offer(() => url);
+    const sound = options.get("sound");
+    if (sound) offerSound(new URL(sound, location.href).href, null);
     document.title = `${decodeURIComponent(url.split(/[?#]/)[0].split("/").pop() ?? "")} · streamlod`;
     viewer.tell({ type: "connect", live: null, file: url, token: null, wishes });
     return;

@@ -17,15 +17,16 @@ const SEEK_MS = 300; // the clock is this far off what a picture says: it was so
 const LATE_MS = 400, LATE_PICTURES = 2; // that pictures stay away before sound waits for them
 const MOVING = ["live", "behind", "replay"]; // phases in which pictures go on by themselves
 const MAX_TRIES = 2; // to load it, after the first
+const HEAD_BYTES = 4096; // both headers of the file
 const LINK_SECONDS = 24 * 3600;
 
 export class Sound {
   /**
    * @param {import("../view/viewer.js").Viewer} viewer
    * @param {import("./timeline.js").Timeline} timeline
-   * @param {string} address - of the stream
-   * @param {string | null} token
-   * @param {number} beginMs - time of the first sample, on the clock of the pictures
+   * @param {string} address - of an Ogg Opus file
+   * @param {string | null} token - where the server of streams wants one
+   * @param {number | null} beginMs - time of the first sample, on the clock of the pictures; null: as the file says
    */
   constructor(viewer, timeline, address, token, beginMs) {
     this.viewer = viewer;
@@ -58,8 +59,8 @@ export class Sound {
   /** What programs are told; `behindMs` is how far it is behind the picture. */
   get state() {
     const { audio } = this, now = performance.now();
-    const heard = 1000 * audio.currentTime + this.beginMs;
-    return { on: this.isOn, playing: !audio.paused && !audio.seeking, volume: audio.volume, timeMs: heard, behindMs: this.#filmed(now) - heard };
+    const heard = 1000 * audio.currentTime + (this.beginMs ?? 0);
+    return { on: this.isOn, beginMs: this.beginMs, playing: !audio.paused && !audio.seeking, volume: audio.volume, timeMs: heard, behindMs: this.#filmed(now) - heard };
   }
 
   /** Time that is shown now. @param {number} now */
@@ -84,7 +85,7 @@ export class Sound {
     const { audio, viewer, shown } = this;
     if (!this.isOn) return;
     const isLate = now - shown.at > LATE_MS + LATE_PICTURES * shown.gap;
-    const at = this.#filmed(now) - this.beginMs, off = 1000 * audio.currentTime - at;
+    const at = this.#filmed(now) - (this.beginMs ?? NaN), off = 1000 * audio.currentTime - at;
     const isOutside = !(at >= 0) || at > 1000 * (audio.duration || Infinity);
     if (isLate || isOutside || this.timeline.stands || !MOVING.includes(viewer.status?.phase ?? "")) {
       audio.pause();
@@ -101,16 +102,15 @@ export class Sound {
   }
 
   async #load() {
-    let query = "";
     if (this.tried++ > MAX_TRIES) return this.#turn(false);
-    if (this.token) { // an audio element cannot send it
-      const headers = { Authorization: `Bearer ${this.token}`, "Content-Type": "application/json" };
-      const body = JSON.stringify({ path: "sound", seconds: LINK_SECONDS });
-      const answer = await fetch(`${this.address}/links`, { method: "POST", headers, body });
-      if (!answer.ok) return this.#turn(false);
-      query = `?${(await answer.json()).query}`;
+    let query = "";
+    try {
+      this.beginMs ??= await beginOf(this.address);
+      if (this.token) query = `?${await sign(this.address, this.token)}`;
+      this.audio.src = this.address + query;
+    } catch {
+      this.#turn(false);
     }
-    this.audio.src = `${this.address}/sound${query}`;
   }
 
   /** Sound on or off. @param {boolean} on */
@@ -133,4 +133,20 @@ export class Sound {
     this.opener.remove();
     this.volume.remove();
   }
+}
+
+/** When a file begins, ms: a comment in its first bytes says so. @param {string} address */
+async function beginOf(address) {
+  const answer = await fetch(address, { headers: { Range: `bytes=0-${HEAD_BYTES - 1}` } });
+  const head = new TextDecoder("latin1").decode(answer.ok ? (await answer.arrayBuffer()).slice(0, HEAD_BYTES) : undefined);
+  return Number(/STREAMLOD_BEGIN_NS=(\d{1,19})/i.exec(head)?.[1] ?? 0) / 1e6;
+}
+
+/** What to add to the address of a stream's sound: an audio element cannot send a token. @param {string} address @param {string} token */
+async function sign(address, token) {
+  const headers = { Authorization: `Bearer ${token}`, "Content-Type": "application/json" };
+  const body = JSON.stringify({ path: "sound", seconds: LINK_SECONDS });
+  const answer = await fetch(address.replace(/sound$/, "links"), { method: "POST", headers, body });
+  if (!answer.ok) throw new Error("no right to the sound");
+  return (await answer.json()).query;
 }

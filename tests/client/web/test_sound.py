@@ -17,7 +17,7 @@ from streamlod.server.auth.gate import hash_token
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.clicks import clicks
-from tests.client.web.miniserver import make_clip
+from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import WAIT, shows
 from tests.server.conftest import Running, running
@@ -113,6 +113,52 @@ def test_sound_follows_the_picture(page: Any, sounding: Path) -> None:
         shows(page, "s.phase === 'ended' && !s.sound.playing")
 
 
+# What comes out of the audio element, and when pictures are shown, both by the clock of the page.
+LISTEN = """() => {
+  window.heard = [];
+  window.shown = [];
+  streamlod.on("picture", ({ timeMs, overMs }) => window.shown.push([timeMs - (overMs ?? 0), performance.now()]));
+  const context = new AudioContext({ sampleRate: 48000 }), listener = context.createAnalyser();
+  listener.fftSize = 32768;
+  context.createMediaElementSource(window.playing).connect(listener).connect(context.destination);
+  const samples = new Float32Array(listener.fftSize);
+  setInterval(() => {
+    listener.getFloatTimeDomainData(samples);
+    const at = performance.now(), first = samples.findIndex((sample) => Math.abs(sample) > 0.2);
+    const clicked = at - (samples.length - first) / 48;
+    if (first > 0 && clicked - (window.heard.at(-1) ?? -Infinity) > 500) window.heard.push(clicked);
+  }, 50);
+}"""
+# How far the newest five clicks were heard from the moment at which their second was on the screen.
+CLICKS = """(begin) => window.heard.slice(-5).map((at) => {
+  const [timeMs, when] = window.shown.findLast(([, when]) => when <= at) ?? [NaN, NaN];
+  const filmed = timeMs + at - when - begin;
+  return filmed - 1000 * Math.round(filmed / 1000);
+})"""
+
+
+@pytest.mark.long
+def test_clicks_are_heard_when_their_pictures_are_seen(page: Any, sounding: Path) -> None:
+    """From the samples that the browser puts out, not from what its element says of itself."""
+    page.set_viewport_size({"width": 900, "height": 506})
+    page.add_init_script(
+        "window.Audio = class { constructor() { return (window.playing = document.createElement('audio')); } };"
+    )
+    with served(page, Settings(), sounding) as server:
+        page.goto(f"{server.url}/?quality=low&sway=0")
+        shows(page, "s.sound !== null && s.version > 2")
+        page.locator("#t-sound").click()
+        page.evaluate(LISTEN)
+        in_time = f"""(begin) => {{
+            const offs = ({CLICKS})(begin).map(Math.abs).sort((a, b) => a - b);
+            return offs.length === 5 && offs[2] <= 40;
+        }}"""
+        try:
+            page.wait_for_function(in_time, arg=BEGIN_MS, **WAIT)
+        except Exception as error:
+            raise AssertionError(f"{page.evaluate(CLICKS, BEGIN_MS)}") from error
+
+
 def test_sound_of_a_stream_that_needs_a_token(page: Any, sounding: Path, tmp_path: Path) -> None:
     tokens = tmp_path / "tokens.json"
     tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "main"}]))
@@ -133,6 +179,21 @@ def test_one_clock_for_all_who_watch_together(page: Any, sounding: Path) -> None
         page.locator("#t-sound").click()
         page.evaluate(WATCH)
         in_step(page)
+
+
+def test_a_file_of_any_site_is_played_with_its_sound(page: Any, clip: Clip, sounding: Path) -> None:
+    """`sound=` beside `src=`: its begin is read from the file, once somebody wants it."""
+    page.set_viewport_size({"width": 900, "height": 506})
+    with serving(create_app(clip, Behaviour(), sounding.parent)) as url:
+        page.goto(f"{url}/?src=files/clip.slod&sound=files/clip.slod.opus&quality=low&sway=0")
+        shows(page, "s.sound !== null && s.version > 2")
+        assert page.evaluate("performance.getEntriesByType('resource').every(({ name }) => !name.endsWith('.opus'))")
+        page.locator("#t-sound").click()
+        page.evaluate(WATCH)
+        in_step(page)
+        begin = page.evaluate("streamlod.state.sound.beginMs")
+        assert begin == BEGIN_MS
+        page.goto("about:blank")
 
 
 def test_a_stream_without_sound_loads_nothing_for_it(page: Any, recording: Path) -> None:

@@ -53,3 +53,12 @@ def test_sound_is_written_as_long_as_the_pictures_and_removed_with_them(dataset:
     assert onsets(samples) == pytest.approx([1.0, 2.0], abs=0.02)
     write_beside(out, None, 2.5)  # other pictures, and silent ones: the earlier sound is not theirs
     assert list(tmp_path.iterdir()) == []
+
+
+def test_flash_and_click_have_one_time(dataset: Dataset, tmp_path: Path) -> None:
+    """The frames that train, and so the packets, carry the time at which the sound beside them clicks."""
+    write_beside(tmp_path / "clip.slod", choose_sound(dataset, "cam01"), 3.0)
+    clicked = onsets(np.concatenate(list(read_sound(tmp_path / "clip.slod.opus"))))
+    flashed = [frame.time_ns / 1e9 for frame in dataset.select(["cam01"]).frames() if frame.images.mean() > 200]
+    assert len(flashed) == 3
+    assert clicked == pytest.approx(flashed, abs=0.02)
