@@ -37,8 +37,14 @@ class ModelConfig:
     finer_levels: int = setting(
         3, "levels beyond those; pictures hold more detail than first points do", given(0, "IV-A", "none beyond L")
     )
+    first_cell_pixels: float = setting(
+        8.0,
+        "least width of a first anchor's cell as seen from its distance, in pixels; narrower ones grow where they are"
+        " needed",
+        reading(0.0, "first points fill cells of every level"),
+    )
     max_anchors: int = setting(
-        40_000, "most anchors that there may be", reading(40_000, "no limit is given; this one bounds memory")
+        100_000, "most anchors that there may be", reading(40_000, "no limit is given; this one bounds memory")
     )
     selection: LevelSelection = setting(
         "all",
@@ -57,7 +63,7 @@ class KeyframeConfig:
     """Training of the first frame; moments and shares are fractions of the run."""
 
     steps: int = setting(
-        1000,
+        1200,
         "steps of the run",
         reading(1500, "500 epochs (section V-A) of three views (docs/method.md, reading 10)"),
     )
@@ -126,7 +132,7 @@ class KeyframeConfig:
     )
     level_cap_share: float = setting(
         0.15,
-        "share of steps that draw only levels up to a random one",
+        "share of steps before `average_from` that draw only levels up to a random one",
         reading(0.0, "not mentioned: no step hides fine levels at random"),
     )
     level_cap_weight: float = setting(
@@ -146,7 +152,7 @@ class KeyframeConfig:
         0.65, "moment until which they do", octree_gs(0.625, "refinement ends after 25,000 of its 40,000 steps")
     )
     growth_threshold: float = setting(
-        2.65e-4,
+        2.8e-4,
         "view-space gradient norm from which anchors are added",
         octree_gs(2e-4, "its threshold of the gradient norm"),
     )

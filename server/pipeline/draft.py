@@ -54,7 +54,7 @@ def draft_scene(
     keyframe = replace(config.keyframe, steps=_STEPS, growth_from=1.0, progressive_until=0.0)
     config = replace(
         config,
-        model=replace(config.model, max_anchors=most, cell_pixels=_CELL_PIXELS, finer_levels=1),
+        model=replace(config.model, max_anchors=most, cell_pixels=_CELL_PIXELS, finer_levels=1, first_cell_pixels=0.0),
         keyframe=keyframe,
     )
     shrunk = tuple(camera.scaled(*small.size) for camera in cameras)

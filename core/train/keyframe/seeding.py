@@ -49,9 +49,9 @@ def seed_field(
         levels=levels,
     )
     centres = np.stack([camera.centre for camera in cameras])
-    voxels = [
-        _occupied(octree, points.positions, level, centres, farthest, config.finer_levels) for level in range(levels)
-    ]
+    narrowest = max(config.first_cell_pixels, 2.0**-MAX_LEVELS)
+    finer = min(config.finer_levels, max(math.floor(math.log2(config.cell_pixels / narrowest)), 0))
+    voxels = [_occupied(octree, points.positions, level, centres, farthest, finer) for level in range(levels)]
     voxels = _within_budget(voxels, int(_SEED_SHARE * config.max_anchors))
     voxel = np.concatenate(voxels)
     level = np.repeat(np.arange(levels), [len(part) for part in voxels])

@@ -1,11 +1,13 @@
-"""How many cameras see a place: what several see is shaped by agreement, what one sees is kept as that one shows it.
+"""How many cameras agree on a place: what several see is shaped by that, what one sees is kept as that one shows it.
 
-Leaving Gaussians out at random, and a price on opacity, make surfaces on which cameras agree. Where a camera has no
-other to agree with, they only blur what it filmed.
+Leaving Gaussians out at random, random backgrounds and a price on opacity make surfaces on which cameras agree. Where a
+camera has no other to agree with, they only blur what it filmed. Cameras that look at a place from very different
+sides do not agree on it either: they see different sides of things.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -14,24 +16,35 @@ from torch import Tensor
 from streamlod.core.camera import Camera
 
 _LEAST_PRICE = 0.25  # of the price on opacity, for what one camera alone sees: what no picture needs still goes
+_SAME_SIDE = math.cos(math.radians(60))  # of the angle between two cameras as seen from a place
 
 
 @torch.no_grad()
 def support(position: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """[N] from 0, a place that at most one camera has in its picture, to 1, one that all have, whatever hides it.
+    """[N] from 0, a place that cameras see one from each side, to 1, one that all have in view from about one side.
+
+    The share of the other cameras with which a camera agrees, in the mean of the cameras that have the place in their
+    pictures, whatever hides it.
 
     Args:
         position: [N,3] in the world. cameras: C pinholes; of one camera alone there is no agreement.
     """
-    seen = torch.zeros(len(position), device=position.device)
+    in_view, towards = [], []
     for camera in cameras:
         pose = torch.from_numpy(camera.world_to_camera).to(position)
         lens = torch.from_numpy(camera.intrinsics).to(position)
         x, y, depth = (position @ pose[:3, :3].T + pose[:3, 3]).unbind(dim=1)
         safe = depth.clamp_min(1e-6)
         column, row = lens[0, 0] * x / safe + lens[0, 2], lens[1, 1] * y / safe + lens[1, 2]
-        seen += (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    return ((seen - 1) / max(len(cameras) - 1, 1)).clamp(0, 1)
+        in_view.append((depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
+        towards.append(torch.nn.functional.normalize(torch.from_numpy(camera.centre).to(position) - position, dim=1))
+    agreeing = torch.zeros(len(position), device=position.device)
+    for one, own in enumerate(towards):
+        for other in range(one):
+            same_side = (own * towards[other]).sum(dim=1) >= _SAME_SIDE
+            agreeing += 2.0 * (in_view[one] & in_view[other] & same_side)
+    seen = torch.stack(in_view).sum(dim=0).clamp_min(1)
+    return agreeing / (seen * max(len(cameras) - 1, 1))
 
 
 def price_share(supported: Tensor) -> Tensor:

@@ -118,8 +118,7 @@ class KeyframeTrainer:
         opacities = splats.opacities * kept
         raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
         if config.random_background:
-            colour = torch.rand(3, generator=self._generator, device=field.level.device)
-            raster = self._view_loss.over(raster, number, colour)
+            raster = self._view_loss.over(raster, number, self._background(shared[raster.probe.visible]))
         price = self._view_loss.penalty(splats, raster, prices)
         loss = self._view_loss.loss(raster, number, price)
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
@@ -142,9 +141,22 @@ class KeyframeTrainer:
         """[N] anchors that are where the scene is not."""
         return None if self._space is None else self._space.astray(self._learned.settled, self._config.clearance)
 
+    def _background(self, supported: Tensor) -> Tensor:
+        """[3] a random colour, the more often the more cameras agree on what is in view; else black.
+
+        Args:
+            supported: [V] support of the Gaussians in view.
+        """
+        chances = torch.rand(4, generator=self._generator, device=supported.device)
+        return chances[:3] * (chances[3] < supported.mean())
+
     def _random_cap(self) -> int | None:
-        """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one."""
-        if torch.rand((), generator=self._chances).item() >= self._config.level_cap_share or self._highest == 0:
+        """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one.
+
+        The last steps, of which the result is the mean, all train the whole one.
+        """
+        share = self._config.level_cap_share if self.progress < self._config.average_from else 0.0
+        if torch.rand((), generator=self._chances).item() >= share or self._highest == 0:
             return None
         return int(torch.randint(0, self._highest, (), generator=self._chances))
 

@@ -9,14 +9,14 @@ from streamlod.core.train.paper.preset import paper
 
 PRESETS = {
     "live": TrainConfig(
-        ModelConfig(max_anchors=24_000),
-        KeyframeConfig(steps=800, growth_interval=25),
+        ModelConfig(max_anchors=64_000),
+        KeyframeConfig(steps=1000, growth_interval=25),
         PredictConfig(epochs=10),
         USUAL,
     ),
     "balanced": TrainConfig(parts=USUAL),
     "quality": TrainConfig(
-        ModelConfig(max_anchors=80_000),
+        ModelConfig(max_anchors=200_000),
         KeyframeConfig(steps=1500, growth_interval=75, refresh_steps=400),
         PredictConfig(epochs=40, rate_weight=0.0042),
         USUAL,

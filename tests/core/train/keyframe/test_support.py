@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from streamlod.core.camera import Camera, look_at, pinhole
@@ -19,16 +20,34 @@ def camera(x: float, ahead: float) -> Camera:
     return pinhole(f"{x}", (40, 40), (24, 16), (48, 32), look_at(eye, np.array([ahead, 0.0, 0.0]), UP))
 
 
+def angle(point: np.ndarray, one: Camera, other: Camera) -> float:
+    """Degrees between two cameras as seen from `point` [3]."""
+    first, second = one.centre - point, other.centre - point
+    cosine = first @ second / (np.linalg.norm(first) * np.linalg.norm(second))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
 CAMERAS = camera(-1, -1), camera(0, 0), camera(2, 4)
 
 
-def test_support_is_the_share_of_the_other_cameras_that_have_the_place_in_their_pictures() -> None:
+def test_support_is_the_share_of_the_other_cameras_that_see_the_place_from_the_same_side() -> None:
     points = np.random.default_rng(0).uniform(-6, 6, (500, 3)).astype(np.float32)
-    seen = np.sum([inside(c, *project(c, points.astype(np.float64))) for c in CAMERAS], axis=0)
     found = support(torch.from_numpy(points), CAMERAS).numpy()
-    np.testing.assert_allclose(found, np.clip((seen - 1) / 2, 0, 1))
-    assert set(found) == {0.0, 0.5, 1.0}
+    for point, value in zip(points.astype(np.float64), found, strict=True):
+        seeing = [c for c in CAMERAS if inside(c, *project(c, point[None]))[0]]
+        agreeing = [sum(other is not one and angle(point, one, other) <= 60 for other in seeing) for one in seeing]
+        assert value == pytest.approx(np.mean(agreeing) / 2 if seeing else 0.0, abs=1e-6)
+    assert {0.0, 0.5, 1.0} <= set(np.round(found, 6).tolist())
     assert (support(torch.from_numpy(points), CAMERAS[:1]) == 0).all()
+
+
+def test_cameras_that_face_each_other_do_not_agree() -> None:
+    opposite = (
+        pinhole("front", (40, 40), (24, 16), (48, 32), look_at(np.array([0.0, 0.0, -4.0]), np.zeros(3), UP)),
+        pinhole("back", (40, 40), (24, 16), (48, 32), look_at(np.array([0.0, 0.0, 4.0]), np.zeros(3), UP)),
+    )
+    assert support(torch.zeros(1, 3), opposite).tolist() == [0.0]
+    assert support(torch.zeros(1, 3), (opposite[0], camera(0, 0))).tolist() == [1.0]
 
 
 def test_what_one_camera_sees_is_never_left_out_and_pays_a_quarter() -> None:
