@@ -152,7 +152,7 @@ class KeyframeConfig:
         0.65, "moment until which they do", octree_gs(0.625, "refinement ends after 25,000 of its 40,000 steps")
     )
     growth_threshold: float = setting(
-        2.8e-4,
+        2.9e-4,
         "view-space gradient norm from which anchors are added",
         octree_gs(2e-4, "its threshold of the gradient norm"),
     )
