@@ -39,8 +39,8 @@ class ModelConfig:
     )
     first_cell_pixels: float = setting(
         8.0,
-        "least width of a first anchor's cell as seen from its distance, in pixels; narrower ones grow where they are"
-        " needed",
+        "least width of a first anchor's cell as seen from its distance, in pixels, where that leaves some thousand;"
+        " narrower ones grow where they are needed",
         reading(0.0, "first points fill cells of every level"),
     )
     max_anchors: int = setting(

@@ -20,6 +20,7 @@ from streamlod.core.train.field.field import Field
 
 _FAR_QUANTILE, _NEAR_QUANTILE = 0.99, 0.01
 _SEED_SHARE = 0.7  # of the most anchors there may be; growing places the rest where they are needed
+_ENOUGH = 4_000  # first anchors, from which fewer of them save time
 _SAMPLE = 20_000  # points that the distance statistics look at
 _FEATURE_SPREAD, _OFFSET_SPREAD = 0.1, 0.3  # offsets of zero would leave the K Gaussians identical
 _OPACITY_BIAS = 0.55  # tanh gives 0.5
@@ -49,9 +50,7 @@ def seed_field(
         levels=levels,
     )
     centres = np.stack([camera.centre for camera in cameras])
-    narrowest = max(config.first_cell_pixels, 2.0**-MAX_LEVELS)
-    finer = min(config.finer_levels, max(math.floor(math.log2(config.cell_pixels / narrowest)), 0))
-    voxels = [_occupied(octree, points.positions, level, centres, farthest, finer) for level in range(levels)]
+    voxels = _first_voxels(octree, points.positions, centres, farthest, config)
     voxels = _within_budget(voxels, int(_SEED_SHARE * config.max_anchors))
     voxel = np.concatenate(voxels)
     level = np.repeat(np.arange(levels), [len(part) for part in voxels])
@@ -78,6 +77,20 @@ def distance_bounds(positions: Float32, cameras: tuple[Camera, ...]) -> tuple[fl
     farthest = max(float(np.quantile(d, _FAR_QUANTILE)) for d in distances)
     nearest = min(float(np.quantile(d, _NEAR_QUANTILE)) for d in distances)
     return max(nearest, 1e-3 * farthest), farthest
+
+
+def _first_voxels(
+    octree: Octree, positions: Float32, centres: Float64, farthest: float, config: ModelConfig
+) -> list[Int32]:
+    """[n,3] occupied nodes of each level, no narrower than `first_cell_pixels` unless that leaves few."""
+    finer = config.finer_levels
+    if config.first_cell_pixels > 0:
+        finer = min(max(math.floor(math.log2(config.cell_pixels / config.first_cell_pixels)), 0), finer)
+    while True:
+        voxels = [_occupied(octree, positions, level, centres, farthest, finer) for level in range(octree.levels)]
+        if finer == config.finer_levels or sum(map(len, voxels)) >= _ENOUGH:
+            return voxels
+        finer += 1
 
 
 def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, farthest: float, finer: int) -> Int32:

@@ -35,8 +35,7 @@ def field_at(*positions: tuple[float, float, float]) -> Field:
     cloud = PointCloud(np.array(positions, np.float32), np.full((len(positions), 3), 0.5, np.float32))
     generator = torch.Generator().manual_seed(0)
     padded = PointCloud(np.tile(cloud.positions, (4, 1)), np.tile(cloud.colours, (4, 1)))
-    model = replace(preset("live").model, first_cell_pixels=0.0)
-    field = seed_field(padded, clip.cameras, model, generator)
+    field = seed_field(padded, clip.cameras, preset("live").model, generator)
     count = len(positions)
     rows = field.with_rows(torch.arange(count))
     return replace(
