@@ -20,8 +20,7 @@ from streamlod.core.camera import look_at, pinhole
 from streamlod.core.render import cpu
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
-from tests.client.web.conftest import WEB
-from tests.client.web.miniserver import Behaviour, Clip, create_app, make_clip, serving
+from tests.client.web.miniserver import WEB, Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import comes_to_show, eventually, picture, psnr, reference, shows
 
