@@ -1,11 +1,12 @@
 """Honest viewers and cameras beside peers that misbehave in every way that tests/attack knows, against a real server.
 
-    python -m tests.bench.abuse_bench [--seconds 60 --viewers 20 --cameras 4 --per-second 40]
+    python -m tests.bench.abuse_bench [--seconds 60 --viewers 20 --cameras 4 --per-second 40 --thin 2 --large]
 
 The server plays a recorded file at 10 frames a second and trains what cameras film, which `streamlod push` sends at
-two instants a second; half of the viewers watch each. Prints now and then memory and descriptors of the server, memory
-of the worker that trains, what the viewers got and lost, and in the end who was turned away and why. Exit code 1 where
-a viewer lost a version or was closed, a stream is not live, or memory or descriptors kept growing.
+two instants a second; half of the viewers watch each, and for some more the server draws. Prints now and then memory
+and descriptors of the server, memory of the worker that trains, what the viewers got and lost, and in the end who was
+turned away and why. Exit code 1 where a viewer lost a version or was closed, a stream is not live, or memory or
+descriptors kept growing.
 """
 
 from __future__ import annotations
@@ -25,16 +26,20 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from streamlod.core.camera import Camera
 from streamlod.core.synthetic import SyntheticSpec, write_clip
 from streamlod.server.ingest.push.message import Codec, PushMessage, pack_push
 from tests.attack.test_silent_connections import partial, upgrade
 from tests.bench.fanout_viewers import masked
 from tests.bench.honest_viewers import Watched, watch
+from tests.bench.thin_viewers import ThinWatched
 from tests.e2e.test_server_process import PROGRAM, family, get, serving
 from tests.server.conftest import make_clip
+from tests.server.large_clip import COUNTS
 from tests.server.test_faults import raw
 
 _CLIP_FRAMES, _KEY_EVERY, _FRAME_NS = 400, 100, 100_000_000
+_LARGE_FRAMES, _LARGE_KEY_EVERY = 120, 30
 _CAMERA_FPS = 2.0
 _STREAMS = ("main", "rig")
 _START_SECONDS = 300.0
@@ -162,12 +167,16 @@ def write_film(folder: Path, cameras: int) -> Path:
     return path
 
 
-def write_settings(folder: Path, cameras: int) -> Path:
-    """The settings file of the server, with what its streams are made from beside it."""
-    clip = make_clip(folder / "scene.slod", _CLIP_FRAMES, (20, 80, 300), key_every=_KEY_EVERY, frame_ns=_FRAME_NS)
+def write_settings(folder: Path, cameras: int, large: bool) -> tuple[Path, Camera]:
+    """The settings file of the server, with what its streams are made from beside it, and a camera of the clip."""
+    frames, counts, key_every = _CLIP_FRAMES, (20, 80, 300), _KEY_EVERY
+    if large:
+        frames, counts, key_every = _LARGE_FRAMES, COUNTS, _LARGE_KEY_EVERY
+    clip = make_clip(folder / "scene.slod", frames, counts, key_every=key_every, frame_ns=_FRAME_NS)
+    print(f"keyframes of {min(len(packet) for packet in clip.packets[::key_every])} bytes and more", flush=True)
     path = folder / "server.toml"
     path.write_text(_SETTINGS.format(clip=clip.path, rig=write_film(folder, cameras)))
-    return path
+    return path, clip.states[0].header.cameras[0].scaled(160, 90)
 
 
 def until_live(port: int, name: str) -> None:
@@ -191,13 +200,15 @@ def main() -> None:  # noqa: PLR0915  a script
     parser.add_argument("--viewers", type=int, default=20)
     parser.add_argument("--cameras", type=int, default=4)
     parser.add_argument("--per-second", type=float, default=40.0, help="acts of abuse")
+    parser.add_argument("--thin", type=int, default=2, help="viewers for which the server draws")
+    parser.add_argument("--large", action="store_true", help="keyframes of 300 KB and more, every three seconds")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     chooser, held, acts = random.Random(options.seed), list[socket.socket](), 0
     resident, training, descriptors = list[float](), list[float](), list[float]()
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        config = write_settings(folder, options.cameras)
+        config, camera = write_settings(folder, options.cameras, options.large)
         process, port = stack.enter_context(serving("--config", config, "--state-dir", folder / "state"))
         threading.Thread(target=drain, args=(process.stderr,), daemon=True).start()
         stack.enter_context(filming(folder / "film", port))
@@ -209,6 +220,8 @@ def main() -> None:  # noqa: PLR0915  a script
         get_context("spawn").Process(target=watch, args=arguments, daemon=True).start()
         theirs.close()
         pipe.recv()
+        thin = ThinWatched()
+        thin.begin(port, options.thin, camera, stack)
         begin = told = time.monotonic()
         while (now := time.monotonic()) < begin + options.seconds:
             held += abuse(port, chooser)
@@ -227,7 +240,7 @@ def main() -> None:  # noqa: PLR0915  a script
                 seen = "; ".join(
                     f"{name}: {w.packets} packets, {w.missed} missed, {len(w.closed)} closed" for name, w in got.items()
                 )
-                text = f"{memory:.0f} MB, worker {worker:.0f} MB, {count} descriptors; {seen}"
+                text = f"{memory:.0f} MB, worker {worker:.0f} MB, {count} descriptors; {seen}; {thin.pictures} pictures"
                 print(f"{now - begin:6.0f} s, {acts} acts: {text}; load {os.getloadavg()[0]:.0f}", flush=True)
             time.sleep(max(0.0, 1 / options.per_second - (time.monotonic() - now)))
         pipe.send("collect")
@@ -248,7 +261,8 @@ def main() -> None:  # noqa: PLR0915  a script
             f"{name}: {stream['state']}, {restarts} restarts; {watched.packets} packets to honest viewers, "
             f"{watched.missed} missed, closed: {', '.join(watched.closed) or 'none'}"
         )
-    good = all(stream["state"] == "live" for stream in streams.values())
+    print(f"{thin.pictures} pictures to {options.thin} thin viewers, closed: {', '.join(thin.closed) or 'none'}")
+    good = not thin.closed and all(stream["state"] == "live" for stream in streams.values())
     good = good and not any(watched.missed or watched.closed for watched in got.values())
     flat = is_flat(resident, _GROWTH) and is_flat(training, _GROWTH) and is_flat(descriptors, 2 * _GROWTH)
     raise SystemExit(0 if good and flat else 1)
