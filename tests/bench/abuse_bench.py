@@ -41,7 +41,6 @@ from tests.server.test_faults import raw
 _CLIP_FRAMES, _KEY_EVERY, _FRAME_NS = 400, 100, 100_000_000
 _LARGE_FRAMES, _LARGE_KEY_EVERY = 120, 30
 _CAMERA_FPS = 2.0
-_STREAMS = ("main", "rig")
 _START_SECONDS = 300.0
 _HELD = 200  # connections of abusers that are kept open at a time
 _GROWTH = 1.25  # of memory, from the second third of the time to the last, that counts as flat
@@ -58,6 +57,8 @@ spare = false
 [[streams]]
 id = "main"
 play = "{clip}"
+"""
+_RIG = """
 [[streams]]
 id = "rig"
 live = "{rig}"
@@ -175,7 +176,8 @@ def write_settings(folder: Path, cameras: int, large: bool) -> tuple[Path, Camer
     clip = make_clip(folder / "scene.slod", frames, counts, key_every=key_every, frame_ns=_FRAME_NS)
     print(f"keyframes of {min(len(packet) for packet in clip.packets[::key_every])} bytes and more", flush=True)
     path = folder / "server.toml"
-    path.write_text(_SETTINGS.format(clip=clip.path, rig=write_film(folder, cameras)))
+    rig = _RIG.format(rig=write_film(folder, cameras)) if cameras else ""
+    path.write_text(_SETTINGS.format(clip=clip.path) + rig)
     return path, clip.states[0].header.cameras[0].scaled(160, 90)
 
 
@@ -198,12 +200,13 @@ def main() -> None:  # noqa: PLR0915  a script
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--viewers", type=int, default=20)
-    parser.add_argument("--cameras", type=int, default=4)
+    parser.add_argument("--cameras", type=int, default=4, help="of the stream that trains; 0 for none")
     parser.add_argument("--per-second", type=float, default=40.0, help="acts of abuse")
     parser.add_argument("--thin", type=int, default=2, help="viewers for which the server draws")
     parser.add_argument("--large", action="store_true", help="keyframes of 300 KB and more, every three seconds")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
+    names = ("main", "rig") if options.cameras else ("main",)
     chooser, held, acts = random.Random(options.seed), list[socket.socket](), 0
     resident, training, descriptors = list[float](), list[float](), list[float]()
     with contextlib.ExitStack() as stack:
@@ -211,12 +214,13 @@ def main() -> None:  # noqa: PLR0915  a script
         config, camera = write_settings(folder, options.cameras, options.large)
         process, port = stack.enter_context(serving("--config", config, "--state-dir", folder / "state"))
         threading.Thread(target=drain, args=(process.stderr,), daemon=True).start()
-        stack.enter_context(filming(folder / "film", port))
-        for name in _STREAMS:
+        if options.cameras:
+            stack.enter_context(filming(folder / "film", port))
+        for name in names:
             until_live(port, name)
-        before = {name: json.loads(get(port, f"/v1/streams/{name}"))["restarts"] for name in _STREAMS}
+        before = {name: json.loads(get(port, f"/v1/streams/{name}"))["restarts"] for name in names}
         pipe, theirs = get_context("spawn").Pipe()
-        arguments = (theirs, port, options.viewers, _STREAMS)
+        arguments = (theirs, port, options.viewers, names)
         get_context("spawn").Process(target=watch, args=arguments, daemon=True).start()
         theirs.close()
         pipe.recv()
@@ -250,7 +254,7 @@ def main() -> None:  # noqa: PLR0915  a script
             peer.close()
         time.sleep(6)  # every deadline of the settings above
         memory, count, _ = measure(process.pid)
-        streams = {name: json.loads(get(port, f"/v1/streams/{name}")) for name in _STREAMS}
+        streams = {name: json.loads(get(port, f"/v1/streams/{name}")) for name in names}
         pipe.send(None)
     print(f"{acts} acts of abuse; turned away: {reasons}")
     print(f"after it: {memory:.0f} MB, {count} descriptors")
