@@ -141,7 +141,7 @@ def test_no_place_has_an_option_of_its_own() -> None:
         "insecure",
     }
     assert set(parameters(serve)) - server == declared
-    assert set(parameters(train)) - {"data", "out", "json", "trace"} == {option.name for option in TRAINING}
+    assert set(parameters(train)) - {"data", "out", "json", "trace", "sound"} == {option.name for option in TRAINING}
     assert {option.name for option in JOB_OPTIONS} - {option.name for option in TRAINING} == {
         "data",
         "live",
