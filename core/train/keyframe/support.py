@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from streamlod.core.camera import Camera
 
@@ -29,22 +30,37 @@ def support(position: Tensor, cameras: Sequence[Camera]) -> Tensor:
     Args:
         position: [N,3] in the world. cameras: C pinholes; of one camera alone there is no agreement.
     """
-    in_view, towards = [], []
+    visible = in_view(position, cameras)
+    towards = [
+        functional.normalize(torch.from_numpy(camera.centre).to(position) - position, dim=1) for camera in cameras
+    ]
+    agreeing = torch.zeros(len(position), device=position.device)
+    for one, own in enumerate(towards):
+        for other in range(one):
+            same_side = (own * towards[other]).sum(dim=1) >= _SAME_SIDE
+            agreeing += 2.0 * (visible[one] & visible[other] & same_side)
+    return agreeing / (visible.sum(dim=0).clamp_min(1) * max(len(cameras) - 1, 1))
+
+
+@torch.no_grad()
+def view_support(supported: Tensor, position: Tensor, cameras: Sequence[Camera]) -> list[float]:
+    """[C] mean of `supported` [N] over the places `position` [N,3] that each camera has in its picture; 0 of none."""
+    visible = in_view(position, cameras)
+    means: list[float] = ((visible * supported).sum(dim=1) / visible.sum(dim=1).clamp_min(1)).tolist()
+    return means
+
+
+def in_view(position: Tensor, cameras: Sequence[Camera]) -> Tensor:
+    """[C,N] bool: which of `cameras` have the places `position` [N,3] in their pictures, whatever hides them."""
+    visible = []
     for camera in cameras:
         pose = torch.from_numpy(camera.world_to_camera).to(position)
         lens = torch.from_numpy(camera.intrinsics).to(position)
         x, y, depth = (position @ pose[:3, :3].T + pose[:3, 3]).unbind(dim=1)
         safe = depth.clamp_min(1e-6)
         column, row = lens[0, 0] * x / safe + lens[0, 2], lens[1, 1] * y / safe + lens[1, 2]
-        in_view.append((depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
-        towards.append(torch.nn.functional.normalize(torch.from_numpy(camera.centre).to(position) - position, dim=1))
-    agreeing = torch.zeros(len(position), device=position.device)
-    for one, own in enumerate(towards):
-        for other in range(one):
-            same_side = (own * towards[other]).sum(dim=1) >= _SAME_SIDE
-            agreeing += 2.0 * (in_view[one] & in_view[other] & same_side)
-    seen = torch.stack(in_view).sum(dim=0).clamp_min(1)
-    return agreeing / (seen * max(len(cameras) - 1, 1))
+        visible.append((depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
+    return torch.stack(visible)
 
 
 def price_share(supported: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ from streamlod.core.train.growth.rules import GradientGrowth
 from streamlod.core.train.keyframe.drawing import ViewLoss
 from streamlod.core.train.keyframe.levels import CoarseRows, needed_levels
 from streamlod.core.train.keyframe.precision import sensitivity, signed_gradients, tuned_precision
-from streamlod.core.train.keyframe.support import price_share, support
+from streamlod.core.train.keyframe.support import price_share, support, view_support
 from streamlod.core.train.optimise.schedule import ViewOrder, dropout_keep, keyframe_rates, unlocked_level
 from streamlod.core.train.pictures.views import Views
 
@@ -117,8 +117,9 @@ class KeyframeTrainer:
         kept = dropout_keep(level, field.octree.levels, config, progress, self._generator, shared)
         opacities = splats.opacities * kept
         raster = self._view_loss.draw(replace(splats, opacities=opacities), number)
-        if config.random_background:
-            raster = self._view_loss.over(raster, number, self._background(shared[raster.probe.visible]))
+        if config.random_background and float(torch.rand((), generator=self._chances)) < self._agreement[number]:
+            colour = torch.rand(3, generator=self._generator, device=field.level.device)
+            raster = self._view_loss.over(raster, number, colour)
         price = self._view_loss.penalty(splats, raster, prices)
         loss = self._view_loss.loss(raster, number, price)
         (loss if cap is None else config.level_cap_weight * loss).backward()  # type: ignore[no-untyped-call]
@@ -140,15 +141,6 @@ class KeyframeTrainer:
     def _astray(self) -> Tensor | None:
         """[N] anchors that are where the scene is not."""
         return None if self._space is None else self._space.astray(self._learned.settled, self._config.clearance)
-
-    def _background(self, supported: Tensor) -> Tensor:
-        """[3] a random colour, the more often the more cameras agree on what is in view; else black.
-
-        Args:
-            supported: [V] support of the Gaussians in view.
-        """
-        chances = torch.rand(4, generator=self._generator, device=supported.device)
-        return chances[:3] * (chances[3] < supported.mean())
 
     def _random_cap(self) -> int | None:
         """The finest level of a step that trains a coarser picture, or None for a step that trains the whole one.
@@ -227,6 +219,8 @@ class KeyframeTrainer:
         self._coarse = CoarseRows(field.level, field.octree.levels)
         cameras = [self._whole.cameras[number] for number in self._whole.usable]
         supported = support(field.position, cameras) if self._config.by_support else torch.ones_like(field.extra_level)
+        agreement = view_support(supported, field.position, cameras)
+        self._agreement = dict(zip(self._whole.usable, agreement, strict=True))  # how often backgrounds are random
         values = field.level, supported, price_share(supported)
         self._of_gaussians = tuple(value.repeat_interleave(field.slots).view(len(field), -1) for value in values)
 

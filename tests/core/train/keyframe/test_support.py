@@ -9,7 +9,7 @@ import torch
 from streamlod.core.camera import Camera, look_at, pinhole
 from streamlod.core.initialise.views import inside, project
 from streamlod.core.train.config import KeyframeConfig
-from streamlod.core.train.keyframe.support import price_share, support
+from streamlod.core.train.keyframe.support import price_share, support, view_support
 from streamlod.core.train.optimise.schedule import dropout_keep
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -48,6 +48,13 @@ def test_cameras_that_face_each_other_do_not_agree() -> None:
     )
     assert support(torch.zeros(1, 3), opposite).tolist() == [0.0]
     assert support(torch.zeros(1, 3), (opposite[0], camera(0, 0))).tolist() == [1.0]
+
+
+def test_support_of_a_view_is_the_mean_of_what_it_has_in_its_picture() -> None:
+    points = torch.tensor([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.0, -9.0]])  # the last one lies behind the cameras
+    supported = torch.tensor([1.0, 0.5, 0.25])
+    assert view_support(supported, points, CAMERAS[:2]) == [0.75, 0.75]
+    assert view_support(supported, points[2:], CAMERAS[:1]) == [0.0]
 
 
 def test_what_one_camera_sees_is_never_left_out_and_pays_a_quarter() -> None:
