@@ -9,6 +9,7 @@ from streamlod.core.train.later_frame.parts import USUAL
 from tests.bench.frame_gpu import gpu_report
 
 
+@pytest.mark.long
 def test_every_stage_and_growth_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.bench.frame_gpu._ROUNDS", 1)
     config = TrainConfig(predict=PredictConfig(epochs=1, minimum_steps=0, least_gain=0.0), parts=USUAL)

@@ -80,6 +80,7 @@ def test_trends(seed: int, rows: int) -> None:
     np.testing.assert_array_equal(numbers[:, 0], values)
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(seed=seeds, count=st.integers(0, 300), share=st.floats(0, 1))
 def test_changes(seed: int, count: int, share: float) -> None:

@@ -68,6 +68,7 @@ def test_a_run_measures_every_frame_and_level(footage: Footage, first_frames: Fi
     assert again["psnr"] == pytest.approx(figures["psnr"], abs=0.05)  # threads add in any order
 
 
+@pytest.mark.long
 def test_the_first_frame_is_shown_as_it_was_trained_whatever_the_cue(
     footage: Footage, first_frames: FirstFrames
 ) -> None:

@@ -114,6 +114,7 @@ def test_levels_hold_what_shows_most_first(tmp_path: Path) -> None:
     assert all(coarse > fine for coarse, fine in itertools.pairwise(areas))
 
 
+@pytest.mark.long
 def test_files_of_another_program_are_read(tmp_path: Path) -> None:
     """With spherical harmonics of degree 3, whose higher bands are left out; both versions of SPZ packing."""
     cloud, rng = _cloud(), np.random.default_rng(0)

@@ -46,6 +46,7 @@ def test_poses_lenses_and_offsets_of_distorted_cameras_are_found() -> None:
     assert np.abs(np.array([c.intrinsics[0, 0] for c in found.cameras]) / truth.lenses[:, 0] - 1).max() < 0.005
 
 
+@pytest.mark.long
 def test_standard_errors_say_how_well_poses_are_known() -> None:
     truth = rig()
     found = calibrate(walked(truth, fps=FPS, seconds=20), BOARD, known_lenses(truth))
@@ -57,6 +58,7 @@ def test_standard_errors_say_how_well_poses_are_known() -> None:
     assert (found.errors[others, 0] > 0).all()
 
 
+@pytest.mark.long
 def test_clips_that_began_seconds_apart_are_brought_to_one_time() -> None:
     truth = rig(3)
     offsets = np.array([0.0, 3.04, -2.29])
@@ -64,6 +66,7 @@ def test_clips_that_began_seconds_apart_are_brought_to_one_time() -> None:
     assert np.abs(found.offsets - (offsets - offsets[found.root])).max() * FPS < 0.1
 
 
+@pytest.mark.long
 def test_upside_down_and_sideways_cameras_are_ordinary() -> None:
     truth = rig()
     turns = np.radians([180.0, 0.0, 90.0, 0.0])

@@ -212,6 +212,7 @@ def test_a_video_cut_short_is_refused_or_names_the_file_while_reading(tmp_path: 
             list(open_dataset(tmp_path).frames())
 
 
+@pytest.mark.long
 def test_damage_inside_a_video_names_the_file_or_yields_every_frame(clip: Path) -> None:
     path = clip / "cam01.mp4"
     data = bytearray(path.read_bytes())

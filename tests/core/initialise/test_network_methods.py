@@ -88,6 +88,7 @@ def surface_error(positions: np.ndarray) -> np.ndarray:
     return error
 
 
+@pytest.mark.long
 def test_depths_with_known_poses_become_points_on_the_surfaces(
     stand_in: type[StandIn], capsys: pytest.CaptureFixture[str]
 ) -> None:

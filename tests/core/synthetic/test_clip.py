@@ -63,6 +63,7 @@ def test_the_files_read_back_as_the_clip(clip: Path) -> None:
         assert 10 * np.log10(255**2 / np.mean(luma**2)) > 36
 
 
+@pytest.mark.long
 def test_the_truth_beside_the_videos_is_the_truth(clip: Path) -> None:
     with np.load(clip / "ground_truth" / "frame00004.npz", allow_pickle=False) as truth:
         exact = render_frame(SPEC, 4, 1)

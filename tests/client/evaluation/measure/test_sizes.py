@@ -39,6 +39,7 @@ def test_a_stream_pays_for_its_keyframes() -> None:
     assert defaults == (KEYFRAME_INTERVAL, KEYFRAME_INTERVAL)
 
 
+@pytest.mark.long
 def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
     """An ideal coder without headers: real keyframes cost more, though context can make up for part of it."""
     trainer = Trainer(footage.training.cameras, shortened(preset("balanced")), 30, "cpu")

@@ -63,6 +63,7 @@ def test_a_knocked_camera_is_named_alone(filmed: Filmed) -> None:
     assert sentence.startswith(f"{cameras[2].name} was knocked or turned")
 
 
+@pytest.mark.long
 def test_exchanged_names_are_named(filmed: Filmed) -> None:
     cameras, frames = filmed
     swapped = [replace(cameras[{1: 4, 4: 1}.get(n, n)], name=camera.name) for n, camera in enumerate(cameras)]
@@ -70,6 +71,7 @@ def test_exchanged_names_are_named(filmed: Filmed) -> None:
     assert sentence.startswith(f"{cameras[1].name} and {cameras[4].name} are exchanged")
 
 
+@pytest.mark.long
 def test_a_blurred_and_a_dark_camera_are_named(filmed: Filmed) -> None:
     cameras, frames = filmed
     blurred = changed(frames, 1, [cv2.GaussianBlur(frame.images[1], (0, 0), 3) for frame in frames])
@@ -79,6 +81,7 @@ def test_a_blurred_and_a_dark_camera_are_named(filmed: Filmed) -> None:
     assert any(sentence.startswith(f"{cameras[3].name} is dark") for sentence in sentences)
 
 
+@pytest.mark.long
 def test_a_camera_that_shows_one_picture_is_named(filmed: Filmed) -> None:
     cameras, frames = filmed
     noisy = [
