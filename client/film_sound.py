@@ -6,7 +6,6 @@ import logging
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from fractions import Fraction
 from itertools import chain
 from pathlib import Path
 from urllib.parse import unquote
@@ -17,7 +16,8 @@ import av.container
 import numpy as np
 
 from streamlod.codec.sound.beside import look_at_sound
-from streamlod.codec.sound.opus import SAMPLE_RATE, Samples
+from streamlod.codec.sound.opus import LAYOUTS, SAMPLE_RATE, audio_frame
+from streamlod.core.arrays import Int16
 from streamlod.core.data.video.sound import filmed_sound
 from streamlod.core.errors import InputError, RequestRefused
 from streamlod.core.files import put_in_place, temporary_beside
@@ -25,7 +25,6 @@ from streamlod.core.files import put_in_place, temporary_beside
 _log = logging.getLogger(__name__)
 _ADDRESS = re.compile(r"(?P<scheme>wss?)(?P<place>://.+)/v1/streams/(?P<stream>[^/?#]+)/live")
 _TOLERANCE_NS = 40_000_000  # that sound may be off the pictures before it is joined anew
-_LAYOUTS = {1: "mono", 2: "stereo"}
 
 
 def fetch_and_add(url: str, token: str | None, film: Path, filmed_ns: Sequence[int | None], fps: float) -> None:
@@ -62,7 +61,7 @@ def add_sound(film: Path, sound: Path, filmed_ns: Sequence[int | None], fps: flo
         InputError: the sound cannot be read, or the film cannot be written; it stays as it was.
     """
     facts = look_at_sound(sound)
-    layout, temporary = _LAYOUTS[facts.channels], temporary_beside(film)
+    temporary = temporary_beside(film)
     blocks = chain.from_iterable(
         _heard(sound, None if begin is None else begin - facts.begin_ns, count, facts.channels)
         for begin, count in _runs(filmed_ns, fps)
@@ -74,7 +73,7 @@ def add_sound(film: Path, sound: Path, filmed_ns: Sequence[int | None], fps: flo
         ):
             pictures = container.add_stream_from_template(silent.streams.video[0])
             track = container.add_stream("aac", rate=SAMPLE_RATE)
-            track.layout = layout
+            track.layout = LAYOUTS[facts.channels]
             at = 0
             for packet in silent.demux(silent.streams.video[0]):
                 if packet.dts is None or packet.time_base is None:  # the end
@@ -93,13 +92,9 @@ def add_sound(film: Path, sound: Path, filmed_ns: Sequence[int | None], fps: flo
         temporary.unlink(missing_ok=True)
 
 
-def _encode(
-    container: av.container.OutputContainer, track: av.audio.stream.AudioStream, block: Samples, at: int
-) -> int:
+def _encode(container: av.container.OutputContainer, track: av.audio.stream.AudioStream, block: Int16, at: int) -> int:
     """Append a block whose first sample has the number `at`; returns the number after its last."""
-    frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(block).reshape(1, -1), "s16", track.layout.name)
-    frame.sample_rate, frame.pts, frame.time_base = SAMPLE_RATE, at, Fraction(1, SAMPLE_RATE)
-    container.mux(track.encode(frame))
+    container.mux(track.encode(audio_frame(block, at)))
     return at + len(block)
 
 
@@ -120,7 +115,7 @@ def _runs(filmed_ns: Sequence[int | None], fps: float) -> Iterator[tuple[int | N
         yield filmed_ns[first], ends[-1] - ends[first]
 
 
-def _heard(sound: Path, begin_ns: int | None, count: int, channels: int) -> Iterator[Samples]:
+def _heard(sound: Path, begin_ns: int | None, count: int, channels: int) -> Iterator[Int16]:
     """`count` samples of the file from a time on, in blocks; silence for None."""
     if begin_ns is None:
         yield np.zeros((count, channels), np.int16)

@@ -22,13 +22,14 @@ from streamlod.client.rest_answers import (
     object_in,
     read,
 )
+from streamlod.codec.sound.beside import MEDIA_TYPE
 from streamlod.core.errors import InputError, RequestRefused
 from streamlod.core.files import put_in_place, temporary_beside
 
 _SECONDS = 30.0
 _MAX_ITEMS = 200  # of a page
 _JSON, _FILE, _EVENTS = "application/json", "application/vnd.streamlod", "text/event-stream"
-_SOUND, _MAX_SOUND_BYTES = "audio/ogg", 1 << 30
+_MAX_SOUND_BYTES = 1 << 30
 
 
 class ServerClient:
@@ -122,7 +123,7 @@ class ServerClient:
 
     def download_sound(self, name: str, path: Path) -> int:
         """Write the sound of a stream to an Ogg Opus file; returns its length in bytes."""
-        return self._save(f"/v1/streams/{quote(name, safe='')}/sound", _SOUND, {}, path, _MAX_SOUND_BYTES)
+        return self._save(f"/v1/streams/{quote(name, safe='')}/sound", MEDIA_TYPE, {}, path, _MAX_SOUND_BYTES)
 
     def _save(self, place: str, kind: str, params: dict[str, Any], path: Path, most: int | None = None) -> int:
         """Write what is at `place` to a file, whole or not at all; returns its length in bytes, at most `most`."""

@@ -11,21 +11,19 @@ from typing import cast
 import av
 import av.audio.stream
 import numpy as np
-from numpy.typing import NDArray
 
 from streamlod.codec.sound.beside import BEGIN_COMMENT
+from streamlod.core.arrays import Int16
 from streamlod.core.errors import InputError
 from streamlod.core.files import put_in_place, temporary_beside
 
 SAMPLE_RATE = 48_000  # the only rate at which Opus counts (RFC 7845, section 4)
 PACKET_SAMPLES = 960  # 20 ms
 _BITS_A_SECOND = {1: 64_000, 2: 96_000}
-_LAYOUTS = {1: "mono", 2: "stereo"}
-
-Samples = NDArray[np.int16]
+LAYOUTS = {1: "mono", 2: "stereo"}
 
 
-def write_sound(path: Path, blocks: Iterable[Samples], channels: int, begin_ns: int) -> None:
+def write_sound(path: Path, blocks: Iterable[Int16], channels: int, begin_ns: int) -> None:
     """Write a whole file of sound, which appears when it is complete.
 
     Args:
@@ -40,18 +38,14 @@ def write_sound(path: Path, blocks: Iterable[Samples], channels: int, begin_ns: 
     try:
         with closing(av.open(str(temporary), "w", format="ogg", options={"fflags": "+bitexact"})) as container:
             stream = container.add_stream("libopus", rate=SAMPLE_RATE)
-            stream.layout, stream.format = _LAYOUTS[channels], "s16"
+            stream.layout, stream.format = LAYOUTS[channels], "s16"
             stream.bit_rate = _BITS_A_SECOND[channels]
             stream.options = {"frame_duration": "20"}
             stream.metadata[BEGIN_COMMENT] = str(begin_ns)
             at = 0
             for block in blocks:
-                frame = av.AudioFrame.from_ndarray(
-                    np.ascontiguousarray(block).reshape(1, -1), format="s16", layout=_LAYOUTS[channels]
-                )
-                frame.sample_rate, frame.pts, frame.time_base = SAMPLE_RATE, at, Fraction(1, SAMPLE_RATE)
+                container.mux(stream.encode(audio_frame(block, at)))
                 at += len(block)
-                container.mux(stream.encode(frame))
             container.mux(stream.encode(None))
         put_in_place(temporary, path)
     except (av.FFmpegError, OSError) as error:
@@ -60,7 +54,15 @@ def write_sound(path: Path, blocks: Iterable[Samples], channels: int, begin_ns: 
         temporary.unlink(missing_ok=True)
 
 
-def read_sound(path: Path) -> Iterator[Samples]:
+def audio_frame(block: Int16, at: int) -> av.AudioFrame:
+    """A block [N, channels] for an encoder; its first sample has the number `at`, at 48 kHz."""
+    samples = np.ascontiguousarray(block).reshape(1, -1)
+    frame = av.AudioFrame.from_ndarray(samples, format="s16", layout=LAYOUTS[block.shape[1]])
+    frame.sample_rate, frame.pts, frame.time_base = SAMPLE_RATE, at, Fraction(1, SAMPLE_RATE)
+    return frame
+
+
+def read_sound(path: Path) -> Iterator[Int16]:
     """Blocks [N, channels] of a file's samples at 48 kHz, decoded as they are asked for.
 
     Raises:
@@ -71,6 +73,6 @@ def read_sound(path: Path) -> Iterator[Samples]:
             resampler = av.AudioResampler("s16", rate=SAMPLE_RATE)
             for frame in container.decode(container.streams.audio[0]):
                 for part in resampler.resample(frame):
-                    yield cast(Samples, part.to_ndarray()).reshape(-1, part.layout.nb_channels)
+                    yield cast(Int16, part.to_ndarray()).reshape(-1, part.layout.nb_channels)
     except (av.FFmpegError, OSError, ValueError, IndexError) as error:
         raise InputError(path, "cannot be decoded as Ogg Opus; copy it again") from error

@@ -12,8 +12,8 @@ import av
 import av.audio.stream
 import av.container
 import numpy as np
-from numpy.typing import NDArray
 
+from streamlod.core.arrays import Int16
 from streamlod.core.data.video.times import OWN_CLOCK
 from streamlod.core.errors import InputError
 
@@ -21,8 +21,6 @@ _log = logging.getLogger(__name__)
 _RATES = 8_000, 384_000  # samples a second of sound that is taken
 _MAX_CHANNELS = 64
 _TOLERANCE_S = Fraction(1, 50)  # by which a file's times may waver without a gap being meant
-
-Samples = NDArray[np.int16]
 
 
 def sound_channels(path: Path) -> int | None:
@@ -41,7 +39,7 @@ def sound_channels(path: Path) -> int | None:
         return min(stream.channels, 2)
 
 
-def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[Samples]:
+def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[Int16]:
     """`count` samples [N, channels] of a file's sound from `begin_ns` on, in blocks, silent where the file has none.
 
     Sound after damage is silent too, which is logged.
@@ -77,7 +75,7 @@ def filmed_sound(path: Path, rate: int, begin_ns: int, count: int) -> Iterator[S
 
 def _placed(
     container: av.container.InputContainer, rate: int, channels: int, begin_ns: int
-) -> Iterator[tuple[int, Samples]]:
+) -> Iterator[tuple[int, Int16]]:
     """Blocks with the number of their first sample from `begin_ns` on; a file's small wavering of times is no gap."""
     stream = _stream_of(container)
     assert stream is not None
@@ -99,7 +97,7 @@ def _placed(
             at += Fraction(len(block), rate)
 
 
-def _silence(count: int, channels: int, rate: int) -> Iterator[Samples]:
+def _silence(count: int, channels: int, rate: int) -> Iterator[Int16]:
     """`count` samples of silence, a second at a time."""
     while count > 0:
         part = min(count, rate)

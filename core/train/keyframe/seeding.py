@@ -83,14 +83,14 @@ def _first_voxels(
     octree: Octree, positions: Float32, centres: Float64, farthest: float, config: ModelConfig
 ) -> list[Int32]:
     """[n,3] occupied nodes of each level, no narrower than `first_cell_pixels` unless that leaves few."""
-    finer = config.finer_levels
+    least = config.finer_levels
     if config.first_cell_pixels > 0:
-        finer = min(max(math.floor(math.log2(config.cell_pixels / config.first_cell_pixels)), 0), finer)
-    while True:
+        least = min(max(math.floor(math.log2(config.cell_pixels / config.first_cell_pixels)), 0), least)
+    for finer in range(least, config.finer_levels + 1):
         voxels = [_occupied(octree, positions, level, centres, farthest, finer) for level in range(octree.levels)]
-        if finer == config.finer_levels or sum(map(len, voxels)) >= _ENOUGH:
-            return voxels
-        finer += 1
+        if sum(map(len, voxels)) >= _ENOUGH:
+            break
+    return voxels
 
 
 def _occupied(octree: Octree, positions: Float32, level: int, centres: Float64, farthest: float, finer: int) -> Int32:
