@@ -87,8 +87,11 @@ def is_foreign(connection: HTTPConnection) -> bool:
     return place != connection.headers.get("host") or not is_own_host(place, settings)
 
 
-async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
+async def admit(websocket: WebSocket, right: Right, stream_id: str, *, signed: bool = False) -> Stream:
     """The stream that a websocket may use.
+
+    Args:
+        signed: whether the address holds a signature that counts in place of a token, see `is_signed`.
 
     Raises:
         SessionError: it comes from a foreign page or without `right`, the server stops, or there is no such stream.
@@ -98,7 +101,7 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
         raise SessionError(
             CloseCode.FORBIDDEN, "pages of this origin may not connect; list it in the setting `origins`"
         )
-    problem = await refusal(registry.gate, websocket, right, stream_id)
+    problem = None if signed else await refusal(registry.gate, websocket, right, stream_id)
     if problem is not None:
         raise SessionError(CloseCode.FORBIDDEN if problem.status == 403 else CloseCode.UNAUTHORISED, problem.detail)
     if registry.draining:
@@ -108,6 +111,16 @@ async def admit(websocket: WebSocket, right: Right, stream_id: str) -> Stream:
     if stream_id not in registry.streams:
         raise SessionError(CloseCode.NO_STREAM, "there is no such stream")
     return registry.streams[stream_id]
+
+
+def is_signed(websocket: WebSocket, scope: str, stream_id: str) -> bool:
+    """Whether the address of a websocket holds a signature for `scope` that counts now."""
+    registry = registry_of(websocket)
+    registry.gate.look()
+    stream = registry.streams.get(stream_id)
+    if stream is None or registry.gate.is_blocked(address_of(websocket)):
+        return False
+    return registry.gate.links.allows(scope, websocket.query_params, stream.incarnation)
 
 
 async def until_withdrawn(connection: HTTPConnection, right: Right, stream_id: str | None) -> NoReturn:

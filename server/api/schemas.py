@@ -125,14 +125,14 @@ class Manifest(BaseModel):
 
 
 class NewLink(BaseModel):
-    """A download to make an address for."""
+    """A download, or a phone that films as one camera, to make an address for."""
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"path": "bitstream", "seconds": 3600}]})
 
     path: str = Field(
         default="",
-        pattern=r"^(bitstream|sound|(gops|packets)/[0-9]{1,10}/[0-9]{1,10})?$",
-        description="download below the stream; all of them without",
+        pattern=r"^(bitstream|sound|(gops|packets)/[0-9]{1,10}/[0-9]{1,10}|ingest/[A-Za-z0-9][A-Za-z0-9_.-]{0,63})?$",
+        description="download below the stream, all of them without; or `ingest/CAMERA` (right `publish`)",
     )
     seconds: int = Field(default=3600, ge=1, le=MAX_LINK_SECONDS, description="how long the address is good")
 

@@ -15,6 +15,7 @@ from streamlod.codec.container import SlodReader
 from streamlod.core.errors import BitstreamError, InputError, StorageError, StreamGoneError
 from streamlod.server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
 from streamlod.server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
+from streamlod.server.api.push import capture_address, scope_of
 from streamlod.server.api.reach import check_reach
 from streamlod.server.api.registry import Registry
 from streamlod.server.api.schemas import Health, Link, Manifest, NewLink, StreamBody, StreamList
@@ -214,16 +215,28 @@ async def stop_stream(stream: WorkerStreamOf, request: Request) -> StreamBody:
 
 
 @router.post(
-    "/{stream_id}/links", status_code=201, summary="Sign an address of a download", dependencies=[need(Right.READ)]
+    "/{stream_id}/links",
+    status_code=201,
+    summary="Sign an address of a download, or of a camera's page",
+    dependencies=[need(Right.READ)],
+    responses=_problems(409),
 )
 async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link:
-    """An address with which anybody may fetch a download, or all of the stream's, until it or the token expires."""
-    scope = f"/v1/streams/{stream.id}/{body.path}"
+    """An address with which anybody may fetch a download, or all of the stream's, until it or the token expires. For
+    `ingest/CAMERA` it is the page with which a phone films as that camera, and opens nothing else."""
+    camera = body.path.removeprefix("ingest/") if body.path.startswith("ingest/") else None
+    if camera is not None and not grant_of(request).allows(Right.PUBLISH, stream.id):
+        raise Problem(403, "the token does not give the right to publish here")
+    if camera is not None and stream.push_socket is None:
+        raise Problem(409, "this stream takes no pictures: it is not made from live cameras")
+    scope = f"/v1/streams/{stream.id}/{body.path}" if camera is None else scope_of(stream.id, camera)
     expires = int(time.time()) + body.seconds
     if (limit := grant_of(request).expires) is not None:
         expires = min(expires, limit)
     query = registry_of(request).gate.links.sign(scope, expires, stream.incarnation)
     url = f"{scope}{'' if body.path else 'bitstream'}?{query}"
+    if camera is not None:
+        url = capture_address(stream.id, camera, query)
     return Link(url=url, query=query, expires_at=datetime.fromtimestamp(expires, UTC))
 
 

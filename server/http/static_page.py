@@ -20,10 +20,11 @@ CODINGS = {"br": ".br", "gzip": ".gz"}  # content coding, suffix of its files; t
 
 
 class PageFiles(StaticFiles):
-    """A folder with index.html. Browsers cache its files and revalidate them."""
+    """A folder with index.html and capture.html. Browsers cache its files and revalidate them."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         """`path` or its compressed twin (`hatch_build.py` makes these)."""
+        path = "capture.html" if path == "capture" else path
         headers = Headers(scope=scope)
         accepted = _codings(headers.get("accept-encoding", ""))
         if path in _PAGE and "sec-fetch-dest" not in headers:

@@ -141,7 +141,7 @@ class Rig:
             last = self._last[camera]
             if reason != last.fault:
                 _LOG.warning("camera %s: %s", camera, reason)
-            last.fault, last.ended = reason, ended
+            last.fault, last.ended, last.holder = reason, ended, None
             self._queue(self._synchroniser.leave(camera, self._clock_ns()))
             if self._is_over():
                 self._queue(self._synchroniser.finish(self._clock_ns()))
@@ -203,6 +203,10 @@ class Rig:
     def holds(self, camera: str, holder: object) -> bool:
         """See `intake.PushTarget`."""
         return self._last[camera].holder is holder
+
+    def is_held(self, camera: str) -> bool:
+        """See `intake.PushTarget`."""
+        return self._last[camera].holder is not None
 
     def note_decoded(self, camera: str, fault: str = "") -> None:
         """A picture of a camera was decoded for training, or could not be, for the reason `fault`."""

@@ -42,6 +42,9 @@ class PushTarget(Protocol):
     def holds(self, camera: str, holder: object) -> bool:
         """Whether nobody has claimed the camera after `holder`."""
 
+    def is_held(self, camera: str) -> bool:
+        """Whether somebody pushes the camera."""
+
     def put(self, picture: Picture) -> None:
         """A picture has come."""
 
@@ -98,6 +101,14 @@ class Intake:
             camera = message.camera
             self._put(message, size, found.capture_ns, found, lambda: _pixels(still, camera))
         self._newest[message.camera] = message.sequence
+
+    def wanted(self) -> dict[str, Any]:
+        """The rig's rate as `fps`, and `cameras` that are pushed: name, width, height, and whether one is `taken`."""
+        cameras = [
+            {"name": name, "width": width, "height": height, "taken": self._target.is_held(name)}
+            for name, (width, height) in self._target.pushed.items()
+        ]
+        return {"fps": self._target.fps, "cameras": cameras}
 
     def close(self) -> None:
         """The capture node has gone."""

@@ -1,18 +1,20 @@
 """Passes pushed pictures from the serving process to the worker that trains, over a Unix socket.
 
-Each picture gets an answer, which is empty or says in one sentence why the picture was refused.
+Each picture gets an answer, which is empty or says in one sentence why the picture was refused. An empty message asks
+which cameras are wanted, and is answered in JSON.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
     from streamlod.server.ingest.push.intake import Intake
 
 _LOG = logging.getLogger(__name__)
-_MAX_ANSWER_BYTES = 4096
+_MAX_ANSWER_BYTES = 65536  # the most cameras that a rig may have, with long names
+_WHICH_CAMERAS = b""
 _MAX_PUSH_BYTES = MAX_MESSAGE_BYTES + 1024
 _BACKLOG = 64
 _AGAIN_SECONDS = 1.0  # after which connections are taken again, when one could not be
@@ -51,17 +54,24 @@ class RelayedIntake:
             InputError: the worker refused it.
             SessionError: the worker has gone; there may be another one soon.
         """
-        try:
-            self._pipe.send_bytes(pack_push(message))
-            answer = self._pipe.recv_bytes(_MAX_ANSWER_BYTES)
-        except (OSError, EOFError) as error:
-            raise SessionError(CloseCode.BUSY, "the stream takes no pictures at present; try again later") from error
-        if answer:
-            raise InputError(f"camera {message.camera}", answer.decode(errors="replace"))
+        if refusal := self._ask(pack_push(message)):
+            raise InputError(f"camera {message.camera}", refusal.decode(errors="replace"))
+
+    def wanted(self) -> dict[str, Any]:
+        """See `Intake.wanted`; SessionError where the worker has gone."""
+        found: dict[str, Any] = json.loads(self._ask(_WHICH_CAMERAS))
+        return found
 
     def close(self) -> None:
         """The capture node has gone."""
         self._pipe.close()
+
+    def _ask(self, message: bytes) -> bytes:
+        try:
+            self._pipe.send_bytes(message)
+            return self._pipe.recv_bytes(_MAX_ANSWER_BYTES)
+        except (OSError, EOFError) as error:
+            raise SessionError(CloseCode.BUSY, "the stream takes no pictures at present; try again later") from error
 
 
 @contextlib.contextmanager
@@ -148,6 +158,8 @@ def pass_on(asking: Connection, answering: Connection) -> None:
 
 def _answer(intake: Intake, message: bytes) -> bytes:
     try:
+        if message == _WHICH_CAMERAS:
+            return json.dumps(intake.wanted()).encode()
         intake.accept(parse_push(message))
     except InputError as error:
         return error.fault.encode()

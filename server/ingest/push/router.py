@@ -17,6 +17,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, PushMessage, parse_push
+from streamlod.server.ingest.push.questions import answer as answer_question
 
 _LOG = logging.getLogger(__name__)
 _MAX_REASON_BYTES = 123  # bytes, RFC 6455 section 5.5
@@ -28,6 +29,9 @@ class AnyIntake(Protocol):
 
     def accept(self, message: PushMessage) -> None:
         """Take a picture; InputError if it is refused."""
+
+    def wanted(self) -> dict[str, Any]:
+        """The rig's rate and the cameras that are pushed to it, see `Intake.wanted`."""
 
     def close(self) -> None:
         """The capture node has gone."""
@@ -89,7 +93,7 @@ async def _first(*works: Coroutine[Any, Any, None]) -> None:
 
 
 async def _take(websocket: WebSocket, intake: AnyIntake, silence_seconds: float) -> None:
-    """Pictures one after the other: a node that is too fast waits for its acknowledgements."""
+    """Pictures and questions one after the other: a node that is too fast waits for its acknowledgements."""
     loop = asyncio.get_running_loop()
     thread = ThreadPoolExecutor(1, thread_name_prefix="pushed")  # a worker that hangs could take the shared pool's
     try:
@@ -99,7 +103,9 @@ async def _take(websocket: WebSocket, intake: AnyIntake, silence_seconds: float)
                 return
             data = received.get("bytes")
             if not isinstance(data, bytes):
-                raise SessionError(CloseCode.BAD_MESSAGE, "pictures are binary messages")
+                answered = await loop.run_in_executor(thread, answer_question, received["text"], intake.wanted)
+                await websocket.send_text(json.dumps(answered))
+                continue
             message = parse_push(data)
             answer = {"type": "ack", "camera": message.camera, "sequence": message.sequence}
             try:
@@ -118,7 +124,7 @@ async def _receive(websocket: WebSocket, silence_seconds: float) -> Message:
             return await websocket.receive()
     except TimeoutError:
         raise SessionError(
-            CloseCode.BUSY, f"no picture for {silence_seconds:g} s; connect again to send some"
+            CloseCode.BUSY, f"nothing came for {silence_seconds:g} s; connect again to send pictures"
         ) from None
 
 

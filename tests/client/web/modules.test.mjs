@@ -12,9 +12,12 @@ import { follow } from "../../../client/web/lib/follow.js";
 import { rigUp, upright, viewOf } from "../../../client/web/lib/rig.js";
 import { braked, held, outside, seenSpace, spread } from "../../../client/web/view/limits.js";
 import { Quality } from "../../../client/web/view/quality.js";
+import { ServerClock } from "../../../client/web/stream/clock.js";
 import { heard } from "../../../client/web/stream/heard.js";
 import { phaseOf } from "../../../client/web/stream/phase.js";
+import { pack } from "../../../client/web/stream/push.js";
 import { Session } from "../../../client/web/stream/session.js";
+import { part } from "../../../client/web/view/device.js";
 import { DepthSort } from "../../../client/web/view/sort.js";
 import { clock, duration, words } from "../../../client/web/ui/states.js";
 import { turnAt, turns } from "../../../client/web/view/flight.js";
@@ -644,4 +647,33 @@ test("a recording is followed in its own time, over and over", async () => {
   }, stop.signal);
   assert.equal(seconds[0], 0);
   assert.ok(seconds.slice(1).every((at) => at >= 0.02 && at < 0.04), "frames in which nothing changed are not handed over");
+});
+
+test("the server's clock is known to half of the shortest way there and back, and drifts with time", () => {
+  const clock = new ServerClock(), truth = 1_790_000_000_000;
+  assert.ok(Number.isNaN(clock.at(0)));
+  clock.add(0, 30, truth + 25); // a slow way there: 10 ms wrong
+  clock.add(100, 104, truth + 102);
+  clock.add(200, 260, truth + 205);
+  clock.add(300, 290, truth + 205); // an answer before its question
+  assert.equal(clock.count, 3);
+  near([clock.at(300) - truth, clock.errorAt(104)], [300, 2], 1e-3);
+  assert.ok(clock.errorAt(60_104) > 4.9 && clock.errorAt(60_104) < 5.1); // 50 ppm for a minute
+  clock.add(600_000, 600_008, truth + 600_104); // ten minutes later the clocks are 100 ms apart
+  near([clock.at(600_010) - truth], [600_110], 1e-3);
+});
+
+test("a pushed picture is packed as the server reads it", () => {
+  const hex = Buffer.from(pack("c", 7, 1_790_000_000_000.25, "jpeg", new Uint8Array([255]))).toString("hex");
+  const header = "84d90663616d657261d90163d90873657175656e6365cf0000000000000007d90a636170747572655f6e73cf18d75b8423f6d090d905636f646563d9046a706567";
+  assert.equal(hex, (header.length / 2).toString(16).padStart(4, "0") + header + "ff");
+});
+
+test("of a picture of another shape the middle is sent, of one that lies on its side nothing", () => {
+  const size = (width, height) => ({ width, height });
+  assert.deepEqual(part(size(1280, 720), size(640, 360)), { x: 0, y: 0, width: 1280, height: 720 });
+  assert.deepEqual(part(size(640, 480), size(1280, 720)), { x: 0, y: 60, width: 640, height: 360 });
+  assert.deepEqual(part(size(720, 1280), size(360, 640)), { x: 0, y: 0, width: 720, height: 1280 });
+  assert.equal(part(size(720, 1280), size(1280, 720)), null);
+  assert.equal(part(size(0, 0), size(1280, 720)), null);
 });

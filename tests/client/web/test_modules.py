@@ -61,6 +61,8 @@ def test_page_is_small_and_complete(kernel: bytes) -> None:
     files = {path.name: path.read_bytes() for path in WEB.rglob("*.*") if path.suffix not in (".wat", ".py", ".pyc")}
     live = {"index.html", "style.css", "favicon.svg", "decode/kernel.wasm"} | _reached("ui/main.js", "view/worker.js")
     assert sum(len(gzip.compress((WEB / name).read_bytes())) for name in live) < 120_000
+    phone = {"capture.html", "capture.css", "style.css", "favicon.svg"} | _reached("ui/capture.js")
+    assert sum(len(gzip.compress((WEB / name).read_bytes())) for name in phone) < 20_000
     for name, content in files.items():
         if not name.endswith(".wasm"):
             text = content.decode().replace("http://www.w3.org/2000/svg", "")
@@ -96,9 +98,10 @@ def test_modules_import_downwards() -> None:
             assert layers.index(other) < mine, f"{path.name} imports from {other}"
 
 
-def test_page_preloads_what_it_imports() -> None:
+@pytest.mark.parametrize("name", ["index.html", "capture.html"])
+def test_page_preloads_what_it_imports(name: str) -> None:
     """Every module that the page imports at once is announced in its head: no chain of round trips."""
-    page = (WEB / "index.html").read_text()
+    page = (WEB / name).read_text()
     announced, (main,) = re.findall(r'modulepreload" href="(.+?)"', page), re.findall(r'module" src="(.+?)"', page)
     assert sorted(announced) == sorted(_reached(main) - {main})
 

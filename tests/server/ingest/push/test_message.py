@@ -63,6 +63,11 @@ def test_a_message_there_and_back() -> None:
     assert parse_push(golden) == PushMessage("c", 7, None, Codec.JPEG, b"\xff")
     assert pack_push(PushMessage("c", 7, None, Codec.JPEG, b"\xff")) == golden
     assert pack_push(parse_push(golden)) is golden  # passed on as it came
+    of_a_page = bytes.fromhex(  # the same as in modules.test.mjs
+        "0041 84 d90663616d657261 d90163 d90873657175656e6365 cf0000000000000007"
+        "d90a636170747572655f6e73 cf18d75b8423f6d090 d905636f646563 d9046a706567 ff"
+    )
+    assert parse_push(of_a_page) == PushMessage("c", 7, 1_790_000_000_000_250_000, Codec.JPEG, b"\xff")
 
 
 GOOD: dict[str, Any] = {"camera": "c", "sequence": 1, "capture_ns": 5, "codec": "png"}

@@ -1,0 +1,188 @@
+/** The page on which a phone or laptop films as one camera of a live stream (docs/filming.md). */
+
+import { PushLink } from "../stream/push.js";
+import { devices, openCamera } from "../view/device.js";
+import { Filming } from "../view/filming.js";
+import { button, element } from "./page.js";
+
+const MAX_REFUSALS = 10; // of pictures one after the other, then filming ends
+const FIGURES_MS = 1000;
+const SLOW = 0.9; // of the rig's rate, below which it is worth a word
+const FULL_SIZE = { width: 1280, height: 720 }; // before the server has said which it wants
+const options = new URLSearchParams(location.search);
+const stream = options.get("stream") ?? "main";
+const video = /** @type {HTMLVideoElement} */ (element("picture"));
+const names = /** @type {HTMLSelectElement} */ (element("name"));
+const choice = /** @type {HTMLSelectElement} */ (element("device"));
+
+/** @type {Filming | null} */
+let filming = null;
+let trouble = ""; // why filming ended
+let chosen = options.get("camera"); // name of the camera that this is to be
+const link = openLink();
+
+function openLink() {
+  const address = new URL(`v1/streams/${encodeURIComponent(stream)}/ingest`, new URL(".", location.href));
+  address.protocol = address.protocol.replace("http", "ws");
+  for (const name of ["camera", "expires", "incarnation", "signature"]) {
+    const value = options.get(name);
+    if (value !== null && options.has("signature")) address.searchParams.set(name, value);
+  }
+  return new PushLink(address.href, options.get("token"), () => {
+    fillNames();
+    if (filming && link.refusals >= MAX_REFUSALS) stop(`The server refuses the pictures: ${link.refusal}.`);
+    tell();
+  });
+}
+
+/** The names that the stream waits for; unless one was chosen, the first that nobody has. */
+function fillNames() {
+  const texts = link.cameras.map(({ name, taken }) => (taken && !filming ? `${name} (in use)` : name));
+  if (texts.join("\n") !== [...names.options].map(({ text }) => text).join("\n")) {
+    const before = names.value;
+    names.replaceChildren(...link.cameras.map(({ name }, row) => new Option(texts[row], name)));
+    names.value = before;
+  }
+  const mine = link.cameras.find(({ name }) => name === (filming?.name ?? chosen)) ?? link.cameras.find(({ taken }) => !taken);
+  names.value = mine?.name ?? link.cameras[0]?.name ?? "";
+}
+
+async function start() {
+  trouble = "";
+  filming?.stop(); // many phones open one camera at a time
+  filming = null;
+  try {
+    const media = await openCamera(choice.value, link.cameras.find(({ name }) => name === names.value) ?? FULL_SIZE, link.fps);
+    video.srcObject = media;
+    video.hidden = false;
+    await video.play();
+    filming = new Filming(link, video, media, names.value, options.get("codec") === "jpeg", tell);
+    filming.track.onended = () => stop("The camera was taken away by another program.");
+    await fillDevices(filming.track.getSettings().deviceId ?? "");
+  } catch (error) {
+    stop(refusalOf(error));
+  }
+  tell();
+}
+
+/** @param {unknown} error */
+function refusalOf(error) {
+  const name = error instanceof Error ? error.name : "";
+  if (name === "NotAllowedError") return "The browser may not use the camera: allow it in the page's settings, beside its address.";
+  if (name === "NotFoundError") return "This device has no camera that the browser can use.";
+  if (name === "NotReadableError") return "The camera is used by another program.";
+  return `The camera cannot be opened: ${error instanceof Error ? error.message : error}.`;
+}
+
+/** @param {string} chosen */
+async function fillDevices(chosen) {
+  const found = await devices();
+  choice.replaceChildren(...found.map(({ id, label }) => new Option(label, id)));
+  choice.value = chosen;
+}
+
+/** @param {string} why */
+function stop(why) {
+  filming?.stop();
+  filming = null;
+  video.hidden = true;
+  trouble = why;
+  fillNames();
+  tell();
+}
+
+/** @returns {[string, string]} the tone and the sentence */
+function state() {
+  if (trouble) return ["bad", trouble];
+  if (link.state === "ended") return ["bad", `The server does not take pictures from here: ${link.detail}.`];
+  if (link.state === "waiting") return ["busy", `Trying again: ${link.detail}.`];
+  if (link.state === "connecting") return ["busy", "Connecting"];
+  if (!link.cameras.length) return ["bad", `Stream ${stream} waits for no camera that a phone could be.`];
+  if (!filming) return ["good", `Ready to film for stream ${stream}.`];
+  if (filming.turned) return ["bad", "Turn the phone: the stream wants the other side up."];
+  return ["live", `Filming as ${filming.name}.`];
+}
+
+/** @returns {string[]} what is worth a word while filming */
+function notes() {
+  if (!filming) return [];
+  const { held, awake } = filming, found = [];
+  if (hold.ariaPressed === "true" && held?.free.length) found.push(`This browser does not hold: ${held.free.join(", ")}.`);
+  if (!awake) found.push("Keep the screen on: this browser does not do it.");
+  if (rates.filmed && rates.filmed < SLOW * link.fps) found.push(`The camera gives ${rates.filmed.toFixed(0)} pictures a second; the stream wants ${link.fps}.`);
+  if (rates.dropped) found.push("The line or this device is too slow: pictures are left out.");
+  return found;
+}
+
+const hold = button("hold");
+const rates = { filmed: 0, sent: 0, bytes: 0, dropped: 0 };
+let shown = "";
+
+function tell() {
+  const [tone, text] = state();
+  document.body.dataset.tone = tone;
+  element("status-text").textContent = text;
+  button("film").textContent = filming ? "Stop" : "Film";
+  button("film").disabled = link.state === "ended" && !filming;
+  names.disabled = filming !== null;
+  hold.hidden = !filming;
+  const lines = notes();
+  if (lines.join() !== shown) element("notes").replaceChildren(...lines.map((line) => Object.assign(document.createElement("li"), { textContent: line })));
+  shown = lines.join();
+}
+
+/** @type {{ at: number, filmed: number, sent: number, bytes: number, dropped: number } | null} */
+let before = null;
+
+function showFigures() {
+  if (!filming && link.state === "open") link.ask({ type: "cameras" }); // others may have begun to film
+  const dropped = (filming?.dropped ?? 0) + link.counts.dropped;
+  const now = { at: performance.now(), filmed: filming?.filmed ?? 0, sent: link.counts.sent, bytes: link.counts.bytes, dropped };
+  const seconds = before ? (now.at - before.at) / 1000 : 0;
+  for (const name of /** @type {const} */ (["filmed", "sent", "bytes", "dropped"])) rates[name] = before && filming ? Math.max(0, now[name] - before[name]) / seconds : 0;
+  before = now;
+  element("figures").hidden = !filming;
+  const { clock, counts } = link, known = clock.count > 0;
+  const facts = {
+    Picture: `${filming?.size ?? ""}, ${filming?.encoder?.codec ?? "none yet"}`,
+    Sent: `${rates.sent.toFixed(0)} a second, ${((rates.bytes * 8) / 1e6).toFixed(1)} Mbit/s`,
+    "Left out": `${dropped}`,
+    Refused: counts.refused ? `${counts.refused}: ${link.refusal}` : "0",
+    Clock: known ? `server's ${describeMs(clock.at(now.at) - Date.now())}, to ${clock.errorAt(now.at).toFixed(1)} ms` : "not known yet",
+  };
+  element("figures").replaceChildren(...Object.entries(facts).flatMap(([name, value]) => [
+    Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: value }),
+  ]));
+  tell();
+}
+
+/** @param {number} ms */
+const describeMs = (ms) => `${Math.abs(ms).toFixed(1)} ms ${ms < 0 ? "behind" : "ahead"}`;
+
+if (!window.isSecureContext || !navigator.mediaDevices) {
+  link.close();
+  document.body.dataset.tone = "bad";
+  const better = `https${location.href.slice(location.protocol.length - 1)}`;
+  element("status-text").textContent = `Browsers give the camera only to pages with https in their address: open ${better}, or this page on the server's own machine as localhost.`;
+  element("controls").hidden = true;
+} else if (!("requestVideoFrameCallback" in video)) {
+  link.close();
+  document.body.dataset.tone = "bad";
+  element("status-text").textContent = "This browser is too old to say when a picture was taken: update it.";
+  element("controls").hidden = true;
+} else {
+  element("controls").addEventListener("submit", (event) => {
+    event.preventDefault();
+    filming ? stop("") : start();
+  });
+  choice.addEventListener("change", () => filming && start());
+  names.addEventListener("change", () => (chosen = names.value));
+  hold.addEventListener("click", () => {
+    hold.ariaPressed = String(hold.ariaPressed !== "true");
+    filming?.hold(hold.ariaPressed === "true");
+  });
+  document.addEventListener("visibilitychange", () => document.hidden || filming?.stayAwake());
+  setInterval(showFigures, FIGURES_MS);
+  fillDevices("").catch(() => {});
+  tell();
+}

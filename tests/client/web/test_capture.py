@@ -1,0 +1,241 @@
+"""Phones that film in a browser: real pages with Chromium's fake camera, into a real server and a real rig.
+
+The stream's worker is left out: the rig takes pictures at the stream's socket in this process, so nothing trains.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from streamlod.server.auth.gate import hash_token
+from streamlod.server.settings import Settings
+from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
+from tests.client.web.test_accessible import AXE, RULES
+from tests.server.conftest import running
+from tests.server.ingest.push.stage import FPS, HEIGHT, WIDTH, rig, stage
+
+pytestmark = pytest.mark.browser
+
+CAMERA_FLAGS = [
+    *("--use-fake-device-for-media-stream=device-count=1,fps=20", "--use-fake-ui-for-media-stream"),
+    "--disable-renderer-backgrounding",
+]
+
+
+@pytest.fixture(scope="module")
+def phone(chromium: Any) -> Iterator[Any]:
+    """A Chromium with a fake camera that asks nobody; beside the package's, as Playwright runs once."""
+    browser = chromium.browser_type.launch(executable_path=chromium_path(), args=[*TEST_FLAGS, *CAMERA_FLAGS])
+    yield browser
+    browser.close()
+
+
+@contextmanager
+def opened(phone: Any, address: str, **options: Any) -> Iterator[Any]:
+    """A page of its own at an address; its console stays empty."""
+    context = phone.new_context(viewport={"width": 400, "height": 700}, reduced_motion="reduce", **options)
+    page = context.new_page()
+    page.complaints = Console(page)
+    page.goto(address)
+    yield page
+    context.close()
+    page.complaints.forgive("WebSocket connection")  # the browser's remark on connections that fail
+    assert page.complaints.lines == []
+
+
+def says(page: Any, text: str) -> None:
+    """Wait until the page's state is that sentence, or part of it."""
+    page.wait_for_function("(text) => document.getElementById('status-text').textContent.includes(text)", arg=text)
+
+
+def figure(page: Any, name: str) -> str:
+    """A figure that the page shows."""
+    names = page.eval_on_selector_all("#figures dt", "(all) => all.map((e) => e.textContent)")
+    return str(page.eval_on_selector_all("#figures dd", "(all) => all.map((e) => e.textContent)")[names.index(name)])
+
+
+@pytest.mark.parametrize("codec", ["h264", "jpeg"])
+def test_two_phones_film_one_scene_in_step(phone: Any, codec: str) -> None:
+    """Pictures of both are paired by the times that they state, which are those of this machine's clock."""
+    with (
+        stage(Settings(), rig((WIDTH, HEIGHT), 2, quorum=2)) as found,
+        opened(phone, found.page(f"&codec={codec}")) as one,
+    ):
+        says(one, "Ready to film")
+        one.click("#film")
+        says(one, "Filming as phone1")
+        with opened(phone, found.page(f"&codec={codec}")) as two:
+            says(two, "Ready to film")
+            two.wait_for_function("document.getElementById('name').value === 'phone2'")  # the other name is in use
+            two.click("#film")
+            says(two, "Filming as phone2")
+            frames = found.wait(20)
+            one.wait_for_function("document.querySelector('#figures dd')?.textContent.includes('320')")
+            assert figure(one, "Picture").endswith("H.264" if codec == "h264" else "JPEG")
+            assert figure(one, "Refused") == "0"
+    for frame in frames:
+        assert frame.present.all()
+        assert 0 < frame.latency_ns < 5_000_000_000
+        assert abs(frame.time_ns - time.time_ns()) < 60_000_000_000
+        for image in frame.images:
+            assert image.shape == (HEIGHT, WIDTH, 3)
+            red, green, blue = np.median(image.reshape(-1, 3), 0)  # the fake camera's background
+            assert green > 1.5 * max(red, blue)
+    for before, here, after in zip(frames, frames[1:], frames[2:], strict=False):  # both see the same moving scene
+        one, two = here.images.astype(int)
+        assert np.abs(one - two).mean() < min(np.abs(one - each.images[1]).mean() for each in (before, after))
+
+
+def test_the_page_says_how_it_films_and_what_it_cannot_hold(phone: Any) -> None:
+    """Size, rate, clock; the fake camera lets exposure and focus be held, but no white balance."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        if AXE.exists():
+            page.add_script_tag(path=AXE)
+            assert page.evaluate(RULES, None) == []
+        page.click("#film")
+        page.wait_for_selector("#notes li:has-text('does not hold: white balance.')")
+        page.wait_for_function("document.querySelector('#figures')?.textContent.includes('240, H.264')")
+        assert figure(page, "Sent").endswith("Mbit/s")
+        ahead, error = re.fullmatch(r"server's (\S+) ms (?:ahead|behind), to (\S+) ms", figure(page, "Clock")).groups()  # type: ignore[union-attr]
+        assert float(ahead) <= float(error) + 50  # one machine, one clock; the page's own runs on from when it began
+        if AXE.exists():
+            assert page.evaluate(RULES, None) == []
+        page.click("#hold")
+        page.wait_for_function("document.getElementById('hold').ariaPressed === 'false'")
+        page.wait_for_function("!document.querySelector('#notes').textContent.includes('hold')")
+        page.click("#film")
+        says(page, "Ready to film")
+
+
+def test_a_slow_server_gets_newer_pictures_rather_than_older_ones(phone: Any) -> None:
+    """While nothing is taken, pictures are left out; later ones come as quickly as before."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        found.wait(5)
+        page.wait_for_selector("#figures dd")
+        before = int(figure(page, "Left out"))
+        assert found.dataset.rig is not None
+        with found.dataset.rig._change:  # where pictures are put
+            page.wait_for_function(
+                "(least) => +[...document.querySelectorAll('#figures dd')][2].textContent >= least", arg=before + 20
+            )
+            page.wait_for_selector("#notes li:has-text('too slow')")
+        late = found.wait(15)[-5:]
+        assert all(frame.latency_ns < 1_500_000_000 for frame in late)
+        assert found.dataset.statistics() is not None
+        page.wait_for_function("!document.querySelector('#notes').textContent.includes('too slow')")
+
+
+def test_filming_goes_on_after_the_stream_was_away(phone: Any) -> None:
+    """The connection is made anew, and H.264 begins with a picture that needs none before it."""
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        found.wait(5)
+        found.dataset.close()
+        says(page, "Trying again: the stream takes no pictures at present")
+        with found.filming():
+            says(page, "Filming as phone1")
+            found.wait(10)
+            assert figure(page, "Refused") == "0"
+
+
+def test_who_takes_a_name_that_is_in_use_gets_it_and_the_other_is_told(phone: Any) -> None:
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(phone, found.page()) as one:
+        says(one, "Ready to film")
+        one.click("#film")
+        says(one, "Filming as phone1")
+        found.wait(3)
+        with opened(phone, found.page("&camera=phone1")) as two:
+            two.wait_for_function("document.querySelector('#name option')?.textContent === 'phone1 (in use)'")
+            two.click("#film")
+            says(two, "Filming as phone1")
+            says(one, "The server refuses the pictures: is pushed by another capture node now.")
+            found.wait(5)
+
+
+@pytest.mark.parametrize(
+    ("query", "sentence"),
+    [
+        ("?stream=main", "does not take pictures from here: a valid token is needed."),
+        ("?stream=main&token=reader", "does not take pictures from here: the token does not give the right to publish"),
+        ("?stream=other&token=nodes", "does not take pictures from here: there is no such stream."),
+    ],
+)
+def test_who_may_not_film_is_told_why(phone: Any, tmp_path: Path, query: str, sentence: str) -> None:
+    with stage(guarded(tmp_path), rig((WIDTH, HEIGHT), 2), "all") as found:
+        with opened(phone, f"{found.server.url}/capture{query}") as page:
+            says(page, sentence)
+            assert page.is_disabled("#film")
+        assert found.got == []
+
+
+def test_a_link_is_good_for_one_camera(phone: Any, tmp_path: Path) -> None:
+    """It needs no token, and offers no other name."""
+    with stage(guarded(tmp_path), rig((WIDTH, HEIGHT), 2), "all") as found:
+        with found.server.client(headers={"Authorization": "Bearer all"}) as client:
+            link = client.post("/v1/streams/main/links", json={"path": "ingest/phone2"}).json()["url"]
+        with opened(phone, found.server.url + link) as page:
+            says(page, "Ready to film")
+            assert page.eval_on_selector_all("#name option", "(all) => all.map((e) => e.value)") == ["phone2"]
+            page.click("#film")
+            assert [list(frame.present) for frame in found.wait(3)] == [[False, True]] * 3
+
+
+def guarded(folder: Path) -> Settings:
+    """Settings with tokens: one for everything, one that reads, one of capture nodes."""
+    rights = {"all": ["read", "publish", "control"], "reader": ["read"], "nodes": ["publish"]}
+    file = folder / "tokens.json"
+    entries = [
+        {"name": name, "sha256": hash_token(name), "rights": given, "streams": "*"} for name, given in rights.items()
+    ]
+    file.write_text(json.dumps(entries))
+    return Settings(tokens=file)
+
+
+def test_a_page_without_https_says_so(chromium: Any) -> None:
+    """Elsewhere than on the server's own machine."""
+    flags = [*TEST_FLAGS, *CAMERA_FLAGS, "--host-resolver-rules=MAP stage.test 127.0.0.1"]
+    browser = chromium.browser_type.launch(executable_path=chromium_path(), args=flags)
+    settings = Settings(hosts=("stage.test",))
+    with running(settings) as server, opened(browser, f"http://stage.test:{server.port}/capture") as page:
+        says(page, f"pages with https in their address: open https://stage.test:{server.port}/capture")
+        assert not page.is_visible("#film")
+    browser.close()
+
+
+def test_an_upright_phone_films_upright_pictures(chromium: Any, tmp_path: Path) -> None:
+    """A camera that gives upright pictures; where the stream wants them across, the page says so."""
+    clip = tmp_path / "upright.y4m"
+    with clip.open("wb") as file:
+        file.write(f"YUV4MPEG2 W{HEIGHT} H{WIDTH} F{FPS}:1 Ip A1:1 C420mpeg2\n".encode())
+        luma = np.repeat(np.linspace(40, 220, WIDTH), HEIGHT).astype(np.uint8)  # darker above
+        for _ in range(FPS):
+            file.write(b"FRAME\n" + luma.tobytes() + bytes([128]) * (WIDTH * HEIGHT // 2))
+    flags = [*TEST_FLAGS, *CAMERA_FLAGS, f"--use-file-for-fake-video-capture={clip}"]
+    browser = chromium.browser_type.launch(executable_path=chromium_path(), args=flags)
+    with stage(Settings(), rig((HEIGHT, WIDTH), 1)) as found, opened(browser, found.page()) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        image = found.wait(5)[-1].images[0]
+        assert image.shape == (WIDTH, HEIGHT, 3)
+        rows = image.mean((1, 2))
+        assert abs(rows[20] - 40) < 25
+        assert abs(rows[-20] - 225) < 25
+    with stage(Settings(), rig((WIDTH, HEIGHT), 1)) as found, opened(browser, found.page()) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Turn the phone")
+        assert found.got == []
+    browser.close()
