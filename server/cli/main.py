@@ -92,6 +92,47 @@ def synth(
 
 
 @app.command()
+def rig(
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME=]SOURCE...|rig.json", help="Addresses of cameras; without, they are looked for."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="rig.json", help="File to write.")] = Path("rig.json"),
+    phones: Annotated[int, typer.Option(min=0, max=64, help="So many phones more, which film in their browsers.")] = 0,
+    size: Annotated[
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Asked of webcams and phones.  [default: 1280x720]")
+    ] = None,
+    fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Pictures a second.")] = 30.0,
+    record: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Record the cameras of a rig.json, a video each, to calibrate.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=1, max=7200, help="How long to record.")] = 60.0,
+    config: Config = None,
+    host: Host = None,
+    port: Port = None,
+    tokens: Tokens = None,
+    insecure: Insecure = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier rig.json or recording.")] = False,
+) -> None:
+    """Find cameras and write rig.json, with a picture of what each sees; or watch and record those of a rig.json.
+
+    Phones are shown a QR code of the page /capture, on which they film. Host, port and rights are those of serve.
+    """
+    from streamlod.server.cli.commands import picture_size
+    from streamlod.server.cli.rig import find, watch
+
+    given = sources or []
+    if len(given) == 1 and given[0].endswith(".json"):
+        settings = _settings(config, host=host, port=port, tokens=tokens, insecure=insecure or None)
+        watch(Path(given[0]), record, seconds, settings, typer.echo, overwrite=overwrite)
+    elif record is not None:
+        raise InputError("--record", "records the cameras of a rig.json; write that first, and give it")
+    else:
+        wanted = None if size is None else picture_size(size)
+        find(given, out, phones, wanted, fps, "walk", typer.echo, overwrite=overwrite)
+
+
+@app.command()
 def calibrate(
     data: Annotated[
         Path | None, typer.Argument(metavar="DATA", help="Folder of the cameras' videos of a board walk, one each.")

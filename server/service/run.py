@@ -113,7 +113,7 @@ def serve(settings: Settings, streams: Sequence[StreamSpec], read_settings: Call
     log_in_background()
     bound_arenas()
     _allow_descriptors(_descriptors(settings))
-    listener = _bind(settings.host, settings.port)
+    listener = bind(settings.host, settings.port)
     try:
         app = create_app(settings, tuple(streams))
         registry: Registry = app.state.registry
@@ -196,7 +196,8 @@ def _allow_descriptors(count: int) -> None:
                      count)  # fmt: skip
 
 
-def _bind(host: str, port: int) -> socket.socket:
+def bind(host: str, port: int) -> socket.socket:
+    """A socket that listens there; InputError where it cannot."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(family, kind, protocol)

@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from streamlod.core.camera import Camera
-from streamlod.core.camera.space import Similarity, training_space
+from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
 from streamlod.core.data import open_dataset
 from streamlod.core.data.files import read_bytes
 from streamlod.core.data.pictures import MAX_SIDE
@@ -98,25 +98,15 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
     Raises:
         InputError: the file cannot be read, a field is wrong or missing, or the rig is not usable.
     """
-    path = source if isinstance(source, Path) else Path("rig definition")
-    text = read_bytes(source, _MAX_BYTES) if isinstance(source, Path) else json.dumps(source).encode()
-    try:
-        file = _File.model_validate_json(text.removeprefix(BOM_UTF8))
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+    path, file = _read(source)
     names = [entry.name for entry in file.cameras]
-    if len(set(names)) < len(names):
-        double = next(name for name in names if names.count(name) > 1)
-        raise InputError(path, f"describes two cameras called {double}; give each a name of its own")
     quorum = len(names) if file.policy == "require_all" else file.policy.quorum
     if quorum > len(names):
         raise InputError(path, f"asks for a quorum of {quorum} with {len(names)} cameras; ask for fewer")
     bounds = file.depth_bounds
     if bounds is not None and not 0 < bounds[0] < bounds[1]:
         raise InputError(path, "depth_bounds must be two depths, the nearer one first")
-    addresses = tuple(parse_address(_beside(path, entry.source)) for entry in file.cameras)
+    addresses = _addresses(path, file)
     if not file.realtime and any(address.is_live for address in addresses):
         raise InputError(path, "realtime can be false only where all sources are files")
     if file.calibration is None:
@@ -130,6 +120,45 @@ def read_definition(source: Path | dict[str, Any]) -> RigDefinition:
         bounds = bounds or recording.depth_bounds
     space = training_space(calibrated, bounds)
     return RigDefinition(path, cameras, addresses, file.fps, quorum, space, file.realtime, bounds, read_points)
+
+
+def read_uncalibrated(path: Path) -> RigDefinition:
+    """The rig of a file whose cameras are not calibrated yet: names, sources and sizes are as there, all else is not.
+
+    Its lenses and poses are placeholders, and instants are used with any one camera.
+
+    Raises:
+        InputError: as `read_definition`, or a camera's size is missing.
+    """
+    _, file = _read(path)
+    cameras = []
+    for entry in file.cameras:
+        if entry.width is None or entry.height is None:
+            raise InputError(path, f"camera {entry.name} needs width and height, the size of its pictures in pixels")
+        lens = np.array([[entry.width, 0, entry.width / 2], [0, entry.width, entry.height / 2], [0, 0, 1]], np.float64)
+        cameras.append(Camera(entry.name, lens, np.eye(4), entry.width, entry.height, np.zeros(5)))
+    return RigDefinition(path, tuple(cameras), _addresses(path, file), file.fps, 1, UNCHANGED, file.realtime)
+
+
+def _read(source: Path | dict[str, Any]) -> tuple[Path, _File]:
+    """A name for the file, and its fields; no two of its cameras have one name."""
+    path = source if isinstance(source, Path) else Path("rig definition")
+    text = read_bytes(source, _MAX_BYTES) if isinstance(source, Path) else json.dumps(source).encode()
+    try:
+        file = _File.model_validate_json(text.removeprefix(BOM_UTF8))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+    names = [entry.name for entry in file.cameras]
+    if len(set(names)) < len(names):
+        double = next(name for name in names if names.count(name) > 1)
+        raise InputError(path, f"describes two cameras called {double}; give each a name of its own")
+    return path, file
+
+
+def _addresses(path: Path, file: _File) -> tuple[Address, ...]:
+    return tuple(parse_address(_beside(path, entry.source)) for entry in file.cameras)
 
 
 def _beside(path: Path, source: str) -> str:
@@ -156,4 +185,9 @@ def _known(path: Path, entry: _CameraEntry, known: dict[str, Camera]) -> Camera:
         raise InputError(path, f"camera {entry.name} is described here and in the calibration; leave one out")
     if entry.name not in known:
         raise InputError(path, f"camera {entry.name} is not in the calibration folder, which has {', '.join(known)}")
-    return known[entry.name]
+    found = known[entry.name]
+    stated = (entry.width or found.width, entry.height or found.height)
+    if stated != (found.width, found.height):
+        fault = f"gives {stated[0]}x{stated[1]}, but is calibrated for {found.width}x{found.height}"
+        raise InputError(path, f"camera {entry.name} {fault}; calibrate it anew, or correct its size")
+    return found

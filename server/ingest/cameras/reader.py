@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import struct
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,7 +20,8 @@ from streamlod.core.camera.grid import period_of
 from streamlod.core.data.video.times import pictures_of, played_pictures
 from streamlod.core.data.video.upright import upright, upright_size
 from streamlod.core.errors import InputError
-from streamlod.server.ingest.cameras.address import SILENCE_SECONDS, Address, webcam_options
+from streamlod.server.ingest.cameras.address import Address
+from streamlod.server.ingest.cameras.opening import open_source
 from streamlod.server.ingest.sync.clock import CaptureClock, CaptureTime, ClockSource, Sighting, read_timecode
 from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.timeline import Timeline
@@ -91,6 +91,9 @@ class Reader:
         """Wait at most so long for the thread's end; a listening port ends only by timeout."""
         self._thread.join(seconds)
 
+    def _interruptible(self, abort: Callable[[], None]) -> None:
+        self._abort = abort
+
     def _run(self) -> None:
         delay = _MIN_DELAY
         if self._address.listens:
@@ -124,7 +127,7 @@ class Reader:
     def _read(self) -> None:
         """One connection, from its beginning to its end."""
         with contextlib.ExitStack() as stack:
-            container = stack.enter_context(contextlib.closing(self._open(stack)))
+            container = open_source(self._address, self._fps, self._size, stack, self._interruptible)
             stream = pictures_of(container)
             if stream is None:
                 raise InputError(f"camera {self.camera}", "its source holds no pictures, only other streams")
@@ -159,18 +162,6 @@ class Reader:
         if width and height and (width, height) != self._size:
             fault = f"delivers {width}x{height}, but is calibrated for {self._size[0]}x{self._size[1]}"
             raise InputError(f"camera {self.camera}", fault)
-
-    def _open(self, stack: contextlib.ExitStack) -> av.container.InputContainer:
-        address = self._address
-        if address.scheme == "srt":
-            pipe = stack.enter_context(_srt_pipe(address.url))
-            self._abort = pipe.kill
-            assert pipe.stdout is not None
-            return av.open(pipe.stdout, "r", format=address.format, options=address.options)
-        options = webcam_options(self._fps, self._size) if address.scheme == "v4l2" else address.options
-        silence = SILENCE_SECONDS if address.is_live else None
-        timeout = (address.open_seconds, silence) if address.is_live else None
-        return av.open(address.url, "r", format=address.format, options=options, timeout=timeout)
 
     def _frames(
         self, container: av.container.InputContainer, stream: av.video.stream.VideoStream, clock: CaptureClock
@@ -247,21 +238,3 @@ def _bytes(buffer: Any) -> bytes:
 
 def _nanoseconds(ticks: int, base: Fraction) -> int:
     return ticks * 1_000_000_000 * base.numerator // base.denominator
-
-
-@contextlib.contextmanager
-def _srt_pipe(url: str) -> Iterator[subprocess.Popen[bytes]]:
-    """FFmpeg reads SRT, which PyAV's library can't, and hands MPEG-TS on."""
-    command = ["ffmpeg", "-nostdin", "-loglevel", "error", "-fflags", "nobuffer", "-probesize", "200000",
-               "-analyzeduration", "500000", "-i", url, "-map", "0:v:0", "-c", "copy", "-muxdelay", "0",
-               "-flush_packets", "1", "-f", "mpegts", "pipe:1"]  # fmt: skip
-    try:
-        # unbuffered: filling a buffer would take seconds of a small stream
-        pipe = subprocess.Popen(command, bufsize=0, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL)
-    except FileNotFoundError as error:
-        raise InputError(url, "SRT is read by the command ffmpeg, which is not installed") from error
-    with pipe:
-        try:
-            yield pipe
-        finally:
-            pipe.kill()

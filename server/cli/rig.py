@@ -1,0 +1,193 @@
+"""The command `streamlod rig`: finds cameras, looks through them, and records a rig before it is calibrated."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from streamlod.core.errors import BackendUnavailable, InputError
+from streamlod.core.files import write_bytes, write_text
+from streamlod.server.ingest.cameras.address import Address, parse_address
+
+if TYPE_CHECKING:
+    from streamlod.server.settings import Settings
+
+Say = Callable[[str], None]
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_WAIT_SECONDS = 600.0  # for all cameras of a rig to deliver
+
+
+@dataclass(frozen=True, slots=True)
+class NamedSource:
+    """A camera of a rig to be written: its name, and its source as docs/ingest.md writes it."""
+
+    name: str
+    source: str
+
+    @property
+    def address(self) -> Address:
+        """Where its pictures come from."""
+        return parse_address(self.source)
+
+
+def find(
+    arguments: Sequence[str],
+    out: Path,
+    phones: int,
+    size: tuple[int, int] | None,
+    fps: float,
+    calibration: str,
+    say: Say,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write the rig's file of the sources given, or found, and a contact sheet beside it."""
+    from streamlod.server.ingest.finding.looking import look_through
+    from streamlod.server.ingest.finding.sheet import contact_sheet
+
+    if out.exists() and not overwrite:
+        raise InputError(out, "exists; give it as the argument to look through its cameras, or add --overwrite")
+    sources = _named(arguments) if arguments else _searched(say)
+    if not sources and not phones:
+        raise InputError("rig", "found no camera whose address is known; give addresses, or --phones 4")
+    looks = dict(zip(sources, look_through([each.address for each in sources], fps, size), strict=True))
+    pictures = {each.name: look.picture for each, look in looks.items()}
+    cameras: list[dict[str, Any]] = []
+    for each, look in looks.items():
+        if look.picture is None:
+            say(f"{each.name}: {look.fault}; it is left out ({masked_source(each.source)})")
+            continue
+        height, width = look.picture.shape[:2]
+        say(f"{each.name}: {width}x{height}, {masked_source(each.source)}")
+        cameras.append({"name": each.name, "source": each.source, "width": width, "height": height})
+    wanted = size or (1280, 720)
+    for number in range(1, phones + 1):
+        cameras.append({"name": f"phone{number}", "source": "push:", "width": wanted[0], "height": wanted[1]})
+    if not cameras:
+        raise InputError("rig", "none of its cameras gave a picture")
+    value = {"fps": fps, "calibration": calibration, "cameras": cameras}
+    write_text(out, json.dumps(value, indent=1) + "\n")
+    say(f"{out}: {len(cameras)} cameras; they are calibrated by the folder {calibration}, once there is one")
+    if pictures:
+        sheet = out.with_suffix(".jpg")
+        write_bytes(sheet, contact_sheet(pictures, {each.name: look.fault for each, look in looks.items()}))
+        say(f"{sheet}: what each of them sees")
+    options = f"--config {_prepared_phones(out, say)} --insecure " if phones else ""
+    say(f"next: streamlod rig {out} {options}--record {out.parent / calibration}")
+
+
+def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings, say: Say, *, overwrite: bool) -> None:
+    """Wait until all cameras of a rig's file deliver, write a contact sheet of one instant, and record if wanted."""
+    from streamlod.server.ingest.cameras.definition import read_uncalibrated
+    from streamlod.server.ingest.finding.sheet import contact_sheet
+    from streamlod.server.ingest.recording import first_whole, record, watching
+
+    definition = read_uncalibrated(file)
+    if record_to is not None:
+        _check_folder(record_to, overwrite=overwrite)
+    names = [camera.name for camera in definition.cameras]
+    phones = [name for name, address in zip(names, definition.addresses, strict=True) if address.scheme == "push"]
+    with ExitStack() as stack:
+        socket = None
+        if phones:
+            from streamlod.server.service.station import station
+
+            place = stack.enter_context(station(settings, file))
+            socket = place.push_socket
+            _show_pages(place.pages(phones), say)
+        rig = stack.enter_context(watching(definition, socket))
+        whole = first_whole(rig, _WAIT_SECONDS, lambda missing: say(_waiting(missing)))
+        pictures = {each.camera: each.load() for each in whole.pictures if each is not None}
+        sheet = file.with_suffix(".jpg")
+        write_bytes(sheet, contact_sheet(pictures, {}))
+        say(f"{sheet}: all {len(names)} cameras at one instant")
+        if record_to is None:
+            return
+        say(f"recording {seconds:g} s into {record_to}; Ctrl-C ends it earlier")
+        record_to.mkdir(parents=True, exist_ok=True)
+        counts = record(rig, definition, record_to, seconds)
+    for name, count in counts.items():
+        say(f"{record_to / name}.mp4: {count} pictures")
+
+
+def masked_source(source: str) -> str:
+    """A source without the password in it."""
+    return re.sub(r"//[^/@]*@", "//***@", source)
+
+
+def _named(arguments: Sequence[str]) -> list[NamedSource]:
+    found: list[NamedSource] = []
+    for argument in arguments:
+        name, equals, source = argument.partition("=")
+        if not (equals and _NAME.fullmatch(name)):
+            name, source = f"cam{len(found) + 1}", argument
+        parsed = parse_address(source)
+        if parsed.scheme == "push":
+            raise InputError(f"source {argument!r:.80}", "is no address; for cameras that are pushed, give --phones")
+        if any(each.name == name for each in found):
+            raise InputError(f"camera {name}", "is named twice")
+        found.append(NamedSource(name, str(Path(source).absolute()) if parsed.scheme == "file" else source))
+    return found
+
+
+def _searched(say: Say) -> list[NamedSource]:
+    """Webcams of this machine; cameras of the network are told of, as their streams' addresses are not known."""
+    from streamlod.server.ingest.finding.onvif import find_network_cameras
+    from streamlod.server.ingest.finding.webcams import find_webcams
+
+    say("looking for cameras of this machine and, for three seconds, of the network")
+    webcams = find_webcams()
+    for webcam in webcams:
+        say(f"webcam{webcam.number}: {webcam.name or 'without a name'}")
+    network = find_network_cameras()
+    for camera in network:
+        say(f"{camera.address}: {camera.name or 'without a name'} (ONVIF)")
+    if network:
+        say("give the addresses of their streams: rtsp://USER:PASSWORD@ADDRESS/... as their manuals say")
+    return [NamedSource(f"webcam{webcam.number}", webcam.source) for webcam in webcams]
+
+
+def _prepared_phones(out: Path, say: Say) -> Path:
+    """Settings that name a certificate, without which phones give no page their camera; made where there are none."""
+    from streamlod.server.service.self_signed import write_self_signed
+    from streamlod.server.service.station import own_address
+
+    config, certificate, key = (out.with_name(out.stem + end) for end in (".toml", "-certificate.pem", "-key.pem"))
+    if not config.exists():
+        write_self_signed(certificate, key, own_address())
+        lines = {"host": "0.0.0.0", "certificate": str(certificate.absolute()), "certificate_key": str(key.absolute())}
+        write_text(config, "".join(f"{name} = {json.dumps(value)}\n" for name, value in lines.items()))
+        say(f"{config}: settings of the server, with a certificate of its own making")
+    return config
+
+
+def _show_pages(pages: Mapping[str, str], say: Say) -> None:
+    """The addresses for phones, each as a QR code."""
+    try:
+        import segno
+    except ImportError as error:
+        raise BackendUnavailable("QR codes", "install them: pip install 'streamlod[serve]'") from error
+    for name, address in pages.items():
+        code = io.StringIO()
+        segno.make(address, error="l", micro=False).terminal(code, compact=True, border=2)
+        say(f"{code.getvalue()}{name or 'each phone'}: {address}")
+    if any(address.startswith("http://") for address in pages.values()):
+        say("phones give their camera to pages with https only: name a certificate in the settings (--config)")
+
+
+def _waiting(missing: Mapping[str, str]) -> str:
+    names = [f"{name} ({fault})" if fault else name for name, fault in missing.items()]
+    return f"waiting for {', '.join(names)}" if names else "waiting for all cameras to film at the same time"
+
+
+def _check_folder(folder: Path, *, overwrite: bool) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(folder, "is not a folder")
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise InputError(folder, "is not empty; name another folder, or add --overwrite")

@@ -1,0 +1,1 @@
+"""Finding cameras: those of the network, those of this machine, and what each of them sees."""

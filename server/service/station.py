@@ -1,0 +1,107 @@
+"""A server for phones that film before anything is trained: its only stream waits, and its rig runs elsewhere."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from streamlod.core.errors import InputError
+from streamlod.server.api.push import capture_address, scope_of
+from streamlod.server.api.registry import Registry
+from streamlod.server.pipeline.job import TrainJob
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.service.app import create_app
+from streamlod.server.service.run import Server, bind, certificates_of, server_config
+from streamlod.server.settings import Settings
+
+STREAM = "main"  # as `serve --live` calls its stream, so that phones go on when that takes over
+_LINK_SECONDS = 24 * 3600
+_START_SECONDS = 60.0
+_ELSEWHERE = ("192.0.2.1", 9)  # an address of no machine (RFC 5737); nothing is sent to it
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A running server: its address for phones, and where a rig takes what they push."""
+
+    registry: Registry
+    address: str
+
+    @property
+    def push_socket(self) -> Path:
+        """Where the rig listens."""
+        found = self.registry.streams[STREAM].push_socket
+        assert found is not None
+        return found
+
+    def pages(self, cameras: Sequence[str]) -> dict[str, str]:
+        """Addresses of the page that films, by camera; where nobody needs a token, one for all, by an empty name."""
+        gate, expires = self.registry.gate, int(time.time()) + _LINK_SECONDS
+        if gate.is_open:
+            return {"": f"{self.address}/capture"}
+        incarnation = self.registry.streams[STREAM].incarnation
+        queries = {name: gate.links.sign(scope_of(STREAM, name), expires, incarnation) for name in cameras}
+        return {name: self.address + capture_address(STREAM, name, query) for name, query in queries.items()}
+
+
+@contextmanager
+def station(settings: Settings, rig: Path) -> Iterator[Station]:
+    """Serve the stream `main` of a rig's file to phones while the context lasts; nothing is kept of it.
+
+    Raises:
+        InputError: settings that cannot be used, or an address in use.
+    """
+    settings.check()
+    settings = settings.model_copy(update={"state": None, "streams": (), "edge": None})
+    app = create_app(settings)
+    registry: Registry = app.state.registry
+    listener = bind(settings.host, settings.port)
+    server = Server(server_config(app, settings), registry, certificates_of(settings))
+    thread = threading.Thread(target=lambda: asyncio.run(_run(server, listener, rig)), name="station")
+    thread.start()
+    try:
+        limit = time.monotonic() + _START_SECONDS
+        while STREAM not in registry.streams:
+            if not thread.is_alive() or time.monotonic() > limit:
+                raise InputError("server", "does not start; see the log")
+            time.sleep(0.02)
+        yield Station(registry, _address(settings, listener))
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()
+
+
+async def _run(server: Server, listener: socket.socket, rig: Path) -> None:
+    registry: Registry = server.config.app.state.registry  # type: ignore[union-attr]
+    serving = asyncio.create_task(server.serve(sockets=[listener]))
+    while not server.started and not serving.done():
+        await asyncio.sleep(0.02)
+    if server.started:
+        await registry.create(StreamSpec(STREAM, TrainJob(live=rig)), start=False)
+    await serving
+
+
+def _address(settings: Settings, listener: socket.socket) -> str:
+    host, port = listener.getsockname()[:2]
+    if host in ("0.0.0.0", "::"):
+        host = own_address()
+    scheme = "http" if settings.certificate is None else "https"
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
+
+
+def own_address() -> str:
+    """The address of this machine in the network that leads elsewhere; that of loopback without one."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:
+        try:
+            place.connect(_ELSEWHERE)
+        except OSError:
+            return "127.0.0.1"
+        found: str = place.getsockname()[0]
+        return found

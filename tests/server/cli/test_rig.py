@@ -1,0 +1,161 @@
+"""`streamlod rig`: the file of a rig, what its cameras see, and recordings of it before it is calibrated."""
+
+from __future__ import annotations
+
+import json
+import re
+import ssl
+import threading
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+from streamlod.core.calibration.walk import open_walk
+from streamlod.core.errors import InputError
+from streamlod.server.auth.gate import hash_token
+from streamlod.server.cli.rig import find, masked_source, watch
+from streamlod.server.ingest.cameras.definition import read_definition
+from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
+from streamlod.server.settings import Settings, load_settings
+from tests.core.data.writers import write_video
+from tests.server.ingest.rig import HEIGHT, WIDTH, burnt, number_of
+
+FPS = 20
+SKEW_NS = 7_000_000  # by which the second phone films later
+
+
+def found(folder: Path, *sources: str, phones: int = 0, overwrite: bool = False) -> list[str]:
+    """What `find` says."""
+    said: list[str] = []
+    find(sources, folder / "rig.json", phones, (160, 128), FPS, "walk", said.append, overwrite=overwrite)
+    return said
+
+
+def test_the_file_names_what_gives_pictures_with_its_size(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [burnt(number) for number in range(8)])
+    video = str(tmp_path / "a.mp4")
+    said = found(tmp_path, f"door={video}", video, "rtsp://me:secret@127.0.0.1:1/main", phones=1)
+    rig = json.loads((tmp_path / "rig.json").read_text())
+    sized = {"width": WIDTH, "height": HEIGHT}
+    assert rig == {
+        "fps": FPS,
+        "calibration": "walk",
+        "cameras": [
+            {"name": "door", "source": video, **sized},
+            {"name": "cam2", "source": video, **sized},
+            {"name": "phone1", "source": "push:", **sized},
+        ],
+    }
+    assert any("cam3" in line and "left out" in line for line in said)
+    assert "secret" not in "".join(said)
+    sheet = cv2.imread(str(tmp_path / "rig.jpg"))
+    assert sheet is not None
+    assert sheet.shape == (2 * 388, 2 * 480, 3)
+    settings = load_settings(tmp_path / "rig.toml")
+    assert settings.certificate is not None
+    assert settings.certificate_key is not None
+    ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.certificate, settings.certificate_key)
+    assert settings.certificate_key.stat().st_mode & 0o077 == 0
+
+
+def test_what_cannot_be_a_rig_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "rig.json").write_text("{}")
+    with pytest.raises(InputError, match="exists"):
+        found(tmp_path, "a.mp4")
+    for sources, fault in (
+        (["a=x.mp4", "a=y.mp4"], "named twice"),
+        (["push:"], "--phones"),
+        (["gopher://x"], "unknown scheme"),
+        ([str(tmp_path / "missing.mp4")], "none of its cameras"),
+    ):
+        with pytest.raises(InputError, match=fault):
+            found(tmp_path, *sources, overwrite=True)
+    assert (tmp_path / "rig.json").read_text() == "{}"
+    assert masked_source("rtsp://a:b@host/main") == "rtsp://***@host/main"
+
+
+def test_a_calibration_of_another_size_is_refused(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [burnt(0)])
+    frame = {"file_path": "a.mp4", "w": WIDTH, "h": HEIGHT, "fl_x": 150, "fl_y": 150, "cx": WIDTH / 2, "cy": HEIGHT / 2}
+    frame["transform_matrix"] = np.eye(4).tolist()
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": [frame]}))
+    camera = {"name": "a", "source": "push:", "width": HEIGHT, "height": WIDTH}
+    rig = tmp_path / "rig.json"
+    rig.write_text(json.dumps({"fps": FPS, "calibration": ".", "cameras": [camera]}))
+    with pytest.raises(InputError, match=f"gives {HEIGHT}x{WIDTH}, but is calibrated for {WIDTH}x{HEIGHT}"):
+        read_definition(rig)
+    rig.write_text(
+        json.dumps({"fps": FPS, "calibration": ".", "cameras": [camera | {"width": WIDTH, "height": HEIGHT}]})
+    )
+    assert read_definition(rig).cameras[0].width == WIDTH
+
+
+def film(page: str, camera: str, begin_ns: int, over: threading.Event) -> None:
+    """Push numbered pictures as a phone with that page does, until it is over."""
+    parts = urlsplit(page)
+    address = f"ws://{parts.netloc}/v1/streams/main/ingest?{parts.query}"
+    skew = SKEW_NS if camera == "phone2" else 0
+    number = 0
+    while not over.is_set():
+        try:
+            with connect(address, subprotocols=[Subprotocol(PUSH_SUBPROTOCOL)], compression=None) as node:
+                while not over.is_set():
+                    taken = begin_ns + round(number * 1e9 / FPS) + skew
+                    time.sleep(max(0.0, (taken - time.time_ns()) / 1e9))
+                    body = cv2.imencode(".png", burnt(number))[1].tobytes()
+                    node.send(pack_push(PushMessage(camera, number, taken, Codec.PNG, body)))
+                    assert json.loads(node.recv(30))["type"] == "ack"
+                    number += 1
+        except ConnectionClosed:
+            over.wait(0.1)  # the rig does not take pictures yet, or no more
+
+
+@pytest.mark.long
+def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
+    """Each has a link of its own, as tokens are needed; the files tell when pictures were taken to a tenth of a ms."""
+    rig, tokens = tmp_path / "rig.json", tmp_path / "tokens.json"
+    tokens.write_text(json.dumps([{"name": "a", "sha256": hash_token("a"), "rights": ["read"], "streams": "*"}]))
+    found(tmp_path, str(write_still(tmp_path / "still.mp4")), phones=2)
+    said: list[str] = []
+    over, begin = threading.Event(), time.time_ns()
+    phones: list[threading.Thread] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        if match := re.search(r"(phone\d): (http\S+)$", line):
+            phones.append(threading.Thread(target=film, args=(match[2], match[1], begin, over), daemon=True))
+            phones[-1].start()
+
+    settings = Settings(port=0, tokens=tokens)
+    watch(rig, tmp_path / "walk", 3.0, settings, say, overwrite=False)
+    over.set()
+    for phone in phones:
+        phone.join(30)
+        assert not phone.is_alive()
+    assert len(phones) == 2
+    assert any("all 3 cameras at one instant" in line for line in said)
+    with pytest.raises(InputError, match="not empty"):
+        watch(rig, tmp_path / "walk", 3.0, settings, say, overwrite=False)
+    footage = {each.camera: each for each in open_walk(tmp_path / "walk")}
+    assert footage.keys() == {"cam1", "phone1", "phone2"}
+    starts = []
+    for name in ("phone1", "phone2"):
+        numbers = [number_of(picture) for picture in footage[name].pictures() if picture is not None]
+        assert len(numbers) > 10
+        offsets = footage[name].times - np.array(numbers) / FPS
+        assert np.ptp(offsets) < 1e-4
+        starts.append(offsets[0])
+    assert abs(starts[1] - starts[0] - SKEW_NS / 1e9) < 1e-4
+
+
+def write_still(file: Path) -> Path:
+    """A camera that is no phone: a file of a minute."""
+    write_video(file, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
+    return file
