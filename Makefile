@@ -38,8 +38,7 @@ test-all: install ## ruff, mypy and all tests: also long ones, those in Chromium
 
 # mypy has one process, and tests often wait
 tests: install
-	$(PYTEST) -n auto -m 'not cluster and not slow'
-	$(PYTEST) -n $$(getconf _NPROCESSORS_ONLN) -m cluster
+	$(PYTEST) -n auto -m 'not slow'
 
 api: install ## Print docs/reference/api.md from the docstrings of the public interface
 	$(BIN)/python -m tests.api_pages

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from itertools import zip_longest
 from pathlib import Path
 
 import pytest
@@ -13,13 +14,34 @@ from tests.device.fixture import gpu
 
 __all__ = ["gpu"]
 
+DEAR = ("browser", "cluster", "long")
+
 if pretend.can_be_registered():
     pretend.register()  # torch counts its devices when it first differentiates, so it must be there before that
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Processes for ``-n auto``: one more than there are cores, since tests of servers and of the page often wait."""
-    return len(os.sched_getaffinity(0)) + 1
+    """Processes for ``-n auto``: two more than there are cores, since tests of servers and of the page often wait."""
+    return len(os.sched_getaffinity(0)) + 2
+
+
+@pytest.hookimpl(trylast=True)  # after those that are not wanted have gone
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files begin in turn with one of Chromium's, one of several servers and one of long tests; all others last.
+
+    So those that wait stand beside those that compute, and what is left at the end is short: it fills all cores.
+    """
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    queues: dict[str, list[tuple[int, list[pytest.Item]]]] = {kind: [] for kind in (*DEAR, "")}
+    for tests in files.values():
+        counts = {kind: sum(test.get_closest_marker(kind) is not None for test in tests) for kind in DEAR}
+        kind = next((kind for kind in DEAR if counts[kind]), "")
+        queues[kind].append((counts.get(kind, 0), tests))
+    dear = [[tests for _, tests in sorted(queues[kind], key=lambda entry: -entry[0])] for kind in DEAR]
+    in_turn = [tests for row in zip_longest(*dear, fillvalue=[]) for tests in row]
+    items[:] = [test for tests in (*in_turn, *(tests for _, tests in queues[""])) for test in tests]
 
 
 def data_folder() -> Path | None:

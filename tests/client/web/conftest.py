@@ -30,8 +30,12 @@ TEST_FLAGS = [*CHROMIUM_FLAGS, "--disable-gpu-compositing"]
 
 
 def chromium_path() -> str | None:
-    """The browser to drive: CHROMIUM, or what the system has."""
-    return os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    """The browser to drive: CHROMIUM, or what the system has.
+
+    The headless shell is the same engine without the windows around its pages, which take half the time of a test.
+    """
+    names = ("chromium-headless-shell", "chromium", "chromium-browser")
+    return os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
 
 
 @pytest.fixture(scope="session")
@@ -65,7 +69,7 @@ def chromium(kernel: bytes) -> Iterator[Any]:
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
     path = chromium_path()
     if path is None:
-        pytest.skip("Chromium is not installed: apt-get install chromium, or set CHROMIUM to its path")
+        pytest.skip("Chromium is not installed: apt-get install chromium-headless-shell, or set CHROMIUM to its path")
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=TEST_FLAGS)
         yield browser
