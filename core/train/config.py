@@ -199,16 +199,24 @@ class PredictConfig:
     minimum_steps: int = setting(
         80, "fewest steps, however few the cameras", given(0, "V-A", "10 epochs, however few the cameras")
     )
+    half_size_until: float = setting(
+        0.4,
+        "moment of the frame, 0 to 1, until which large pictures have half the width and height: a quarter of the time"
+        " a step, and what went far is nearer",
+        reading(0.0, "not mentioned: pictures of full size from the start"),
+    )
     least_gain: float = setting(
         0.3,
         "share of the mean gain of earlier epochs; after an epoch that gains less, the frame moves on faster",
         given(0.0, "V-A", "the number of epochs is fixed"),
     )
     latent_rate: float = setting(
-        0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
+        0.43, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
     )
     position_rate: float = setting(
-        0.7, "Adam's rate of positions, in steps", reading(1.0, "none given (docs/method.md, reading 12)")
+        0.1,
+        "Adam's rate of positions, in pixels of the camera that shows an anchor largest",
+        reading(0.2, "none given (docs/method.md, reading 12)"),
     )
     memory: float = setting(
         0.6,
@@ -226,11 +234,11 @@ class PredictConfig:
         reading(1.0, "not mentioned: the result is the last step"),
     )
     feature_step: float = setting(
-        0.4,
+        0.28,
         "width of a latent's step in feature units, in the mean of all directions",
         reading(0.2, "the paper learns its latent decoders; ours are fixed, of this step"),
     )
-    offset_step: float = setting(0.15, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
+    offset_step: float = setting(0.105, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
     position_steps_per_cell: int = setting(
         32,
         "steps in which anchors move, to a motion cell: one of the third finest level",

@@ -21,7 +21,7 @@ from streamlod.core.render.tiles import TILE_HEIGHT, TILE_WIDTH, tile_grid
 from streamlod.core.train.field.field import Field
 
 BORDER = 24  # pixels around those that changed
-_LEAST_SHARE = 0.9  # of the tiles that an anchor reaches, which must be active
+_LEAST_SHARE = 0.5  # of the tiles that an anchor reaches, which must be active
 
 
 def tiles_near(mask: Bool, border: int) -> Bool:

@@ -31,12 +31,19 @@ class TrainedAnchors:
 
     Args:
         values: what is trained, by name, with its first values (`Hooks.start`).
+        steps_a_pixel: [n,1] of each. Positions are trained in pixels, and known to all others in steps.
         hooks: of the frame's parts, which say how positions come about.
         memory: Adam's beta_1.
     """
 
     def __init__(
-        self, state: State, rows: Tensor, values: dict[str, Tensor], hooks: Sequence[Hooks], memory: float
+        self,
+        state: State,
+        rows: Tensor,
+        values: dict[str, Tensor],
+        steps_a_pixel: Tensor,
+        hooks: Sequence[Hooks],
+        memory: float,
     ) -> None:
         scene, field = state.scene, state.field
         device = field.feature.device
@@ -44,7 +51,9 @@ class TrainedAnchors:
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
         feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
         self._unit = UnitChange(feature, offset, by_level[self.base.level][:, None])
-        leaves = {name: value.clone().requires_grad_() for name, value in values.items()}
+        self._steps_a_pixel, self._usual_pixel = steps_a_pixel, float(steps_a_pixel.median()) if len(rows) else 1.0
+        pixels = values | {"position": values["position"] / steps_a_pixel}
+        leaves = {name: value.clone().requires_grad_() for name, value in pixels.items()}
         self._hooks = hooks
         self.optimiser = RowAdam(leaves, memory)
         self._mean = MeanOfSteps()
@@ -59,7 +68,12 @@ class TrainedAnchors:
         moves = self.optimiser.parameters["position"]
         for one in self._hooks:
             moves = one.moved(moves, self.optimiser.parameters)
-        return moves
+        return moves * self._steps_a_pixel
+
+    @property
+    def own_moves(self) -> Tensor:
+        """[n,3] how far each anchor goes by itself, in steps."""
+        return self.optimiser.parameters["position"].detach() * self._steps_a_pixel
 
     def bits(self, moves: Tensor) -> Tensor:
         """[] that the residuals of all n would take; `moves` as above."""
@@ -86,7 +100,7 @@ class TrainedAnchors:
     def begin_at(self, position: Tensor) -> None:
         """Let their positions begin there."""
         with torch.no_grad():
-            self.optimiser.parameters["position"].copy_(position)
+            self.optimiser.parameters["position"].copy_(position / self._steps_a_pixel)
 
     def add(self, new: dict[str, Tensor]) -> None:
         """Train `new` anchors too from now on, the seven arrays of a field; once a frame."""
@@ -98,7 +112,7 @@ class TrainedAnchors:
         rates = {"latent": config.latent_rate, "position": config.position_rate}
         for one in self._hooks:
             rates |= one.rates()
-        added = {} if self._added is None else self._added.rates(config.position_rate, decay)
+        added = {} if self._added is None else self._added.rates(config.position_rate * self._usual_pixel, decay)
         self.optimiser.step({name: rate * decay for name, rate in rates.items()} | added)
 
     def average(self) -> None:

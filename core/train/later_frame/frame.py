@@ -84,9 +84,9 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
         hooks, values = started(means.config.parts, seen, means.allows, watch)
         with watch.stage("train"):
             useful = _useful(state, views, masks, config)
-            training = FrameTraining(seen, values, hooks, means.exposure, useful, config.memory)
+            training = FrameTraining(seen, values, hooks, means.exposure, useful, means.backend, config.memory)
             generator = torch.Generator().manual_seed(means.config.seed + index)
-            update = training.run(config, means.backend, generator, means.pace)
+            update = training.run(config, generator, means.pace)
     with watch.stage("round"):
         if plan is not None:
             update = strongest_changes(update, plan.most_changes_beside(update.new))

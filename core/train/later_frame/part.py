@@ -82,7 +82,7 @@ class Hooks:
         return values
 
     def moved(self, own: Tensor, parameters: dict[str, Tensor]) -> Tensor:
-        """[n,3] steps that the anchors go if by themselves they go `own`."""
+        """[n,3] pixels that the anchors go if by themselves they go `own`."""
         return own
 
     def rates(self) -> dict[str, float]:

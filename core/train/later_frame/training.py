@@ -21,10 +21,10 @@ from streamlod.core.train.control.frame_budget import FixedSteps, FrameProgress
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.field.field import Field
-from streamlod.core.train.later_frame.active_tiles import tiles_near
 from streamlod.core.train.later_frame.anchors import TrainedAnchors
 from streamlod.core.train.later_frame.part import Beginning, Hooks
-from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.later_frame.pixel_steps import steps_a_pixel
+from streamlod.core.train.later_frame.planned import PlannedViews
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
 from streamlod.core.train.loss.total import total_loss
 from streamlod.core.train.optimise.convergence import EpochProgress
@@ -32,6 +32,7 @@ from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.optimise.schedule import ViewOrder
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
+_HALVED_FROM = 300  # rows of a picture; of smaller ones too little is left
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -44,6 +45,7 @@ class FrameTraining:
         hooks: of the parts that take part, begun with `seen`.
         exposure: of the cameras.
         useful: cameras to train on, the most important first.
+        backend: of the rasteriser.
         memory: Adam's beta_1.
     """
 
@@ -54,27 +56,29 @@ class FrameTraining:
         hooks: Sequence[Hooks],
         exposure: Exposure,
         useful: list[int],
+        backend: Backend,
         memory: float = 0.9,
     ) -> None:
         state, views = seen.state, seen.views
         field, device = state.field, state.field.feature.device
         others = state.alive.index_fill(0, seen.rows, False)
-        self._anchors = TrainedAnchors(state, seen.rows, values, hooks, memory)
-        self._hooks, self._all, self._views, self._exposure = hooks, field, views, exposure
-        self._useful, self._masks, self._shown = useful, seen.masks, state.shown
+        cameras = [views.cameras[number] for number in views.usable]
+        pixels = steps_a_pixel(seen.base, state.scene.header.position_steps, cameras)
+        self._anchors = TrainedAnchors(state, seen.rows, values, pixels, hooks, memory)
+        self._hooks, self._all, self._exposure, self._useful = hooks, field, exposure, useful
+        self._shown = state.shown
         black = torch.zeros(3, device=device)
-        self._backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
+        backgrounds = [exposure.behind(black, number) for number in range(len(views.cameras))]
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         static_splats = _static_splats(field, torch.nonzero(others)[:, 0], self._centres)
-        self._static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
-        self._caches: dict[int, TileCache] = {}
-        self._weights: dict[int, Tensor] = {}
+        static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
+        self._whole = PlannedViews(views, seen.masks, state.shown, static, backgrounds, backend)
+        self._half: PlannedViews | None = None
         self.numbers = list[int]()
 
     def run(
         self,
         config: PredictConfig,
-        backend: Backend,
         generator: torch.Generator,
         progress_of: Callable[[int], FrameProgress] = FixedSteps,
     ) -> IntegerUpdate:
@@ -85,7 +89,7 @@ class FrameTraining:
         """
         total = max(config.epochs * len(self._useful), config.minimum_steps)
         pace = progress_of(total)
-        self._prepare(pace, backend)
+        self._prepare(pace)
         if not self.numbers:
             return no_update(len(self._anchors))
         if pace.progress(0) <= _PREPARATION:
@@ -93,10 +97,14 @@ class FrameTraining:
                 hooks.ready(self)
         order, epochs = ViewOrder(self.numbers, generator), EpochProgress(len(self.numbers), config.least_gain)
         progress = 0.0
+        if config.half_size_until > 0 and self._whole.views.targets.shape[1] >= _HALVED_FROM:
+            self._half = self._whole.halved()
 
         def reached(_: int) -> float:
-            nonlocal progress
+            nonlocal progress, epochs
             progress = pace.progress(epochs.done)
+            if self._half is not None and progress >= config.half_size_until:
+                self._half, epochs = None, epochs.anew()
             return progress
 
         def step() -> Tensor:
@@ -105,8 +113,9 @@ class FrameTraining:
             epochs.advance(loss)
             if progress >= config.average_from:
                 self._anchors.average()
-            for hooks in self._hooks:
-                hooks.stepped(self, number, raster, progress)
+            if self._half is None:
+                for hooks in self._hooks:
+                    hooks.stepped(self, number, raster, progress)
             return loss
 
         losses = run_steps(step, reached)
@@ -115,12 +124,12 @@ class FrameTraining:
         self._anchors.settle()
         loss = float(torch.stack(losses[-len(self.numbers) :]).mean())
         update = self._anchors.update(self._visible(), len(losses), loss)
-        return replace(update, complete=epochs.done >= total and len(self._caches) == len(self._useful))
+        return replace(update, complete=epochs.done >= total and len(self._whole.caches) == len(self._useful))
 
     @property
     def position(self) -> Tensor:
         """As `Training.position`."""
-        return self._anchors.optimiser.parameters["position"].detach()
+        return self._anchors.own_moves
 
     def begin_at(self, position: Tensor) -> None:
         """As `Training.begin_at`."""
@@ -132,7 +141,7 @@ class FrameTraining:
 
     def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
         """As `Training.draw_two`."""
-        one, other = self._caches[number].render_two(first, second)
+        one, other = self._whole.caches[number].render_two(first, second)
         return one.image, other.image
 
     @torch.no_grad()
@@ -149,52 +158,41 @@ class FrameTraining:
 
         NaN for a camera that nobody had time for, and for one of which nothing was known.
         """
-        unknown = torch.full_like(self._views.targets, torch.nan)
+        unknown = torch.full_like(self._whole.views.targets, torch.nan)
         pictures = unknown if self._shown is None else self._shown.clone()
-        pictures[[number for number in self._useful if number not in self._caches]] = torch.nan
+        pictures[[number for number in self._useful if number not in self._whole.caches]] = torch.nan
         with torch.no_grad():
-            for number, cache in self._caches.items():
+            for number, cache in self._whole.caches.items():
                 splats = field.decode(self._centres[number], rows)
                 pictures[number] = cache.render(self._exposure.before(splats, number)).image
         return pictures
 
-    def _prepare(self, pace: FrameProgress, backend: Backend) -> None:
+    def _prepare(self, pace: FrameProgress) -> None:
         """Plan the cameras' pictures, as far as time allows."""
         with torch.no_grad():
             for number in self._useful:
                 if self.numbers and pace.progress(0) > _PREPARATION:
                     break
-                cache = self._caches[number] = self._cache_of(number, self._splats(number), backend)
-                if not cache.is_empty:
+                if not self._whole.plan(number, self._splats(number)).is_empty:
                     self.numbers.append(number)
 
     def _step(self, number: int, config: PredictConfig, decay: float) -> tuple[Tensor, Raster]:
         """One view, one update; returns the detached loss, and what was drawn."""
-        moves = self._anchors.moves
-        cache = self._caches[number]
-        raster = cache.render(self._splats(number, moves))
+        moves, planned = self._anchors.moves, self._half or self._whole
+        splats = self._splats(number, moves)
+        if number not in planned.caches:
+            planned.plan(number, splats)
+            planned.allow_for_size(number, self._filmed(self._anchors.base, number))
+        cache = planned.caches[number]
+        raster = cache.render(splats)
         image, prices = raster.image, list[Tensor]()
         if config.rate_weight:
-            prices.append(config.rate_weight * self._anchors.bits(moves) / image.numel())
-        weights = self._pixel_weights(number, config.changed_weight)
-        loss = total_loss(image, self._views.targets[number], config.dssim_weight, prices, cache.region, weights)
+            prices.append(config.rate_weight * self._anchors.bits(moves) / self._whole.views.targets[number].numel())
+        weights = planned.pixel_weights(number, config.changed_weight)
+        loss = total_loss(image, planned.views.targets[number], config.dssim_weight, prices, cache.region, weights)
         loss.backward()  # type: ignore[no-untyped-call]
         self._anchors.step(config, decay)
         return loss.detach(), raster
-
-    def _pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
-        """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
-        if number not in self._weights and changed_weight:
-            counted = 1 + changed_weight * self._masks[number, ..., None].to(self._views.targets.dtype)
-            self._weights[number] = counted.expand(-1, -1, 3).contiguous()
-        return self._weights.get(number)
-
-    def _cache_of(self, number: int, trained: Splats, backend: Backend) -> TileCache:
-        camera = self._views.cameras[number]
-        known = None if self._shown is None or self._shown[number, 0, 0, 0].isnan() else self._shown[number]
-        tiles = tiles_near(self._masks[number].cpu().numpy(), 0)
-        behind = self._backgrounds[number]
-        return make_tile_cache(camera, trained, self._static[number], behind, backend, tiles, known)
 
     def _splats(self, number: int, moves: Tensor | None = None) -> Splats:
         """The Gaussians of the anchors in training, as they will be sent, for a camera."""
@@ -209,7 +207,7 @@ class FrameTraining:
         field = self._anchors.field()
         if not self._all.looks_the_same:  # what is transparent to one camera may not be so to another
             return np.ones(len(field), np.bool_)
-        opacity = field.decode(self._centres[self._views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
+        opacity = field.decode(self._centres[self._whole.views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
         return np.asarray((opacity > _TRANSPARENT).cpu().numpy())
 
 

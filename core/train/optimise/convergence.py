@@ -32,6 +32,12 @@ class EpochProgress:
         self._step_factor = 1
         self.done = 0
 
+    def anew(self) -> EpochProgress:
+        """As far as this one, but with no gains to compare with: losses are of another size from now on."""
+        fresh = EpochProgress(self._views, self._least_gain)
+        fresh.done = self.done
+        return fresh
+
     def advance(self, loss: Tensor) -> None:
         """One step is done, whose loss was `loss`."""
         self.done += self._step_factor

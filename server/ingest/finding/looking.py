@@ -24,7 +24,7 @@ _SKIPPED = 5  # pictures at first, in which a webcam finds its exposure
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glance:
-    """What was seen of a source: a picture [H,W,3] RGB, or why there is none."""
+    """A look at a source: its picture [H,W,3] RGB, or why there is none."""
 
     picture: UInt8 | None
     fault: str = ""

@@ -20,7 +20,7 @@ class Webcam:
 
     @property
     def source(self) -> str:
-        """As docs/ingest.md writes it."""
+        """Its address as docs/ingest.md writes it."""
         return f"v4l2:///dev/video{self.number}"
 
 

@@ -24,8 +24,8 @@ class Neighbourhoods(FramePart):
     name: ClassVar[str] = "neighbourhoods"
 
     rate: float = setting(
-        1.4,
-        "Adam's rate of the shift and turn that a neighbourhood shares, in steps; higher than"
+        0.2,
+        "Adam's rate of the shift and turn that a neighbourhood shares, in pixels; higher than"
         " `later_frame.position_rate`, because what single anchors do is mostly noise, which must be sent",
         left_out("every anchor moves by itself"),
     )

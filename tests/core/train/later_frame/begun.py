@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from streamlod.core.arrays import Bool
+from streamlod.core.render.backends import Backend
 from streamlod.core.train.field.exposure import neutral
 from streamlod.core.train.later_frame.frame import started
 from streamlod.core.train.later_frame.part import Beginning, FramePart
@@ -38,8 +39,9 @@ def training_of(
     *,
     max_new: int = PLENTY,
     bit_price: float = 0.0,
+    backend: Backend = "cpu",
 ) -> FrameTraining:
     """Training of the anchors `trained` [N], by all usable cameras."""
     seen = beginning_of(state, trained, views, masks, max_new=max_new, bit_price=bit_price)
     hooks, values = started(parts, seen, lambda stage: True, Stopwatch())
-    return FrameTraining(seen, values, hooks, neutral(len(views.cameras)), list(views.usable))
+    return FrameTraining(seen, values, hooks, neutral(len(views.cameras)), list(views.usable), backend)

@@ -44,7 +44,7 @@ def changed(share: float) -> np.ndarray:
 
 
 def test_wide_anchors_are_trained_only_where_most_of_the_picture_changed(state: State) -> None:
-    some, whole = (mostly_active(state.field, ROWS, (CAMERA,), {0: changed(share)}) for share in (0.5, 1.0))
+    some, whole = (mostly_active(state.field, ROWS, (CAMERA,), {0: changed(share)}) for share in (0.3, 1.0))
     assert not some[::10].any()
     assert 0.2 < some.mean() < 0.6  # small ones on the left
     assert whole[::10].any()

@@ -26,9 +26,9 @@ def state() -> State:
 @pytest.fixture
 def anchors(state: State) -> TrainedAnchors:
     rows = torch.arange(0, 30, 2)
-    hooks = _Together(1.4, neighbourhoods(state.field.position[rows], 2.0 * state.field.octree.motion_cell))
+    hooks = _Together(0.2, neighbourhoods(state.field.position[rows], 2.0 * state.field.octree.motion_cell))
     values = hooks.start({"latent": torch.zeros(15, 24), "position": torch.zeros(15, 3)})
-    return TrainedAnchors(state, rows, values, [hooks], 0.9)
+    return TrainedAnchors(state, rows, values, torch.ones(15, 1), [hooks], 0.9)
 
 
 def sent(anchors: TrainedAnchors) -> tuple[int, int]:

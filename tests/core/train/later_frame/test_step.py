@@ -95,8 +95,8 @@ def prepared(view_dependent: bool) -> FrameTraining:
     some = np.arange(len(field)) % 3 == 0
     views = Views((camera,), torch.rand(1, HEIGHT, WIDTH, 3), [0])
     masks = torch.ones(1, HEIGHT, WIDTH, dtype=torch.bool)
-    trainer = training_of(state, some, views, masks, (Neighbourhoods(),))
-    trainer._caches[0] = trainer._cache_of(0, trainer._splats(0), "cuda")
+    trainer = training_of(state, some, views, masks, (Neighbourhoods(),), backend="cuda")
+    trainer._whole.plan(0, trainer._splats(0))
     return trainer
 
 

@@ -57,3 +57,19 @@ def test_losses_of_a_gpu_are_judged_a_step_later(gpu: str) -> None:
     here, there = (np.diff(later_frame(device)) for device in ("cpu", gpu))
     assert {1, PLATEAU_STEP_FACTOR} == set(here)
     np.testing.assert_array_equal(there[1:], here[:-1])
+
+
+def test_pictures_of_another_size_do_not_count_as_a_gain() -> None:
+    """A loss that is lower from one step to the next is no gain, if something else is measured from then on."""
+    first = EpochProgress(1, 0.5)
+    for loss in (1.0, 0.9, 0.8):
+        first.advance(torch.tensor(loss))
+    anew = first.anew()
+    assert anew.done == first.done == 3
+    for loss in (0.2, 0.1, 0.0):  # gains as much as before
+        anew.advance(torch.tensor(loss))
+    assert anew.done == 6
+    first.advance(torch.tensor(0.2))  # would make all later gains look small
+    first.advance(torch.tensor(0.1))
+    first.advance(torch.tensor(0.0))
+    assert first.done > 6

@@ -87,6 +87,6 @@ def missing_share(field: Field, group_cells: float) -> float:
     changed = torch.ones(3, HEIGHT, WIDTH, dtype=torch.bool)
     parts = (Neighbourhoods(cells=group_cells),) if group_cells else ()
     trainer = training_of(state, everything, views, changed, parts)
-    update = trainer.run(config, "cpu", torch.Generator().manual_seed(0))
+    update = trainer.run(config, torch.Generator().manual_seed(0))
     went = torch.from_numpy(update.position) * scene.header.position_steps[0]
     return float((went - shift).norm(dim=1).mean() / shift.norm())

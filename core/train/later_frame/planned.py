@@ -1,0 +1,86 @@
+"""The training pictures of a later frame at one size: what each camera should show, and how it is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from streamlod.core.render.backends import Backend
+from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.later_frame.active_tiles import tiles_near
+from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
+from streamlod.core.train.pictures.views import Views
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedViews:
+    """Cameras whose pictures are planned one by one, when they are first needed.
+
+    Attributes:
+        views: cameras and pictures. masks: [C,H,W] bool, pixels that changed.
+        shown: [C,H,W,3] what the cameras would film of the state before, NaN where unknown; None: of nothing.
+        static: Gaussians that are drawn but not trained, by camera. backgrounds: [3] behind them, by camera.
+        backend: of the rasteriser.
+        caches: plans so far, by camera. weights: [H,W,3] of absolute errors so far, by camera.
+    """
+
+    views: Views
+    masks: Tensor
+    shown: Tensor | None
+    static: Sequence[Splats]
+    backgrounds: Sequence[Tensor]
+    backend: Backend
+    caches: dict[int, TileCache] = field(default_factory=dict)
+    weights: dict[int, Tensor] = field(default_factory=dict)
+
+    def halved(self) -> PlannedViews:
+        """The same at half the width and height; a pixel changed where any did that it covers."""
+        views = self.views.halved()
+        size = views.targets.shape[1:3]
+        masks = functional.adaptive_max_pool2d(self.masks[:, None].float(), size)[:, 0] > 0
+        shown = None if self.shown is None else self.views.with_pictures(self.shown).halved().targets
+        return PlannedViews(views, masks, shown, self.static, self.backgrounds, self.backend)
+
+    def plan(self, number: int, trained: Splats) -> TileCache:
+        """How camera `number` is drawn; planned now for the Gaussians `trained`, if it was not before."""
+        if number not in self.caches:
+            base = self.shown[number] if self.shown is not None and self._is_known(number) else None
+            active = tiles_near(self.masks[number].cpu().numpy(), 0)
+            with torch.no_grad():
+                self.caches[number] = make_tile_cache(
+                    self.views.cameras[number],
+                    trained,
+                    self.static[number],
+                    self.backgrounds[number],
+                    self.backend,
+                    active,
+                    base,
+                )
+        return self.caches[number]
+
+    @torch.no_grad()
+    def allow_for_size(self, number: int, before: Splats) -> None:
+        """Let camera `number` ask only for what has changed, when its picture is smaller than the one filmed.
+
+        Gaussians are drawn a little wider in small pictures. What was right at full size must not be trained for that.
+
+        Args:
+            before: the Gaussians that are trained, as they were in the picture that is shown.
+        """
+        if self._is_known(number):
+            assert self.shown is not None
+            self.views.targets[number] += self.caches[number].render(before).image - self.shown[number]
+
+    def pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
+        """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
+        if number not in self.weights and changed_weight:
+            counted = 1 + changed_weight * self.masks[number, ..., None].to(self.views.targets.dtype)
+            self.weights[number] = counted.expand(-1, -1, 3).contiguous()
+        return self.weights.get(number)
+
+    def _is_known(self, number: int) -> bool:
+        return self.shown is not None and not bool(self.shown[number, 0, 0, 0].isnan())
