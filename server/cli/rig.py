@@ -111,9 +111,10 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
             return
         say(f"recording {seconds:g} s into {record_to}; Ctrl-C ends it earlier")
         record_to.mkdir(parents=True, exist_ok=True)
-        counts = record(rig, definition, record_to, seconds)
-    for name, count in counts.items():
-        say(f"{record_to / name}.mp4: {count} pictures")
+        found = record(rig, definition, record_to, seconds)
+    for name, one in found.items():
+        slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
+        say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")
 
 
 def masked_source(source: str) -> str:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import av
 
-from streamlod.core.camera.grid import period_of
+from streamlod.core.camera import Camera
 from streamlod.core.errors import InputError
 from streamlod.server.ingest.cameras.definition import RigDefinition
 from streamlod.server.ingest.push.intake import Intake
@@ -21,18 +23,34 @@ from streamlod.server.ingest.sync.picture import Picture
 from streamlod.server.ingest.sync.synchroniser import CameraState, Instant
 
 _TELL_SECONDS = 5.0
+_LATE_SECONDS = 1.5  # that pictures may be on their way after the end
+_BUFFERED = 32  # pictures of a camera that may wait to be written
 _TICKS = 90_000  # a second, of the files' times
 _ENCODER = {"preset": "ultrafast", "tune": "zerolatency", "crf": "17", "g": "30"}  # as fast as the cameras film
 
 
+class WatchedRig(Rig):
+    """A rig whose pictures are also written down while there are writers for them, paired or not."""
+
+    def __init__(self, definition: RigDefinition) -> None:
+        super().__init__(definition, [camera.name for camera in definition.cameras])
+        self.writers: dict[str, _Writer] = {}
+
+    def put(self, picture: Picture) -> None:
+        """See `Rig.put`."""
+        super().put(picture)
+        if (writer := self.writers.get(picture.camera)) is not None:
+            writer.take(picture)
+
+
 @contextmanager
-def watching(definition: RigDefinition, push_socket: Path | None) -> Iterator[Rig]:
+def watching(definition: RigDefinition, push_socket: Path | None) -> Iterator[WatchedRig]:
     """The rig of an uncalibrated definition in operation, with pictures that come at `push_socket`.
 
     Raises:
         InputError: the socket cannot be made.
     """
-    rig = Rig(definition, [camera.name for camera in definition.cameras])
+    rig = WatchedRig(definition)
     with ExitStack() as stack:
         stack.callback(rig.stop)
         if push_socket is not None and rig.pushed:
@@ -75,32 +93,43 @@ def first_whole(rig: Rig, seconds: float, waiting: Callable[[Mapping[str, str]],
     raise InputError(f"camera {name}", missing.get(name) or f"sent no picture within {seconds:.0f} s")
 
 
-def record(rig: Rig, definition: RigDefinition, folder: Path, seconds: float) -> dict[str, int]:
-    """Record for so long, or until the sources end or the user interrupts; the pictures of each camera are counted.
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """Pictures of one camera that were written, and those left out because this machine was too slow."""
+
+    pictures: int
+    left_out: int
+
+
+def record(rig: WatchedRig, definition: RigDefinition, folder: Path, seconds: float) -> dict[str, Recorded]:
+    """Record for so long, or until the sources end or the user interrupts; the rig stops then.
 
     The files `NAME.mp4` have one clock: a picture's time is when it was taken, from one beginning for all.
 
     Raises:
         InputError: a file cannot be written.
     """
-    begin: int | None = None
-    with ExitStack() as stack:
-        pool = stack.enter_context(ThreadPoolExecutor(len(definition.cameras), "record"))
-        writers = [
-            stack.enter_context(_writing(folder / f"{camera.name}.mp4", (camera.width, camera.height), definition.fps))
-            for camera in definition.cameras
-        ]
-        try:
-            for instant in rig.instants():
-                if begin is None:
-                    begin = instant.capture_ns - round(period_of(definition.fps))  # no picture of it is older
-                if instant.capture_ns - begin > seconds * 1e9:
-                    break
-                begins = [begin] * len(writers)
-                list(pool.map(_Writer.write, writers, instant.pictures, begins))
-        except KeyboardInterrupt:
-            pass
-        return {camera.name: writer.count for camera, writer in zip(definition.cameras, writers, strict=True)}
+    begin_ns = rig.now_ns
+    writers = {
+        camera.name: _Writer(folder / f"{camera.name}.mp4", camera, definition.fps, begin_ns, seconds)
+        for camera in definition.cameras
+    }
+    for writer in writers.values():
+        writer.start()
+    timer = threading.Timer(seconds + _LATE_SECONDS, rig.stop)
+    timer.daemon = True
+    timer.start()
+    rig.writers = writers
+    try:
+        deque(rig.instants(), maxlen=0)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        timer.cancel()
+        rig.writers = {}
+        for writer in writers.values():
+            writer.end()
+    return {name: Recorded(writer.count, writer.left_out) for name, writer in writers.items()}
 
 
 def _missing(rig: Rig) -> dict[str, str]:
@@ -110,41 +139,66 @@ def _missing(rig: Rig) -> dict[str, str]:
     }
 
 
-class _Writer:
-    """One camera's video."""
+class _Writer(threading.Thread):
+    """Writes one camera's video on a thread of its own.
 
-    def __init__(self, container: av.container.OutputContainer, size: tuple[int, int], fps: float) -> None:
-        even = size[0] % 2 == 0 and size[1] % 2 == 0
-        stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001), options=_ENCODER)
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p" if even else "yuv444p"
-        stream.codec_context.time_base = Fraction(1, _TICKS)
-        self._container, self._stream, self._last, self.count = container, stream, -1, 0
+    Args:
+        begin_ns: capture time at which the file begins.
+        seconds: that it lasts at most.
+    """
 
-    def write(self, picture: Picture | None, begin_ns: int) -> None:
-        """Add a picture; one that is missing, damaged, or not later than the last, is left out."""
-        ticks = -1 if picture is None else round((picture.capture_ns - begin_ns) * _TICKS / 1e9)
-        if picture is None or ticks <= self._last:
-            return
+    def __init__(self, file: Path, camera: Camera, fps: float, begin_ns: int, seconds: float) -> None:
+        super().__init__(daemon=True, name=f"record {camera.name}")
+        self._file, self._size, self._fps = file, (camera.width, camera.height), fps
+        self._begin_ns, self._ticks = begin_ns, round(seconds * _TICKS)
+        self._waiting: queue.Queue[Picture | None] = queue.Queue(_BUFFERED)
+        self._failure: InputError | None = None
+        self.count = self.left_out = 0
+
+    def take(self, picture: Picture) -> None:
+        """Have a picture written, unless too many wait; never waits itself."""
         try:
-            frame = av.VideoFrame.from_ndarray(picture.load(), format="rgb24")
-        except InputError:
-            return
-        frame.pts, frame.time_base = ticks, Fraction(1, _TICKS)
-        self._container.mux(self._stream.encode(frame))
-        self._last, self.count = ticks, self.count + 1
+            self._waiting.put_nowait(picture)
+        except queue.Full:
+            self.left_out += 1
 
     def end(self) -> None:
-        """Write what the encoder still holds."""
-        self._container.mux(self._stream.encode())
+        """Wait until all is written.
 
+        Raises:
+            InputError: something could not be.
+        """
+        self._waiting.put(None)
+        self.join()
+        if self._failure is not None:
+            raise self._failure
 
-@contextmanager
-def _writing(file: Path, size: tuple[int, int], fps: float) -> Iterator[_Writer]:
-    try:
-        with av.open(str(file), "w", format="mp4") as container:
-            writer = _Writer(container, size, fps)
-            yield writer
-            if writer.count:
-                writer.end()
-    except (av.FFmpegError, OSError) as error:
-        raise InputError(file, f"cannot be written ({error.strerror or error})") from error
+    def run(self) -> None:
+        try:
+            self._write_all()
+        except (av.FFmpegError, OSError) as error:
+            self._failure = InputError(self._file, f"cannot be written ({error.strerror or error})")
+            while self._waiting.get() is not None:  # nobody shall wait for room
+                pass
+
+    def _write_all(self) -> None:
+        even = self._size[0] % 2 == 0 and self._size[1] % 2 == 0
+        with av.open(str(self._file), "w", format="mp4") as container:
+            stream = container.add_stream("libx264", rate=Fraction(self._fps).limit_denominator(1001), options=_ENCODER)
+            stream.width, stream.height = self._size
+            stream.pix_fmt = "yuv420p" if even else "yuv444p"
+            stream.codec_context.time_base = Fraction(1, _TICKS)
+            last = -1
+            while (picture := self._waiting.get()) is not None:
+                ticks = round((picture.capture_ns - self._begin_ns) * _TICKS / 1e9)
+                if not last < ticks < self._ticks:
+                    continue
+                try:
+                    frame = av.VideoFrame.from_ndarray(picture.load(), format="rgb24")
+                except InputError:  # a damaged picture
+                    continue
+                frame.pts, frame.time_base = ticks, Fraction(1, _TICKS)
+                container.mux(stream.encode(frame))
+                last, self.count = ticks, self.count + 1
+            if self.count:
+                container.mux(stream.encode())

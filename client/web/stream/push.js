@@ -85,9 +85,9 @@ export class PushLink {
 
   /** @param {string} camera @param {number} captureMs - local @param {Codec} codec @param {Uint8Array} picture */
   send(camera, captureMs, codec, picture) {
-    if (this.state !== "open") return;
+    if (this.state !== "open" || this.socket?.readyState !== WebSocket.OPEN) return;
     const message = pack(camera, this.sequence++, this.clock.at(captureMs), codec, picture);
-    this.socket?.send(message);
+    this.socket.send(message);
     this.underWay.push(performance.now());
     this.counts.sent++;
     this.counts.bytes += message.length;

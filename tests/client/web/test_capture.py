@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,10 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from streamlod.core.calibration.walk import open_walk
 from streamlod.server.auth.gate import hash_token
-from streamlod.server.settings import Settings
+from streamlod.server.cli.rig import find, watch
+from streamlod.server.settings import Settings, load_settings
 from tests.client.web.conftest import TEST_FLAGS, Console, chromium_path
 from tests.client.web.test_accessible import AXE, RULES
+from tests.client.web.test_browser import WAIT
+from tests.core.data.writers import write_video
 from tests.server.conftest import running
 from tests.server.ingest.push.stage import FPS, HEIGHT, WIDTH, rig, stage
 
@@ -44,6 +49,7 @@ def opened(phone: Any, address: str, **options: Any) -> Iterator[Any]:
     """A page of its own at an address; its console stays empty."""
     context = phone.new_context(viewport={"width": 400, "height": 700}, reduced_motion="reduce", **options)
     page = context.new_page()
+    page.set_default_timeout(WAIT["timeout"])
     page.complaints = Console(page)
     page.goto(address)
     yield page
@@ -239,3 +245,35 @@ def test_an_upright_phone_films_upright_pictures(chromium: Any, tmp_path: Path) 
         says(page, "Turn the phone")
         assert found.got == []
     browser.close()
+
+
+def test_a_phone_is_recorded_over_https_before_anything_is_calibrated(phone: Any, tmp_path: Path) -> None:
+    """`streamlod rig` makes the certificate, shows the page's address, and records what the phone films."""
+    still = tmp_path / "still.mp4"
+    write_video(still, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
+    file, said = tmp_path / "rig.json", list[str]()
+    find([str(still)], file, 1, (WIDTH, HEIGHT), FPS, "walk", said.append, overwrite=False)
+    settings = load_settings(tmp_path / "rig.toml").model_copy(update={"host": "127.0.0.1", "port": 0})
+    recording = threading.Thread(
+        target=lambda: watch(file, tmp_path / "walk", 3.0, settings, said.append, overwrite=False), daemon=True
+    )
+    recording.start()
+    limit = time.monotonic() + 60
+    while not (pages := [line.rpartition(" ")[2] for line in said if "each phone: https://" in line]):
+        assert time.monotonic() < limit, said
+        time.sleep(0.05)
+    with opened(phone, pages[0], ignore_https_errors=True) as page:
+        says(page, "Ready to film")
+        page.click("#film")
+        says(page, "Filming as phone1")
+        recording.join(120)
+        assert not recording.is_alive()
+        says(page, "Trying again")
+        page.complaints.forgive("ERR_CONNECTION")
+    filmed = {each.camera: each for each in open_walk(tmp_path / "walk")}["phone1"]
+    assert filmed.size == (WIDTH, HEIGHT)
+    pictures = [picture for picture in filmed.pictures() if picture is not None]
+    assert len(pictures) > FPS
+    assert all(picture[..., 1].mean() > 1.5 * picture[..., 0].mean() for picture in pictures)  # the fake camera's green
+    assert 0 <= filmed.times[0] < 1
+    assert 2 < filmed.times[-1] < 3.2
