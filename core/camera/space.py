@@ -5,6 +5,10 @@ another country. Training, the bitstream and viewers work with 32-bit numbers, a
 So cameras and points are brought into a space whose origin is amid the cameras, whose axes are the rig's (x right,
 y down, z ahead), and in which the rig looks at things that are `VIEWING_DISTANCE` away. It is computed in 64 bits from
 the cameras alone.
+
+Poses there are rounded to a coarser grid than 64 bits have. Two calibrations of one rig, in other units or far from
+the origin, then give the same numbers to the last bit, as far as theirs agree; training would make two streams of
+numbers that differ in one, as it does with another seed.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from streamlod.core.arrays import Float64
 from streamlod.core.camera.camera import Camera
 
 VIEWING_DISTANCE = 4.0  # what rigs of a few metres have: prices and planes of the method were chosen with these
+_GRID = 2.0**-20  # a thousandth of a pixel in pictures of 4K; coordinates of 1e7 metres are rounded to 2e-9
 _NEAREST, _FARTHEST = 0.25, 3.0  # a viewing distance is believed between these multiples of the rig's width
 _PARALLEL = 1e6  # condition number from which optical axes do not meet
 _LIKE_MEAN = 1e-6  # weight of the mean of the cameras' down axes, against the spread of their right sides
@@ -33,11 +38,13 @@ class Similarity:
         scale: new units in an old one, above 0.
         rotation: [3,3] float64.
         origin: [3] float64, in old coordinates.
+        grid: poses of cameras and depths become multiples of it; 0 leaves them as they are.
     """
 
     scale: float
     rotation: Float64
     origin: Float64
+    grid: float = 0.0
 
     def positions(self, old: Float64) -> Float64:
         """[N,3] positions in the new coordinates; not finite where the old ones are not, or are too large."""
@@ -52,7 +59,15 @@ class Similarity:
         pose = old.world_to_camera.copy()
         pose[:3, 3] = self.scale * (old.world_to_camera[:3, :3] @ self.origin + old.world_to_camera[:3, 3])
         pose[:3, :3] = old.world_to_camera[:3, :3] @ self.rotation.T
-        return replace(old, world_to_camera=pose)
+        return replace(old, world_to_camera=self._rounded(pose))
+
+    def depths(self, old: tuple[float, float]) -> tuple[float, float]:
+        """Nearest and farthest depth in the new units."""
+        near, far = np.maximum(self._rounded(self.scale * np.array(old)), self.grid)
+        return float(near), float(far)
+
+    def _rounded(self, numbers: Float64) -> Float64:
+        return numbers if self.grid == 0 else np.round(numbers / self.grid) * self.grid + 0.0  # no zero is negative
 
     def to_json(self) -> dict[str, object]:
         """Plain values of the transform."""
@@ -65,7 +80,8 @@ class Similarity:
     def after(self, first: Similarity) -> Similarity:
         """Both changes in one: `first`, then this one."""
         origin = first.origin + first.rotation.T @ self.origin / first.scale
-        return Similarity(self.scale * first.scale, self.rotation @ first.rotation, origin)
+        grid = max(self.grid, first.grid)
+        return Similarity(self.scale * first.scale, self.rotation @ first.rotation, origin, grid)
 
 
 UNCHANGED = Similarity(1.0, np.eye(3), np.zeros(3))
@@ -83,7 +99,7 @@ def training_space(cameras: Sequence[Camera], depth_bounds: tuple[float, float] 
     distance = _viewing_distance(centres - origin, _forwards(cameras), float(np.abs(centres).max()))
     if distance is None:
         distance = VIEWING_DISTANCE if depth_bounds is None else float(np.sqrt(depth_bounds[0] * depth_bounds[1]))
-    return Similarity(VIEWING_DISTANCE / distance, _axes(cameras), origin)
+    return Similarity(VIEWING_DISTANCE / distance, _axes(cameras), origin, _GRID)
 
 
 def space_of(cameras: Sequence[Camera], wanted: Sequence[Camera]) -> Similarity | None:

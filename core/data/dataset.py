@@ -216,7 +216,7 @@ class Dataset:
 
 def scaled_bounds(bounds: tuple[float, float] | None, space: Similarity) -> tuple[float, float] | None:
     """(near, far) in the units of `space`, None for None."""
-    return None if bounds is None else (space.scale * bounds[0], space.scale * bounds[1])
+    return None if bounds is None else space.depths(bounds)
 
 
 def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str] | None = None) -> Dataset:

@@ -25,6 +25,7 @@ from streamlod.server.api.access import StreamOf, need, refusal, registry_of
 from streamlod.server.api.ranges import FRESH, Download, respond
 from streamlod.server.auth.gate import Right
 from streamlod.server.http.problems import PROBLEMS, Problem
+from streamlod.server.http.public_address import base_of
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.stream import Stream
 from streamlod.server.viewer.renderer import Grade, PictureRenderer, RenderedPicture, fitted
@@ -248,16 +249,17 @@ async def oembed(
     stream, query = await _stream_of(url, request)
     width = min(maxwidth, maxheight * _WIDTH // _HEIGHT) or 1
     height = max(1, width * _HEIGHT // _WIDTH)
-    page = html.escape(f"{request.base_url}?{urlencode({**query, 'embed': '1'})}")
+    base = base_of(request)
+    page = html.escape(f"{base}?{urlencode({**query, 'embed': '1'})}")
     look, scene = Look.of(query), stream.hub.scene
     picture: dict[str, str | int] = {}
     if scene is not None and scene.header.cameras:
         middle = fitted(middle_camera(scene), 1, MAX_POSTER_PIXELS)
         seen = PREVIEW_SIZE if look.camera else (middle.width, middle.height)
-        address = f"{request.base_url}v1/streams/{quote(stream.id, safe='')}/poster.jpg{look.query}"
+        address = f"{base}v1/streams/{quote(stream.id, safe='')}/poster.jpg{look.query}"
         picture = {"thumbnail_url": address, "thumbnail_width": seen[0], "thumbnail_height": seen[1]}
     answer: dict[str, str | int] = {
-        "version": "1.0", "type": "rich", "provider_name": "streamlod", "provider_url": str(request.base_url),
+        "version": "1.0", "type": "rich", "provider_name": "streamlod", "provider_url": base,
         "title": stream.id, "width": width, "height": height,
         "html": f'<iframe src="{page}" width="{width}" height="{height}" style="border: 0" title="Free-viewpoint video"'
         ' allow="fullscreen; xr-spatial-tracking" allowfullscreen></iframe>',
@@ -272,7 +274,8 @@ async def _stream_of(url: str, request: Request) -> tuple[Stream, dict[str, str]
         parts = urlsplit(url)
     except ValueError as error:
         raise Problem(422, "url: not an address") from error
-    if parts.netloc != request.url.netloc or parts.path not in ("", "/", "/index.html"):
+    root = urlsplit(base_of(request)).path
+    if parts.netloc != request.url.netloc or parts.path not in (root.removesuffix("/"), root, f"{root}index.html"):
         raise Problem(404, "that is no page of this server")
     query = {name: values[0] for name, values in parse_qs(parts.query).items() if name != "token"}
     stream_id = query.get("stream") or next(iter(sorted(registry.streams)), "")

@@ -15,6 +15,8 @@ from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, Response
 from starlette.types import Scope
 
+from streamlod.server.http.public_address import base_of
+
 _PAGE = (".", "index.html")
 CODINGS = {"br": ".br", "gzip": ".gz"}  # content coding, suffix of its files; the smaller ones first
 
@@ -32,7 +34,7 @@ class PageFiles(StaticFiles):
         else:
             response = await self._packed(path, scope, accepted) or await super().get_response(path, scope)
         if path in _PAGE:
-            address = f"{_base(scope)}oembed?{urlencode({'url': str(URL(scope=scope))})}"
+            address = f"{base_of(HTTPConnection(scope))}oembed?{urlencode({'url': str(_address(scope))})}"
             response.headers["Link"] = f'<{address}>; rel="alternate"; type="application/json+oembed"'
         response.headers["Cache-Control"] = "no-cache"
         response.headers["Vary"] = "Accept-Encoding, Sec-Fetch-Dest" if path in _PAGE else "Accept-Encoding"
@@ -44,12 +46,12 @@ class PageFiles(StaticFiles):
         query = {name: values[0] for name, values in parse_qs(scope["query_string"].decode("latin-1")).items()}
         stream = query.get("stream", "main")
         shown = {name: query[name] for name in ("camera", "t", "epoch") if name in query}
-        picture = f"{_base(scope)}v1/streams/{quote(stream, safe='')}/poster.jpg"
+        picture = f"{base_of(HTTPConnection(scope))}v1/streams/{quote(stream, safe='')}/poster.jpg"
         facts = {
             "og:type": "video.other",
             "og:title": f"{stream}: free-viewpoint video",
             "og:site_name": "streamlod",
-            "og:url": str(URL(scope=scope).remove_query_params("token")),
+            "og:url": str(_address(scope).remove_query_params("token")),
             "og:image": f"{picture}?{urlencode(shown)}" if shown else picture,
             "twitter:card": "summary_large_image",
         }
@@ -73,9 +75,10 @@ class PageFiles(StaticFiles):
         return None
 
 
-def _base(scope: Scope) -> str:
-    """The server's address as the request named it, with a slash at its end."""
-    return str(HTTPConnection(scope).base_url)
+def _address(scope: Scope) -> URL:
+    """The page's address as its reader wrote it."""
+    asked = URL(scope=scope)
+    return URL(base_of(HTTPConnection(scope)) + asked.path.lstrip("/")).replace(query=asked.query)
 
 
 def _codings(header: str) -> set[str]:

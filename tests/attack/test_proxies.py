@@ -69,12 +69,19 @@ def is_open(port: int) -> bool:
 
 
 @contextmanager
-def proxy(program: str, folder: Path, port: int) -> Iterator[int]:
-    """The program with its configuration of docker/proxy, on a free port, in front of a server."""
+def proxy(program: str, folder: Path, port: int, path: str = "") -> Iterator[int]:
+    """The program with its configuration of docker/proxy, on a free port, in front of a server.
+
+    Args:
+        path: shows the server under it, as docs/operations.md says for nginx.
+    """
     if shutil.which(program) is None:
         pytest.skip(f"{program} is not installed")
     source = {"nginx": "nginx.conf", "caddy": "Caddyfile"}[program]
     text = (_CONFIGURATIONS / source).read_text().replace("127.0.0.1:8000", f"127.0.0.1:{port}")
+    if path:
+        text = text.replace("location / {", f"location {path}/ {{ proxy_set_header X-Forwarded-Prefix {path};")
+        text = text.replace(f"proxy_pass http://127.0.0.1:{port};", f"proxy_pass http://127.0.0.1:{port}/;")
     with held_ports(1) as (own,):
         text = re.sub(r"(listen |^:)8080", rf"\g<1>{'127.0.0.1:' if program == 'nginx' else ''}{own}", text, flags=re.M)
         if program == "nginx":

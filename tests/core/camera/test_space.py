@@ -57,8 +57,26 @@ def test_the_space_does_not_depend_on_unit_and_origin(
         np.testing.assert_allclose(_pixels(there, wanted), _pixels(camera, POINTS), atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("scale", "origin"),
+    [(1e-3, (3.0, -4.0, 100.0)), (1e3, (0.0, 0.0, 0.0)), (1e4, (1e3, -1e3, 5e2)), (1.0, (5e5, -3e5, 120.0))],
+)
+def test_cameras_have_the_same_numbers_to_the_last_bit(scale: float, origin: tuple[float, float, float]) -> None:
+    """In millimetres, turned, or on a map: `origin` is in the units of `INWARD`."""
+    change = Similarity(scale, _turn((0.3, -1.1, 0.7)), np.array(origin))
+    moved, bounds = tuple(change.camera(camera) for camera in INWARD), change.depths((1.5, 9.0))
+    usual, space = training_space(INWARD), training_space(moved)
+    assert space.depths(bounds) == usual.depths((1.5, 9.0))
+    for before, after in zip(INWARD, moved, strict=True):
+        wanted = usual.camera(before).world_to_camera
+        assert space.camera(after).world_to_camera.tobytes() == wanted.tobytes()
+        unrounded = replace(usual, grid=0.0).camera(before).world_to_camera
+        np.testing.assert_allclose(wanted, unrounded, rtol=0, atol=2**-21)
+
+
 def test_the_rig_looks_at_things_four_units_away() -> None:
-    placed = [training_space(INWARD).camera(camera) for camera in INWARD]
+    space = replace(training_space(INWARD), grid=0.0)
+    placed = [space.camera(camera) for camera in INWARD]
     focus = training_space(INWARD).positions(np.array([[0.2, 0.0, 5.0]]))[0]
     assert np.median([np.linalg.norm(focus - c.centre) for c in placed]) == pytest.approx(VIEWING_DISTANCE, rel=0.02)
     np.testing.assert_allclose(np.mean([camera.centre for camera in placed], axis=0), 0, atol=1e-9)
