@@ -111,7 +111,8 @@ def test_a_rig_trains_in_the_space_of_its_calibration(tmp_path: Path) -> None:
     entries = [{"name": name, "source": "push:"} for name in "ca"]
     path.write_text(json.dumps({"fps": 30, "calibration": "scan", "cameras": entries, "depth_bounds": [1, 9]}))
     dataset, live = open_dataset(tmp_path / "scan").normalised(), open_live(path).normalised()
-    assert live.depth_bounds == (dataset.space.scale, 9 * dataset.space.scale)
+    assert live.depth_bounds == dataset.space.depths((1, 9))
+    assert live.depth_bounds == pytest.approx((dataset.space.scale, 9 * dataset.space.scale), abs=2**-20)
     for camera in live.select(["a"]).cameras:
         np.testing.assert_allclose(camera.world_to_camera, dataset.cameras[0].world_to_camera, atol=1e-12)
 
