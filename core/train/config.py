@@ -229,7 +229,7 @@ class PredictConfig:
         reading(0.1, "none given; as in the first frame"),
     )
     average_from: float = setting(
-        0.7,
+        0.5,
         "moment of the frame, 0 to 1, from which steps are averaged for the result; 1: the result is the last step",
         reading(1.0, "not mentioned: the result is the last step"),
     )

@@ -93,37 +93,30 @@ def test_equal_starts_are_not_drawn() -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(400)
-def test_what_goes_far_in_a_frame_is_shown_better_by_search() -> None:
-    """Search saves error on what moves and bytes; a seed may show only one of them, so their product is compared.
-
-    Over three first frames: one alone differs from another by as much as search saves.
-    """
-    spec = SyntheticSpec(cameras=5, frames=6, width=160, height=90, speed=5.0, seed=1)  # a ball rolls through a room
+def test_what_moves_is_shown_better_by_search() -> None:
+    """Search saves error on what moves and bytes; a seed may show only one of them, so their product is compared."""
+    spec = SyntheticSpec(cameras=5, frames=5, width=240, height=136, seed=1)
     clip = open_synthetic(spec)
     first, *later = clip.frames()
     config = preset("live")
     config = replace(config, keyframe=replace(config.keyframe, steps=300))
-    seeds = [replace(config, seed=seed) for seed in range(3)]
-    scenes = [Trainer(clip.cameras, one, clip.fps, "cpu").keyframe(first, true_points(spec)).scene for one in seeds]
+    scene = Trainer(clip.cameras, config, clip.fps, "cpu").keyframe(first, true_points(spec)).scene
     moving = MovingPixels(clip.cameras, spec)
     masks = [moving.masks(frame.index, frame.images) for frame in later]
     cost = []
     for parts in (tuple(part for part in USUAL if not isinstance(part, FlowSearch)), USUAL):
-        runs = []
-        for one, scene in zip(seeds, scenes, strict=True):
-            trainer = Trainer(clip.cameras, replace(one, parts=parts), clip.fps, "cpu")
-            trainer.resume(scene)
-            trainer.predict(first)  # tells the trainer what the first frame was shown
-            trainer.resume(scene, keep_references=True)
-            errors, sizes = [], []
-            for frame, mask in zip(later, masks, strict=True):
-                before, result = trainer.scene, trainer.predict(frame)
-                assert result.residual is not None
-                sizes.append(len(encode_residual(before, result.residual, time_ns=0)))
-                errors.append(_error(result.scene, frame, mask))
-            runs.append(np.mean(errors) * np.mean(sizes))
-        cost.append(np.mean(runs))
-    assert cost[1] < 0.99 * cost[0]  # 0.971; single first frames 0.944 to 0.993
+        trainer = Trainer(clip.cameras, replace(config, parts=parts), clip.fps, "cpu")
+        trainer.resume(scene)
+        trainer.predict(first)  # tells the trainer what the first frame was shown
+        trainer.resume(scene, keep_references=True)
+        errors, sizes = [], []
+        for frame, mask in zip(later, masks, strict=True):
+            before, result = trainer.scene, trainer.predict(frame)
+            assert result.residual is not None
+            sizes.append(len(encode_residual(before, result.residual, time_ns=0)))
+            errors.append(_error(result.scene, frame, mask))
+        cost.append(np.mean(errors) * np.mean(sizes))
+    assert cost[1] < 0.85 * cost[0]  # 0.69
 
 
 def _error(scene: Scene, frame: FrameSet, masks: Bool | None) -> float:
