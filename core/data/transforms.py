@@ -52,6 +52,8 @@ def read_transforms(path: Path) -> RawRecording:
         raise InputError(file, f"lists {len(frames)} frames; the limit is {MAX_FRAMES}")
     if len({frame.get("time") for frame in frames if not isinstance(frame.get("time"), dict | list)}) > 1:
         raise InputError(file, "lists several instants ('time'); list each camera once, with a video")
+    if not frames:
+        raise InputError(file, "'frames' lists no pictures")
     wanted = {number: _spellings(path, frame.get("file_path"), file) for number, frame in enumerate(frames)}
     found = find_pictures(wanted, PICTURE_SUFFIXES + VIDEO_SUFFIXES)
     entries = [(known, {**value, **frames[number]}) for number, known in found.items() if known is not None]
@@ -87,6 +89,8 @@ def _spellings(folder: Path, name: object, file: Path) -> list[Path]:
     if not isinstance(name, str) or not name or "\0" in name:
         raise InputError(file, "each frame needs a 'file_path'")
     spellings = [Path(name), Path(name.replace("\\", "/"))]  # Windows writes it otherwise
+    here = folder.absolute()
+    spellings = [path.relative_to(here) if path.is_relative_to(here) else path for path in spellings]
     if any(spelling.is_absolute() or ".." in spelling.parts for spelling in spellings):
         raise InputError(file, f"file_path {name!r} leads out of the folder")
     return [folder / spelling for spelling in spellings]
@@ -119,7 +123,9 @@ def _camera(name: str, settings: dict[str, Any], size: tuple[int, int], picture:
         raise InputError(f"camera {name}", f"picture size {width:g}x{height:g} is not possible")
     fx, fy = _focal_lengths(name, settings, width, height, file)
     cx, cy = number(settings.get("cx", width / 2), "cx", file), number(settings.get("cy", height / 2), "cy", file)
-    matrix = numbers(settings.get("transform_matrix"), (4, 4), f"transform_matrix of {name}", file)
+    matrix = settings.get("transform_matrix")
+    rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4  # some leave out the last, which is always 0 0 0 1
+    matrix = numbers(matrix, (rows, 4), f"transform_matrix of {name}", file)
     with np.errstate(all="ignore"):  # whatever comes of absurd numbers, Camera refuses it
         pose = opengl_pose(matrix)
     camera = Camera(

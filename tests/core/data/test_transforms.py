@@ -97,6 +97,17 @@ def test_videos(tmp_path: Path) -> None:
     assert [read_back(frame.images[1]) for frame in dataset.frames(1, 3)] == [(1, 1), (1, 2)]
 
 
+def test_matrices_of_three_rows_and_absolute_paths_into_the_folder(tmp_path: Path) -> None:
+    _write(tmp_path)
+    whole = open_dataset(tmp_path)
+    pose = json.loads((tmp_path / "transforms.json").read_text())["frames"][0]["transform_matrix"]
+    _edit(tmp_path, transform_matrix=pose[:3], file_path=str(tmp_path.absolute() / FILES[2]))
+    found = open_dataset(tmp_path)
+    assert found.names == whole.names
+    np.testing.assert_array_equal(found.cameras[2].world_to_camera, whole.cameras[2].world_to_camera)
+    assert read_back(next(found.frames()).images[2]) == (2, 0)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -117,6 +128,7 @@ def test_videos(tmp_path: Path) -> None:
         ({"s1": 0.1}, "the coefficient s1 is not supported"),
         ({"file_path": r"..\other.png"}, "leads out of the folder"),
         ({"file_path": "../other.png"}, "leads out of the folder"),
+        ({"transform_matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "transform_matrix of cam10 must be"),
         ({"file_path": "/etc/passwd"}, "leads out of the folder"),
         ({"file_path": 7}, "each frame needs a 'file_path'"),
         ({"file_path": FILES[0]}, "holds two cameras called"),
@@ -136,7 +148,7 @@ def test_faults_are_named(tmp_path: Path, changes: dict[str, object], message: s
         ("{", "is not valid JSON"),
         ("[]", "must hold a JSON object"),
         ("{}", "'frames' must be a list"),
-        ('{"frames": []}', "lists 0 files"),
+        ('{"frames": []}', "'frames' lists no pictures"),
         ("[" * 100_000, "is not valid JSON"),
     ],
 )
