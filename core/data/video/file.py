@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -20,6 +21,8 @@ from streamlod.core.data.video.upright import upright_size
 from streamlod.core.errors import InputError
 
 SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
+_HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # transfer characteristics of ITU-T H.273
+_log = logging.getLogger(__name__)
 MAX_PICTURES = 4_000_000  # of a file: a day and a half at 30 a second
 
 
@@ -100,6 +103,9 @@ def _first_picture(path: Path) -> tuple[tuple[int, int], int]:
             if max(frame.width, frame.height) > MAX_SIDE:
                 refused = f"video of {frame.width}x{frame.height} is refused"
                 raise InputError(path, f"{refused}; the limit is {MAX_SIDE} pixels a side")
+            if curve := _HIGH_DYNAMIC_RANGE.get(frame.color_trc):
+                fault = "%s: is HDR video (%s), whose pictures will look flat; film without HDR, or convert it"
+                _log.warning(fault, path, curve)
             with blaming(path):
                 return upright_size(frame), time_ns
     raise InputError(path, "holds no picture that can be decoded; it may be cut before its first keyframe")

@@ -74,3 +74,12 @@ def test_damaged_bytes_are_read_or_refused(tmp_path: Path, suffix: str) -> None:
         except InputError as error:
             assert "\n" not in str(error)  # noqa: PT017 - the sentence is one line, whatever is wrong
     assert read > 0
+
+
+@pytest.mark.parametrize(("curve", "told"), [("arib-std-b67", "HDR video (HLG)"), ("smpte2084", "(PQ)"), ("bt709", "")])
+def test_hdr_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture, curve: str, told: str) -> None:
+    """Phones film HLG unless told otherwise: it is used as it is, and looks flat."""
+    write_video(tmp_path / "cam.mp4", [picture(0, 0)], options={"color_trc": curve})
+    probe_video(tmp_path / "cam.mp4")
+    assert bool(caplog.messages) == bool(told)
+    assert told in "".join(caplog.messages)
