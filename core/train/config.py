@@ -211,7 +211,7 @@ class PredictConfig:
         given(0.0, "V-A", "the number of epochs is fixed"),
     )
     latent_rate: float = setting(
-        0.43, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
+        0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
     )
     position_rate: float = setting(
         0.1,
@@ -229,16 +229,16 @@ class PredictConfig:
         reading(0.1, "none given; as in the first frame"),
     )
     average_from: float = setting(
-        0.5,
+        0.7,
         "moment of the frame, 0 to 1, from which steps are averaged for the result; 1: the result is the last step",
         reading(1.0, "not mentioned: the result is the last step"),
     )
     feature_step: float = setting(
-        0.28,
+        0.4,
         "width of a latent's step in feature units, in the mean of all directions",
         reading(0.2, "the paper learns its latent decoders; ours are fixed, of this step"),
     )
-    offset_step: float = setting(0.105, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
+    offset_step: float = setting(0.15, "width of a latent's step in offset units", reading(0.2, "as feature_step"))
     position_steps_per_cell: int = setting(
         32,
         "steps in which anchors move, to a motion cell: one of the third finest level",
