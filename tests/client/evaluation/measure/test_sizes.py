@@ -41,12 +41,12 @@ def test_a_stream_pays_for_its_keyframes() -> None:
 
 @pytest.mark.long
 def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
-    """An ideal coder without headers: real keyframes cost more, though context can make up for part of it."""
+    """An ideal coder without headers or context, which saves real keyframes about a fifth."""
     trainer = Trainer(footage.training.cameras, shortened(preset("balanced")), 30, "cpu")
     first, second = (pair[0] for pair, _ in zip(footage.pairs(), range(2), strict=False))
     before = trainer.keyframe(first, footage.points).scene
     real = packet_size(None, before, None)
-    assert 0.5 * real.total_bytes < shannon_keyframe_bytes(before) < 1.2 * real.total_bytes
+    assert 0.5 * real.total_bytes < shannon_keyframe_bytes(before) < 1.3 * real.total_bytes
     assert sum(real.level_bytes) < real.total_bytes
     trained = trainer.predict(second)
     assert trained.residual is not None

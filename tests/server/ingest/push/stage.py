@@ -72,7 +72,7 @@ class Stage:
         while len(self.got) < count:
             assert time.monotonic() < limit, self.dataset.statistics()
             time.sleep(0.02)
-        return list(self.got)
+        return list(self.got)[:count]
 
 
 @contextmanager
