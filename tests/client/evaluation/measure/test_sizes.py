@@ -46,7 +46,7 @@ def test_estimates_are_near_but_below_real_packets(footage: Footage) -> None:
     first, second = (pair[0] for pair, _ in zip(footage.pairs(), range(2), strict=False))
     before = trainer.keyframe(first, footage.points).scene
     real = packet_size(None, before, None)
-    assert 0.5 * real.total_bytes < shannon_keyframe_bytes(before) < 1.3 * real.total_bytes
+    assert 0.9 * real.total_bytes < shannon_keyframe_bytes(before) < 1.25 * real.total_bytes  # 1.20
     assert sum(real.level_bytes) < real.total_bytes
     trained = trainer.predict(second)
     assert trained.residual is not None
