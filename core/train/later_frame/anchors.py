@@ -51,7 +51,8 @@ class TrainedAnchors:
         steps = (scene.weights.feature_decoder, scene.weights.offset_decoder, scene.header.position_steps)
         feature, offset, by_level = (torch.from_numpy(part).to(device) for part in steps)
         self._unit = UnitChange(feature, offset, by_level[self.base.level][:, None])
-        self._steps_a_pixel, self._usual_pixel = steps_a_pixel, float(steps_a_pixel.median()) if len(rows) else 1.0
+        self._steps_a_pixel = steps_a_pixel
+        self._median_steps_a_pixel = float(steps_a_pixel.median()) if len(rows) else 1.0  # asked of the device once
         pixels = values | {"position": values["position"] / steps_a_pixel}
         leaves = {name: value.clone().requires_grad_() for name, value in pixels.items()}
         self._hooks = hooks
@@ -112,7 +113,8 @@ class TrainedAnchors:
         rates = {"latent": config.latent_rate, "position": config.position_rate}
         for one in self._hooks:
             rates |= one.rates()
-        added = {} if self._added is None else self._added.rates(config.position_rate * self._usual_pixel, decay)
+        steps = config.position_rate * self._median_steps_a_pixel
+        added = {} if self._added is None else self._added.rates(steps, decay)
         self.optimiser.step({name: rate * decay for name, rate in rates.items()} | added)
 
     def average(self) -> None:

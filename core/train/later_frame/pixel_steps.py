@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from streamlod.core.arrays import Float32
 from streamlod.core.camera import Camera
 from streamlod.core.train.field.field import Field
 
 _UNSEEN = 4.0  # steps a pixel of anchors that no camera shows
 
 
-def steps_a_pixel(field: Field, position_steps: np.ndarray, cameras: Sequence[Camera]) -> Tensor:
+def steps_a_pixel(field: Field, position_steps: Float32, cameras: Sequence[Camera]) -> Tensor:
     """[N,1] position steps in which an anchor goes a pixel, in the camera that shows it largest.
 
     Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -42,13 +42,12 @@ class PlannedViews:
         views = self.views.halved()
         size = views.targets.shape[1:3]
         masks = functional.adaptive_max_pool2d(self.masks[:, None].float(), size)[:, 0] > 0
-        shown = None if self.shown is None else self.views.with_pictures(self.shown).halved().targets
+        shown = None if self.shown is None else replace(self.views, targets=self.shown).halved().targets
         return PlannedViews(views, masks, shown, self.static, self.backgrounds, self.backend)
 
     def plan(self, number: int, trained: Splats) -> TileCache:
         """How camera `number` is drawn; planned now for the Gaussians `trained`, if it was not before."""
         if number not in self.caches:
-            base = self.shown[number] if self.shown is not None and self._is_known(number) else None
             active = tiles_near(self.masks[number].cpu().numpy(), 0)
             with torch.no_grad():
                 self.caches[number] = make_tile_cache(
@@ -58,7 +57,7 @@ class PlannedViews:
                     self.backgrounds[number],
                     self.backend,
                     active,
-                    base,
+                    self._known(number),
                 )
         return self.caches[number]
 
@@ -71,9 +70,9 @@ class PlannedViews:
         Args:
             before: the Gaussians that are trained, as they were in the picture that is shown.
         """
-        if self._is_known(number):
-            assert self.shown is not None
-            self.views.targets[number] += self.caches[number].render(before).image - self.shown[number]
+        known = self._known(number)
+        if known is not None:
+            self.views.targets[number] += self.caches[number].render(before).image - known
 
     def pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
         """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
@@ -82,5 +81,6 @@ class PlannedViews:
             self.weights[number] = counted.expand(-1, -1, 3).contiguous()
         return self.weights.get(number)
 
-    def _is_known(self, number: int) -> bool:
-        return self.shown is not None and not bool(self.shown[number, 0, 0, 0].isnan())
+    def _known(self, number: int) -> Tensor | None:
+        """[H,W,3] picture that camera `number` would film of the state before, if it is known."""
+        return None if self.shown is None or bool(self.shown[number, 0, 0, 0].isnan()) else self.shown[number]

@@ -180,9 +180,9 @@ class FrameTraining:
         """One view, one update; returns the detached loss, and what was drawn."""
         moves, planned = self._anchors.moves, self._half or self._whole
         splats = self._splats(number, moves)
-        if number not in planned.caches:
-            planned.plan(number, splats)
-            planned.allow_for_size(number, self._filmed(self._anchors.base, number))
+        if self._half is not None and number not in self._half.caches:
+            self._half.plan(number, splats)
+            self._half.allow_for_size(number, self._filmed(self._anchors.base, number))
         cache = planned.caches[number]
         raster = cache.render(splats)
         image, prices = raster.image, list[Tensor]()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from torch import Tensor
 from torch.nn import functional
@@ -23,10 +23,6 @@ class Views:
         """Mean absolute deviation of values from the mean of their picture and channel, over the usable pictures."""
         pictures = self.targets[self.usable]
         return float((pictures - pictures.mean(dim=(1, 2), keepdim=True)).abs().mean())
-
-    def with_pictures(self, targets: Tensor) -> Views:
-        """Other pictures of the same cameras."""
-        return replace(self, targets=targets)
 
     def halved(self) -> Views:
         """The same pictures at half the width and height: each pixel is the mean of those it covers."""

@@ -26,7 +26,7 @@ class Neighbourhoods(FramePart):
     rate: float = setting(
         0.2,
         "Adam's rate of the shift and turn that a neighbourhood shares, in pixels; higher than"
-        " `later_frame.position_rate`, because what single anchors do is mostly noise, which must be sent",
+        " `predict.position_rate`, because what single anchors do is mostly noise, which must be sent",
         left_out("every anchor moves by itself"),
     )
     cells: float = setting(
