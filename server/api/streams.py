@@ -13,6 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from streamlod.codec.container import SlodReader
 from streamlod.core.errors import BitstreamError, InputError, StorageError, StreamGoneError
+from streamlod.core.masking import masked
 from streamlod.server.api.access import StreamOf, WorkerStreamOf, grant_of, need, refusal, registry_of
 from streamlod.server.api.conditions import IfMatch, IfMatchHeader, check_match, tag_headers
 from streamlod.server.api.push import capture_address, scope_of
@@ -27,7 +28,6 @@ from streamlod.server.pipeline.new_stream import NewStream, StreamChange
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.protocol.packets import Position
 from streamlod.server.stream.bus import RetainedGroup
-from streamlod.server.stream.sealing import masked
 from streamlod.server.stream.stream import Stream
 from streamlod.server.stream.worker_stream import WorkerStream
 

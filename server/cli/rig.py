@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from streamlod.core.errors import BackendUnavailable, InputError
 from streamlod.core.files import write_bytes, write_text
+from streamlod.core.masking import masked
 from streamlod.server.ingest.cameras.address import Address, parse_address
 
 if TYPE_CHECKING:
@@ -61,10 +62,10 @@ def find(
     cameras: list[dict[str, Any]] = []
     for each, look in looks.items():
         if look.picture is None:
-            say(f"{each.name}: {look.fault}; it is left out ({masked_source(each.source)})")
+            say(masked(f"{each.name}: {look.fault}; it is left out ({each.source})"))
             continue
         height, width = look.picture.shape[:2]
-        say(f"{each.name}: {width}x{height}, {masked_source(each.source)}")
+        say(masked(f"{each.name}: {width}x{height}, {each.source}"))
         cameras.append({"name": each.name, "source": each.source, "width": width, "height": height})
     wanted = size or (1280, 720)
     for number in range(1, phones + 1):
@@ -115,11 +116,6 @@ def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings
     for name, one in found.items():
         slow = f", {one.left_out} left out as this machine was too slow" if one.left_out else ""
         say(f"{record_to / name}.mp4: {one.pictures} pictures{slow}")
-
-
-def masked_source(source: str) -> str:
-    """A source without the password in it."""
-    return re.sub(r"//[^/@]*@", "//***@", source)
 
 
 def _named(arguments: Sequence[str]) -> list[NamedSource]:

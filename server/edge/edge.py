@@ -6,11 +6,11 @@ import asyncio
 import logging
 from contextlib import suppress
 
+from streamlod.core.masking import masked
 from streamlod.server.api.registry import Registry
 from streamlod.server.edge.origin import OriginStream
 from streamlod.server.edge.stream import EdgeStream
 from streamlod.server.edge.supply import StreamSource
-from streamlod.server.stream.sealing import masked
 
 _LOG = logging.getLogger(__name__)
 _MAX_TOLD = 20  # reasons: a hostile origin may have a new one each time

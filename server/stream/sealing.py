@@ -1,76 +1,17 @@
-"""Passwords in the addresses of cameras: unreadable where a definition is stored, left out where it is shown.
-
-Cameras have many names for a password. So all that an address says besides its place counts as one, unless it is known
-to be harmless.
-"""
+"""Passwords in the addresses of cameras (`core.masking`), unreadable where a definition is stored."""
 
 from __future__ import annotations
 
-import itertools
 import os
-import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from streamlod.core.errors import InputError
 from streamlod.core.files import put_in_place, temporary_beside
+from streamlod.core.masking import mask_text, with_texts
 from streamlod.server.stream.stored_stream import PRIVATE_FILE
 
-_URL = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
-_USER = re.compile(r"[\w.-]{1,64}")
-_PLAIN = re.compile(r"[\w.,:x-]{0,32}(?=\s|['\")]|$)")
-_HARMLESS = {  # options of addresses that hold no password, as FFmpeg and common cameras name them
-    "action", "buffer_size", "camera", "cameraid", "channel", "codec", "compression", "fifo_size", "fps",
-    "framerate", "height", "latency", "listen", "mode", "pbkeylen", "pkt_size", "profile", "quality",
-    "resolution", "rotation", "size", "stream", "subtype", "timeout", "track", "trackid", "transport",
-    "transportmode", "unicast", "videocodec", "width",
-}  # fmt: skip
 _SEALED = "sealed"
-
-
-def masked(value: Any) -> Any:
-    """A JSON value with stars for all passwords in it."""
-    return _changed(value, _mask)
-
-
-def _mask(text: str) -> str:
-    """Stars for user parts and for options that are not known to be harmless, in all addresses in a text."""
-    begins = [found.start() for found in _URL.finditer(text)]
-    parts = [text[begin:end] for begin, end in itertools.pairwise([*begins, len(text)])]
-    return text[: begins[0]] + "".join(map(_mask_address, parts)) if begins else text
-
-
-def _mask_address(text: str) -> str:
-    """An address, and what follows it in a sentence.
-
-    A password may hold any character, `/?#@` and blanks too: whatever stands before the last `@` belongs to the user.
-    """
-    scheme, _, rest = text.partition("://")
-    user, at, rest = rest.rpartition("@")
-    if at:
-        name, colon, _ = user.partition(":")
-        user = f"{name}:***" if colon and _USER.fullmatch(name) else "***"
-    path = re.search(r"[/?#]", rest)
-    begin = path.start() if path else len(rest)
-    options = re.split(r"([?&;#])" if "?" in rest or "#" in rest else r"([/?&;#])", rest[begin:])
-    is_query, masked_options = False, ""
-    for option in options:
-        masked_options += _mask_option(option, bare=is_query)
-        is_query = is_query or option in ("?", "#")
-    return f"{scheme}://{user}{at}{rest[:begin]}{masked_options}"
-
-
-def _mask_option(option: str, *, bare: bool) -> str:
-    """`name=value` with stars for the value; with `bare` also what has no name, as it may be a token."""
-    name, equals, value = option.partition("=")
-    if not equals and (not bare or option in ("", "?", "&", ";", "#") or option.lower() in _HARMLESS):
-        return option
-    if not equals:
-        return "***"
-    if name.rpartition("/")[2].lower() in _HARMLESS and _PLAIN.match(value):
-        return option
-    return f"{name}=***"
 
 
 class Seal:
@@ -97,9 +38,9 @@ class Seal:
         """The JSON value with every text that holds a password replaced."""
 
         def seal(text: str) -> Any:
-            return text if _mask(text) == text else {_SEALED: self._cipher.encrypt(text.encode()).decode()}
+            return text if mask_text(text) == text else {_SEALED: self._cipher.encrypt(text.encode()).decode()}
 
-        return _changed(value, seal)
+        return with_texts(value, seal)
 
     def open(self, value: Any) -> Any:
         """The value that `close` was given.
@@ -128,11 +69,3 @@ def _write_key(path: Path, key: bytes) -> None:
         put_in_place(new, path)
     finally:
         new.unlink(missing_ok=True)
-
-
-def _changed(value: Any, change: Callable[[str], Any]) -> Any:
-    if isinstance(value, dict):
-        return {name: _changed(item, change) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_changed(item, change) for item in value]
-    return change(value) if isinstance(value, str) else value

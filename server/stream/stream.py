@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from streamlod.core.masking import masked
 from streamlod.server.protocol.messages import event
 from streamlod.server.protocol.packets import Position, StreamPacket, text_frame
 from streamlod.server.settings import Settings
@@ -19,7 +20,6 @@ from streamlod.server.stream.bus import Bus
 from streamlod.server.stream.counters import Counters
 from streamlod.server.stream.feed import Feed
 from streamlod.server.stream.hub import Hub
-from streamlod.server.stream.sealing import masked
 from streamlod.server.stream.traces import Traces
 
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus

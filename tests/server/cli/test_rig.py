@@ -20,7 +20,7 @@ from websockets.typing import Subprotocol
 from streamlod.core.calibration.walk import open_walk
 from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
-from streamlod.server.cli.rig import find, masked_source, watch
+from streamlod.server.cli.rig import find, watch
 from streamlod.server.ingest.cameras.definition import read_definition
 from streamlod.server.ingest.push.message import PUSH_SUBPROTOCOL, Codec, PushMessage, pack_push
 from streamlod.server.settings import Settings, load_settings
@@ -78,7 +78,15 @@ def test_what_cannot_be_a_rig_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=fault):
             found(tmp_path, *sources, overwrite=True)
     assert (tmp_path / "rig.json").read_text() == "{}"
-    assert masked_source("rtsp://a:b@host/main") == "rtsp://***@host/main"
+
+
+def test_no_password_of_a_source_is_shown(tmp_path: Path) -> None:
+    """Neither one before the place nor one in its options, whatever the camera calls it."""
+    said, source = list[str](), "http://me:secret@127.0.0.1:9/main?loginpas=hidden&channel=2"
+    with pytest.raises(InputError, match="none of its cameras"):
+        find([source], tmp_path / "rig.json", 0, None, FPS, "walk", said.append, overwrite=False)
+    assert any("http://me:***@127.0.0.1:9/main?loginpas=***&channel=2" in line for line in said)
+    assert not any("secret" in line or "hidden" in line for line in said)
 
 
 def test_a_calibration_of_another_size_is_refused(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from streamlod.server.stream.sealing import Seal, masked
+from streamlod.core.masking import masked
+from streamlod.server.stream.sealing import Seal
 
 SECRET = "geheim"
 WITH_SECRETS = [
