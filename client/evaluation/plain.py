@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,10 +102,19 @@ def thinned(points: PointCloud, cameras: tuple[Camera, ...], pixels: float) -> P
 
 
 class PlainGaussians:
-    """Trains one instant from first points."""
+    """Trains one instant from first points, for so many seconds of `clock`: by default this process's CPU time."""
 
-    def __init__(self, points: PointCloud, views: Views, config: PlainConfig | None = None, *, seed: int = 0) -> None:
-        self._config = config = config or PlainConfig()
+    def __init__(
+        self,
+        points: PointCloud,
+        views: Views,
+        config: PlainConfig | None = None,
+        *,
+        seed: int = 0,
+        clock: Callable[[], float] = time.process_time,
+    ) -> None:
+        self._config, self._clock = config or PlainConfig(), clock
+        config = self._config
         self._whole, self._views = views, views.halved() if config.half_size_until > 0 else views
         self._generator = torch.Generator().manual_seed(seed)
         self._order = ViewOrder(views.usable, self._generator)
@@ -132,10 +142,10 @@ class PlainGaussians:
     def __len__(self) -> int:
         return len(self._pull)
 
-    def train(self, cpu_seconds: float) -> int:
-        """Train for so many CPU seconds of this process; returns the steps taken."""
-        begin, steps, config = time.process_time(), 0, self._config
-        while (progress := (time.process_time() - begin) / cpu_seconds) < 1:
+    def train(self, seconds: float) -> int:
+        """Train for so many seconds; returns the steps taken."""
+        begin, steps, config = self._clock(), 0, self._config
+        while (progress := (self._clock() - begin) / seconds) < 1:
             if progress >= config.half_size_until:
                 self._views = self._whole
             self._step(progress)
@@ -146,14 +156,14 @@ class PlainGaussians:
                 self._densify()
         return steps
 
-    def follow(self, views: Views, cpu_seconds: float) -> None:
-        """Train on the pictures of the next instant for so many CPU seconds; no Gaussian comes or goes."""
+    def follow(self, views: Views, seconds: float) -> None:
+        """Train on the pictures of the next instant for so many seconds; no Gaussian comes or goes."""
         for name, value in self._mean.values.items():
             self._optimiser.parameters[name].data.copy_(value)
         self._mean = MeanOfSteps()
         self._whole = self._views = views
-        begin = time.process_time()
-        while (progress := (time.process_time() - begin) / max(cpu_seconds, 1e-9)) < 1:
+        begin = self._clock()
+        while (progress := (self._clock() - begin) / max(seconds, 1e-9)) < 1:
             self._step(0.5 + 0.5 * progress)
 
     @torch.no_grad()

@@ -1,4 +1,4 @@
-"""What a picture may cost to decode, whatever its bytes say: measured in a process that decodes them all."""
+"""Bounds of what a picture costs to decode, whatever its bytes say: memory of a process that decodes them all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import re
 import struct
 import subprocess
 import sys
-import time
 import zlib
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from streamlod.core.data.announced import MAX_SCANS, AnnouncedPicture, announced_picture
+from streamlod.core.data.announced import MAX_SCANS, announced_picture
 from streamlod.core.data.pictures import decode
 from tests.attack.test_picture_bombs import chunk, encoded
 
@@ -35,12 +34,6 @@ def with_pixels(count: int, size: tuple[int, int] = SIZE) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
 
 
-def cpu_seconds(picture: AnnouncedPicture) -> float:
-    begin = time.process_time()
-    decode(picture)
-    return time.process_time() - begin
-
-
 def test_a_jpeg_of_many_scans_is_refused() -> None:
     usual = announced_picture(with_scans(0))
     assert usual is not None
@@ -48,14 +41,6 @@ def test_a_jpeg_of_many_scans_is_refused() -> None:
     most = announced_picture(with_scans(MAX_SCANS - 10))
     assert most is not None
     assert announced_picture(with_scans(MAX_SCANS)) is None
-    long = AnnouncedPicture(SIZE, with_scans(4000))
-    assert cpu_seconds(long) > 3 * cpu_seconds(most)  # what the limit is for
-
-
-def test_pixels_beyond_those_announced_are_not_unpacked() -> None:
-    found = announced_picture(with_pixels(80_000_000))
-    assert found is not None
-    assert cpu_seconds(found) < 0.1
 
 
 _DECODE = """

@@ -98,7 +98,7 @@ def proxy(program: str, folder: Path, port: int, path: str = "") -> Iterator[int
         }[program]
         with (folder / "log").open("w") as log, subprocess.Popen(command, stdout=log, stderr=log) as process:
             try:
-                limit = time.monotonic() + 15
+                limit = time.monotonic() + 60
                 while not is_open(own):
                     assert process.poll() is None, (folder / "log").read_text()
                     assert time.monotonic() < limit

@@ -40,6 +40,7 @@ def hostile() -> dict[str, list[bytes]]:
     base = exchanged(plain, 1, ChunkKind.GEOMETRY, encode_plain(np.zeros((base_rows, 3), np.int64)))
     return {
         "added for nothing": [first, exchanged(change, 1, ChunkKind.ADDED, uncoded(rows, columns))],
+        "more added for nothing": [first, exchanged(change, 1, ChunkKind.ADDED, uncoded(4 * rows, columns))],
         "added under deflate": [
             first,
             exchanged(change, 1, ChunkKind.ADDED, encode_plain(np.zeros((20_000, columns)))),

@@ -85,7 +85,7 @@ def test_every_panel_of_the_dashboard_shows_something(prometheus: int) -> None:
     }
     open_questions = {text for text in open_questions if not any(name in text for name in NOT_OF_A_RECORDED_FILE)}
     assert len(open_questions) >= 12
-    limit = time.monotonic() + 45
+    limit = time.monotonic() + 60
     while open_questions:
         assert time.monotonic() < limit, open_questions
         time.sleep(1)

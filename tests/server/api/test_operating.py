@@ -174,7 +174,7 @@ class Reader:
                     self.events.append(json.loads(line[6:]))
 
     def until(self, count: int) -> list[tuple[str, str]]:
-        limit = time.monotonic() + 40
+        limit = time.monotonic() + 60
         while len(self.events) < count:
             assert time.monotonic() < limit, self.events
             time.sleep(0.01)
@@ -222,7 +222,7 @@ def test_events_tell_each_token_what_it_may_know(clip: Clip, tmp_path: Path, mon
             client.post("/v1/streams/main/stop")
         seen = boss.until(4)
         assert {("viewer.joined", "main"), ("stream.state", "secret")} <= set(seen)
-        limit = time.monotonic() + 5
+        limit = time.monotonic() + 60
         while not any(event["data"].get("state") == "idle" for event in reader.events):
             assert time.monotonic() < limit
             time.sleep(0.01)
@@ -232,7 +232,7 @@ def test_events_tell_each_token_what_it_may_know(clip: Clip, tmp_path: Path, mon
         assert refused.status_code == 403
         write_tokens(tmp_path, all=grants["all"])  # nobody sends a signal: the file is looked at
         with server.client(headers=bearer("reader")) as client:
-            limit = time.monotonic() + 5
+            limit = time.monotonic() + 60
             while client.get("/v1/streams/main").status_code != 401:
                 assert time.monotonic() < limit
                 time.sleep(0.1)
@@ -255,7 +255,7 @@ def test_a_web_token_is_withdrawn_by_its_name_or_hash(tmp_path: Path) -> None:
     with running(settings, StreamSpec(play=Path("nothing.slod"))) as server, server.client() as client:
         assert [client.get("/v1/streams", headers=bearer(token)).status_code for token in (named, plain)] == [200, 200]
         revoked.write_text(f"page-7  # lost phone\n{hash_token(plain)}\n")
-        limit = time.monotonic() + 5
+        limit = time.monotonic() + 60
         while [client.get("/v1/streams", headers=bearer(token)).status_code for token in (named, plain)] != [401, 401]:
             assert time.monotonic() < limit
             time.sleep(0.2)

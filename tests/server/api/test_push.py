@@ -127,7 +127,7 @@ def test_questions_are_answered_and_others_close() -> None:
             wanted = [free | {"name": "phone1", "taken": True}, free]
             assert ask(two, {"type": "cameras"}) == {"type": "cameras", "fps": 20.0, "cameras": wanted}
             one.close()
-            limit = time.monotonic() + 10
+            limit = time.monotonic() + 60
             while ask(two, {"type": "cameras"})["cameras"][0]["taken"]:
                 assert time.monotonic() < limit
         texts = ["", "{", "[" * 200, "7", '{"type": "time"}', '{"type": "time", "sent": NaN}']

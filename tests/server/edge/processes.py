@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 
 from tests.server.conftest import Viewer
 
-START_SECONDS = 40
+START_SECONDS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ def wait(done: Any, seconds: float = 60) -> Any:
     return found
 
 
-def wait_live(server: Node, seconds: float = 20) -> None:
+def wait_live(server: Node, seconds: float = 60) -> None:
     """Until its stream is live; says what it was instead, and what the server logged."""
     limit = time.monotonic() + seconds
     while (told := server.stream()).get("state") != "live":

@@ -35,7 +35,7 @@ def peer_of(server: Running, *, upgraded: bool) -> Iterator[socket.socket]:
 
 
 def until_away(server: Running, reason: str) -> None:
-    limit = time.monotonic() + 30
+    limit = time.monotonic() + 60
     while server.registry.turned_away[reason] != 1:
         assert time.monotonic() < limit
         time.sleep(0.02)

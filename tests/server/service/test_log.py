@@ -61,7 +61,7 @@ def goes_on(process: subprocess.Popen[bytes], port: int, replace_worker: bool = 
     before = json.loads(answer(port, "/v1/streams/main"))
     if replace_worker:
         os.kill(_worker(process.pid), signal.SIGKILL)
-    limit = time.monotonic() + 20
+    limit = time.monotonic() + 60
     while (now := json.loads(answer(port, "/v1/streams/main")))["restarts"] < replace_worker or now == before:
         assert time.monotonic() < limit, now
         time.sleep(0.05)

@@ -57,7 +57,7 @@ class NatsServer:
             self.process = subprocess.Popen([NATS_SERVER, "-c", path], stdout=log, stderr=log)
 
     def wait(self, path: str = "healthz") -> None:
-        limit = time.monotonic() + 20
+        limit = time.monotonic() + 60
         while True:
             with suppress(OSError), urlopen(f"http://127.0.0.1:{self.monitor}/{path}", timeout=2) as answer:
                 if answer.status == 200:

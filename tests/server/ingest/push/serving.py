@@ -39,7 +39,7 @@ def serving_push(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) 
 
 def relayed(path: Path) -> RelayedIntake:
     """The worker's intake at `path`, once it listens; the path is there a little earlier."""
-    limit = time.monotonic() + 30
+    limit = time.monotonic() + 60
     while True:
         try:
             return RelayedIntake(path)

@@ -54,7 +54,7 @@ class Stage:
 
         thread = threading.Thread(target=read, daemon=True)
         thread.start()
-        limit = time.monotonic() + 10
+        limit = time.monotonic() + 60
         while dataset.rig is None:
             assert time.monotonic() < limit
             time.sleep(0.01)

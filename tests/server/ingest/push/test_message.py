@@ -127,7 +127,7 @@ class Frames:
             time.sleep(0.005)
 
     def wait(self, condition: Any) -> None:
-        end = time.monotonic() + 15
+        end = time.monotonic() + 60
         while not condition():
             assert time.monotonic() < end
             time.sleep(0.01)
