@@ -85,6 +85,6 @@ def test_an_address_leads_nowhere_else(status: int, kind: str, body: str) -> Non
                 assert time.monotonic() < limit
                 time.sleep(0.01)
             reader.stop()
-            reader.join(5)
+            reader.join(60)
             assert asked_outside
         assert asked_inside == []

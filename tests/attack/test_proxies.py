@@ -106,7 +106,7 @@ def proxy(program: str, folder: Path, port: int, path: str = "") -> Iterator[int
                 yield own
             finally:
                 process.terminate()
-                process.wait(10)
+                process.wait(60)
 
 
 @pytest.mark.parametrize("program", ["nginx", "caddy"])

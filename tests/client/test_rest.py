@@ -77,7 +77,7 @@ def test_viewers_and_events(server: Running) -> None:
             (found,) = other.viewers("main")
             assert (found.id, found.client) == (viewer.welcome["session"], "test/1")
             other.disconnect("main", found.id)
-        reader.join(10)
+        reader.join(60)
         assert not reader.is_alive()
     assert seen[-1].data["viewer"] == found.id
 

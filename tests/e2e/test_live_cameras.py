@@ -112,8 +112,8 @@ def test_rtsp_cameras_are_trained_through_their_faults_and_the_workers_death(fil
             trained = wait(port, lambda stream: is_live(stream) and stream["version"] > found["version"] + 2, 120)
             assert trained["report"]["latency_seconds"] > 0
         server.send_signal(signal.SIGTERM)
-        assert server.wait(10) == 0
-        assert watching.result(20) == 1001  # and every packet on the way there was decoded
+        assert server.wait(60) == 0
+        assert watching.result(60) == 1001  # and every packet on the way there was decoded
         states = [event["state"] for event in viewer.named("state")]
         assert states.count("degraded") >= 3
     segments = sorted((tmp_path / "state" / "streams" / "main").glob("*.slod"))

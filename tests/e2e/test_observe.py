@@ -66,7 +66,7 @@ def prometheus(tmp_path: Path, clip: Clip) -> Iterator[int]:
 
 def ask(port: int, question: str) -> list[Any]:
     address = f"http://127.0.0.1:{port}/api/v1/query?" + urllib.parse.urlencode({"query": question})
-    with urllib.request.urlopen(address, timeout=10) as answer:
+    with urllib.request.urlopen(address, timeout=60) as answer:
         found = json.load(answer)
     assert found["status"] == "success", found
     return list(found["data"]["result"])

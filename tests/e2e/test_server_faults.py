@@ -133,7 +133,7 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
             segment.unlink()  # somebody makes room
         until(lambda: stream(port)["recording"] == "on")
         process.send_signal(signal.SIGTERM)
-        process.wait(10)
+        process.wait(60)
 
 
 def test_a_clock_that_is_set_deletes_nothing_and_stops_nobody(clip: Clip, tmp_path: Path) -> None:

@@ -133,7 +133,7 @@ def running(settings: Settings, *specs: StreamSpec, port: int = 0, confined: boo
         yield Running(app.state.registry, listener.getsockname()[1])
     finally:
         server.should_exit = True
-        thread.join(15)
+        thread.join(60)
         listener.close()
         assert not thread.is_alive()
 
@@ -155,11 +155,11 @@ class Viewer:
 
     def hello(self, **fields: Any) -> Self:
         self.send(**{"type": "hello", "versions": [1], "client": "test/1"} | fields)
-        self.welcome = json.loads(self.connection.recv(30))
+        self.welcome = json.loads(self.connection.recv(60))
         assert self.welcome["type"] == "welcome"
         return self
 
-    def step(self, seconds: float = 30) -> bytes | dict[str, Any]:
+    def step(self, seconds: float = 60) -> bytes | dict[str, Any]:
         """Take the next message; a packet is decoded."""
         message = self._receive(seconds)
         if isinstance(message, str):
@@ -191,7 +191,7 @@ class Viewer:
         if self.acknowledge:
             self.send(type="ack", bytes=self.received, epoch=1, version=0)
 
-    def until(self, name: str, seconds: float = 30) -> dict[str, Any]:
+    def until(self, name: str, seconds: float = 60) -> dict[str, Any]:
         """Step to the next event of that name."""
         while True:
             message = self.step(seconds)

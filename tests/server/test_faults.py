@@ -122,7 +122,7 @@ class Hoarder:
         for peer in (self._server, self._viewer, self._listener):
             peer.close()
         for thread in self._threads:
-            thread.join(10)
+            thread.join(60)
 
     def _up(self) -> None:
         self._viewer, _ = self._listener.accept()

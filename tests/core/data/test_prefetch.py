@@ -40,7 +40,7 @@ class Counted:
 
     def wait_for(self, made: int) -> None:
         with self.reached:
-            assert self.reached.wait_for(lambda: self.made >= made, timeout=30)
+            assert self.reached.wait_for(lambda: self.made >= made, timeout=60)
 
 
 def _threads() -> int:

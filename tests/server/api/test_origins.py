@@ -36,7 +36,7 @@ def closed(server: Running, headers: dict[str, str]) -> Close:
         with contextlib.suppress(ConnectionClosed):  # refused already
             viewer.send("{}")
         with pytest.raises(ConnectionClosed) as caught:
-            viewer.recv(10)
+            viewer.recv(60)
     assert caught.value.rcvd is not None
     return caught.value.rcvd
 

@@ -50,17 +50,17 @@ def pushing(found: Stage, query: str = "") -> Iterator[ClientConnection]:
 
 def ask(node: ClientConnection, question: Any) -> Any:
     node.send(json.dumps(question))
-    return json.loads(node.recv(10))
+    return json.loads(node.recv(60))
 
 
 def film(node: ClientConnection, camera: str, sequence: int, body: bytes = JPEG, codec: Codec = Codec.JPEG) -> Any:
     node.send(pack_push(PushMessage(camera, sequence, time.time_ns(), codec, body)))
-    return json.loads(node.recv(10))
+    return json.loads(node.recv(60))
 
 
 def closes(node: ClientConnection) -> int | None:
     with pytest.raises(ConnectionClosed):
-        node.recv(10)
+        node.recv(60)
     return node.close_code
 
 

@@ -239,7 +239,7 @@ def test_serve_and_view_until_interrupted(run: Run, tmp_path: Path, scene: Path)
             assert_refused(run("view", wrong, "--out", tmp_path / "v"), wrong, "4404")
             server.send_signal(signal.SIGINT)
             server.stderr.read()
-            assert server.wait(20) == 0
+            assert server.wait(60) == 0
         finally:
             server.kill()
     assert not (tmp_path / "v").exists()

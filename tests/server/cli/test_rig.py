@@ -119,7 +119,7 @@ def film(page: str, camera: str, begin_ns: int, over: threading.Event) -> None:
                     time.sleep(max(0.0, (taken - time.time_ns()) / 1e9))
                     body = cv2.imencode(".png", burnt(number))[1].tobytes()
                     node.send(pack_push(PushMessage(camera, number, taken, Codec.PNG, body)))
-                    assert json.loads(node.recv(30))["type"] == "ack"
+                    assert json.loads(node.recv(60))["type"] == "ack"
                     number += 1
         except (WebSocketException, OSError, EOFError):
             over.wait(0.1)  # the rig does not take pictures yet, or the server has ended
@@ -145,7 +145,7 @@ def test_phones_are_recorded_on_one_clock(tmp_path: Path) -> None:
     watch(rig, tmp_path / "walk", 3.0, settings, say, overwrite=False)
     over.set()
     for phone in phones:
-        phone.join(30)
+        phone.join(60)
         assert not phone.is_alive()
     assert len(phones) == 2
     assert any("all 3 cameras at one instant" in line for line in said)

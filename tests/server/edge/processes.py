@@ -35,7 +35,7 @@ class Node:
         return f"http://127.0.0.1:{self.port}"
 
     def get(self, path: str, **headers: str) -> httpx.Response:
-        with httpx.Client(base_url=self.url, timeout=10, trust_env=False) as client:
+        with httpx.Client(base_url=self.url, timeout=60, trust_env=False) as client:
             return client.get(path, headers=headers)
 
     def stream(self, name: str = "main") -> dict[str, Any]:

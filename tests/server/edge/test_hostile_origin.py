@@ -48,10 +48,10 @@ class Origin:
 
     def talk(self, connection: ServerConnection) -> None:
         with suppress(ConnectionClosed):
-            self.hellos.append(json.loads(connection.recv(5)))
+            self.hellos.append(json.loads(connection.recv(60)))
             self.speak(connection)
             while True:
-                connection.recv(20)
+                connection.recv(60)
 
 
 @contextmanager
@@ -65,7 +65,7 @@ def origin_that(speak: Speech) -> Iterator[Origin]:
         thread.start()
         yield origin
         server.shutdown()
-        thread.join(5)
+        thread.join(60)
 
 
 def settings(origin: Origin) -> Settings:

@@ -128,7 +128,7 @@ def test_viewers_of_an_edge_stay_while_the_origin_becomes_another_version(
         viewer = stack.enter_context(edge.viewing()).hello()
         viewer.until("caught_up")
         origin.process.terminate()
-        origin.process.wait(15)
+        origin.process.wait(60)
         stack.enter_context(node(tmp_path, *serve, port=port, source=after))
         assert viewer.until("epoch", 30)["epoch"] == 2
         viewer.next_packet()

@@ -85,7 +85,7 @@ class Watch:
     def close(self) -> None:
         self._stop.set()
         self.dataset.close()
-        self._thread.join(10)
+        self._thread.join(60)
         assert not self._thread.is_alive()
 
 

@@ -27,7 +27,7 @@ _LINES = 300  # far more than the pipe takes
 
 
 def answer(port: int, path: str) -> bytes:
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=20) as response:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=60) as response:
         body: bytes = response.read()
         return body
 
@@ -66,7 +66,7 @@ def goes_on(process: subprocess.Popen[bytes], port: int, replace_worker: bool = 
         assert time.monotonic() < limit, now
         time.sleep(0.05)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(10) == 0
+    assert process.wait(60) == 0
 
 
 def _worker(pid: int) -> int:

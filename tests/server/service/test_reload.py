@@ -41,7 +41,7 @@ def test_limits_and_webhooks_are_read_again(clip: Clip, tmp_path: Path) -> None:
         write(1, first)
         with (
             serving("--play", clip.path, "--config", config) as (process, port),
-            httpx.Client(base_url=f"http://127.0.0.1:{port}", trust_env=False, timeout=30) as client,
+            httpx.Client(base_url=f"http://127.0.0.1:{port}", trust_env=False, timeout=60) as client,
         ):
 
             def limit() -> int:

@@ -68,7 +68,7 @@ class ThinViewer:
     def until(self, name: str) -> dict[str, Any]:
         """The next event of that name; pictures that come before it are acknowledged."""
         while True:
-            message = self.connection.recv(20)
+            message = self.connection.recv(60)
             if isinstance(message, bytes):
                 self._acknowledge(message)
                 continue
@@ -81,7 +81,7 @@ class ThinViewer:
 
     def picture(self) -> Picture:
         """The next picture, acknowledged."""
-        while isinstance(message := self.connection.recv(20), str):
+        while isinstance(message := self.connection.recv(60), str):
             self.events.append(json.loads(message))
         number, _, version, width, height, quality, _, _, _ = HEADER.unpack_from(message)
         image = cv2.imdecode(np.frombuffer(message, np.uint8, offset=HEADER.size), cv2.IMREAD_COLOR_RGB)
@@ -200,7 +200,7 @@ def test_one_picture_on_its_way_and_the_newest_view_wins(server: Running, states
         viewer.look(cameras[0])
         message: Any = ""
         while isinstance(message, str):
-            message = viewer.connection.recv(20)
+            message = viewer.connection.recv(60)
         for camera in (*cameras, *cameras[:4]):
             viewer.look(camera)
         with contextlib.suppress(TimeoutError):

@@ -55,7 +55,7 @@ def test_where_to_go_on_is_told_by_pipe_however_long_it_is() -> None:
     with ours, theirs, ThreadPoolExecutor(1) as pool:
         sent = pool.submit(send_resume, resume, ours)
         assert receive_resume(theirs) == resume
-        sent.result(5)
+        sent.result(60)
 
 
 class Collector:
@@ -189,7 +189,7 @@ def test_a_worker_begins_while_the_last_state_is_read_and_does_not_outlive_that(
         pid = supervisor.pid
         if not fails:
             running.cancel()
-        await asyncio.wait([running], timeout=20)
+        await asyncio.wait([running], timeout=60)
         return pid, owner
 
     pid, owner = asyncio.run(run())
@@ -218,7 +218,7 @@ def test_a_cancellation_while_an_ended_worker_is_cleared_up_is_not_lost() -> Non
         owner, watched = Reports(), WorkerSettings(attempts=3, first_delay_seconds=0.01)
         spec = StreamSpec(play=Path("none.slod"))
         running = asyncio.create_task(CancelledWhileClearingUp(spec, watched, 1000, owner, entry=end_at_once).run())
-        await asyncio.wait([running], timeout=20)
+        await asyncio.wait([running], timeout=60)
         return running.cancelled(), owner
 
     cancelled, owner = asyncio.run(run())

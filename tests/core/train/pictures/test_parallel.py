@@ -29,7 +29,7 @@ def test_results_are_in_the_order_of_the_pairs(threads: int) -> None:
 
 
 def test_as_many_at_a_time_as_there_are_threads(threads: int) -> None:
-    meeting = threading.Barrier(threads, timeout=10)
+    meeting = threading.Barrier(threads, timeout=60)
     map_pairs(lambda one, other: meeting.wait(), pairs(2 * threads))  # hangs, and so fails, where fewer run
 
 

@@ -95,7 +95,7 @@ class Nats:
 
     def leader(self, stream: str) -> NatsServer:
         """The server that leads a JetStream stream's replicas."""
-        with urlopen(f"http://127.0.0.1:{self.servers[0].monitor}/jsz?streams=true", timeout=5) as answer:
+        with urlopen(f"http://127.0.0.1:{self.servers[0].monitor}/jsz?streams=true", timeout=60) as answer:
             accounts = json.load(answer)["account_details"]
         details = [each for account in accounts for each in account.get("stream_detail", [])]
         name = next(each["cluster"]["leader"] for each in details if each["name"] == stream)

@@ -31,4 +31,4 @@ def test_a_reader_that_listens_says_so_as_soon_as_cameras_may_connect() -> None:
             assert time.monotonic() < limit
             time.sleep(0.02)
     reader.stop()
-    reader.join(6)
+    reader.join(60)

@@ -45,7 +45,7 @@ def device(answers: Callable[[str], list[bytes]]) -> Iterator[tuple[tuple[str, i
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
         yield place.getsockname(), heard
-        thread.join(20)
+        thread.join(60)
         assert not thread.is_alive()
 
 

@@ -34,7 +34,7 @@ def serving_push(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) 
             yield listener.getsockname()[1]
         finally:
             server.should_exit = True
-            thread.join(10)
+            thread.join(60)
 
 
 def relayed(path: Path) -> RelayedIntake:

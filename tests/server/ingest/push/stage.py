@@ -62,7 +62,7 @@ class Stage:
             yield
         finally:
             dataset.close()
-            thread.join(10)
+            thread.join(60)
             assert not thread.is_alive()
 
     def wait(self, count: int) -> list[FrameSet]:

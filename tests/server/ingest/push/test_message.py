@@ -134,7 +134,7 @@ class Frames:
 
     def close(self) -> None:
         self.dataset.close()
-        self._thread.join(5)
+        self._thread.join(60)
         assert not self._thread.is_alive()
 
 
@@ -259,21 +259,21 @@ def test_a_capture_node_over_the_websocket_and_the_workers_socket(live: Frames, 
             for k in range(8):
                 for camera in ("cam0", "cam1"):
                     node.send(pack_push(message(k, camera, begin + k * 1_000_000_000 // FPS)))
-                    answer = json.loads(node.recv(10))
+                    answer = json.loads(node.recv(60))
                     assert answer == {"type": "ack", "camera": camera, "sequence": k}
             node.send(pack_push(message(9, "cam7", begin)))
-            refused = json.loads(node.recv(10))
+            refused = json.loads(node.recv(60))
             assert refused["type"] == "refused"
             assert "not one of" in refused["reason"]
             node.send(b"\0")
             with pytest.raises(ConnectionClosed):
-                node.recv(10)
+                node.recv(60)
             assert node.close_code == 4400
         with (
             websocket_client.connect(url + "other/ingest", subprotocols=[PUSH_SUBPROTOCOL]) as node,  # type: ignore[list-item]
             pytest.raises(ConnectionClosed, match="no such stream"),
         ):
-            node.recv(10)
+            node.recv(60)
     live.wait(lambda: live.dataset.statistics() is not None and live.dataset.statistics().delivered >= 1)  # type: ignore[union-attr]
     live.wait(lambda: live.dataset.statistics().degraded)  # type: ignore[union-attr]  # the node has gone
 

@@ -72,7 +72,7 @@ def test_a_cluster_that_does_not_answer_is_given_up() -> None:
     with ours:
         assert ours.poll(60)
         message = ours.recv_bytes()
-    process.join(10)
+    process.join(60)
     assert (message[0], json.loads(message[1:])["fatal"]) == (Tag.FAILURE, False)
     assert json.loads(message[1:])["text"].startswith("the Ray cluster does not answer")
     assert "ray start --head" in json.loads(message[1:])["text"]
