@@ -60,8 +60,10 @@ class Camera:
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:
             raise InputError(f"camera {self.name}", "focal length must be positive")
         rotation = self.world_to_camera[:3, :3]
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROTATION_TOLERANCE:
             raise InputError(f"camera {self.name}", "its pose does not hold a rotation")
+        if np.linalg.det(rotation) < 0:
+            raise InputError(f"camera {self.name}", "its pose is mirrored: one axis points the other way")
 
     @property
     def centre(self) -> Float64:

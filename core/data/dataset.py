@@ -15,7 +15,7 @@ import numpy as np
 from streamlod.core.arrays import UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.camera.space import UNCHANGED, Similarity, training_space
-from streamlod.core.data.lens import Development, development
+from streamlod.core.data.lens import Development, developments
 from streamlod.core.data.names import camera_names, listed
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
@@ -72,7 +72,7 @@ class RawRecording:
         skipped: names of pictures that the calibration lists and the folder lacks.
 
     Raises:
-        InputError: no camera, two of one name, or pictures of different sizes.
+        InputError: no camera, or two of one name.
     """
 
     path: Path
@@ -89,18 +89,11 @@ class RawRecording:
         names = camera_names([camera.name for camera in self.cameras])
         named = (replace(camera, name=name) for camera, name in zip(self.cameras, names, strict=True))
         object.__setattr__(self, "cameras", tuple(named))
-        first = self.cameras[0]
         known = set()
         for camera in self.cameras:
             if camera.name in known:
                 raise InputError(self.path, f"holds two cameras called {camera.name}")
             known.add(camera.name)
-            if (camera.width, camera.height) != (first.width, first.height):
-                raise InputError(
-                    self.path,
-                    f"camera {camera.name} has pictures of {camera.width}x{camera.height}, but {first.name} of "
-                    f"{first.width}x{first.height}; bring them to one size",
-                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,13 +216,16 @@ def dataset(recording: RawRecording, downscale: float = 1, cameras: Sequence[str
     """The data set of `recording`, scaled down by `downscale`, with the cameras named, or all.
 
     Raises:
-        InputError: `downscale` below 1, a camera that does not exist, or one whose distortion cannot be undone.
+        InputError: `downscale` below 1, a camera that does not exist, pictures of different shapes, or a distortion
+            that cannot be undone.
     """
     if not 1 <= downscale <= MAX_DOWNSCALE:
         raise InputError("downscale", f"must lie between 1 and {MAX_DOWNSCALE}, not {downscale}")
     names = [camera.name for camera in recording.cameras]
     rows = range(len(names)) if cameras is None else [_row_of(name, names, recording.path) for name in cameras]
-    plans = tuple(development(recording.cameras[row], downscale) for row in rows)
+    if not rows:
+        raise InputError(recording.path, "needs at least one camera selected")
+    plans = developments([recording.cameras[row] for row in rows], downscale)
     chosen = Dataset(recording, tuple(rows), plans)
     return chosen.select(chosen.names)
 

@@ -5,6 +5,8 @@ OpenCV puts pixel centres on integers and `Camera` on half-integers, hence the h
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +18,11 @@ from streamlod.core.arrays import Float64, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.errors import InputError
 
+_log = logging.getLogger(__name__)
 _BORDER_SAMPLES = 65
+_SHAPE_TOLERANCE = 0.01  # of width against height
+_LEAST_FOCAL = 0.05  # of a picture's longer side; no pinhole sees 169 degrees
+_FARTHEST_PRINCIPAL = 5.0  # longer sides from the picture's middle
 _MAX_ZOOM = 4.0  # a lens that needs more than this to fill a picture is not described by five coefficients
 _ITERATIONS = 30
 _ROUND_TRIP = 1e-6  # on the plane z = 1, far below a pixel
@@ -107,10 +113,48 @@ class Development:
         return straight
 
 
-def development(camera: Camera, downscale: float) -> Development:
-    """Plan for `camera`, whose size and intrinsics are those of the raw pictures; the maps are computed here, once."""
+def developments(cameras: Sequence[Camera], downscale: float) -> tuple[Development, ...]:
+    """A plan for each camera; all pictures get one size, which is that of the smallest, scaled down.
+
+    Raises:
+        InputError: pictures of different shapes, intrinsics that are none in pixels, or a distortion that cannot be
+            undone.
+    """
+    first, smallest = cameras[0], min(cameras, key=lambda camera: camera.width * camera.height)
+    for camera in cameras:
+        if abs(camera.width * first.height / (camera.height * first.width) - 1) > _SHAPE_TOLERANCE:
+            raise InputError(
+                f"camera {camera.name}",
+                f"has pictures of {camera.width}x{camera.height}, but {first.name} of {first.width}x{first.height}; "
+                "crop them to one shape",
+            )
+        _check_intrinsics(camera)
+    size = scaled_size(smallest.width, smallest.height, downscale)
+    if any((camera.width, camera.height) != (smallest.width, smallest.height) for camera in cameras):
+        _log.warning("the cameras' pictures have several sizes; all are scaled to %dx%d", *size)
+    return tuple(development(camera, size) for camera in cameras)
+
+
+def _check_intrinsics(camera: Camera) -> None:
+    """Refuse numbers in other units than pixels, such as shares of the width or millimetres."""
+    side, middle = max(camera.width, camera.height), np.array([camera.width, camera.height]) / 2
+    focal, principal = camera.intrinsics[[0, 1], [0, 1]], camera.intrinsics[:2, 2]
+    fault = None
+    if focal.min() < _LEAST_FOCAL * side:
+        fault = f"focal length is {focal.min():g}"
+    elif np.abs(principal - middle).max() > _FARTHEST_PRINCIPAL * side:
+        fault = f"principal point is {principal[0]:g}, {principal[1]:g}"
+    if fault is not None:
+        size = f"{camera.width}x{camera.height}"
+        raise InputError(f"camera {camera.name}", f"its {fault} for pictures of {size}; give it in pixels")
+
+
+def development(camera: Camera, size: tuple[int, int]) -> Development:
+    """Plan for pictures of `size` by `camera`, whose own size and intrinsics are those of the raw pictures.
+
+    The maps are computed here, once.
+    """
     straight = undistorted_camera(camera)
-    size = scaled_size(camera.width, camera.height, downscale)
     maps = None
     if camera.has_distortion:
         maps = cv2.initUndistortRectifyMap(

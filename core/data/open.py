@@ -10,6 +10,7 @@ from streamlod.core.data import caliscope, transforms
 from streamlod.core.data.caliscope import read_caliscope
 from streamlod.core.data.colmap.reader import is_colmap, read_colmap
 from streamlod.core.data.dataset import Dataset, RawRecording, dataset
+from streamlod.core.data.names import folders_in, listed
 from streamlod.core.data.transforms import read_transforms
 from streamlod.core.data.video_folder import read_video_folder, video_files
 from streamlod.core.errors import InputError
@@ -61,6 +62,20 @@ def open_dataset(
 
 
 def _detect(folder: Path) -> str:
+    layout = _layout_of(folder)
+    if layout is not None:
+        return layout
+    inside = [inner.name for inner in folders_in(folder) if _layout_of(inner) is not None]
+    if inside:
+        raise InputError(folder, f"is no recording, but holds {listed(inside, 3)}; name that folder")
+    raise InputError(
+        folder,
+        "is not a recording in a known layout; it needs camNN.mp4 or cam_N.mp4 with poses_bounds.npy, a COLMAP model "
+        "in sparse/0 with images, a transforms.json, or a camera_array.toml",
+    )
+
+
+def _layout_of(folder: Path) -> str | None:
     if (folder / caliscope.FILE).is_file():
         return "caliscope"
     if (folder / transforms.FILE).is_file():
@@ -72,8 +87,4 @@ def _detect(folder: Path) -> str:
         return "colmap"
     if (folder / "poses_bounds.npy").is_file():
         return "n3dv"  # whose reader then says which videos are missing
-    raise InputError(
-        folder,
-        "is not a recording in a known layout; it needs camNN.mp4 or cam_N.mp4 with poses_bounds.npy, a COLMAP model "
-        "in sparse/0 with images, a transforms.json, or a camera_array.toml",
-    )
+    return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from streamlod.core.arrays import UInt8
 from streamlod.core.data.announced import AnnouncedPicture, announced_picture
 from streamlod.core.data.files import read_bytes
-from streamlod.core.data.names import files_in
+from streamlod.core.data.names import files_in, listed
 from streamlod.core.errors import InputError
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
+_NOT_READ = (".webp", ".heic", ".heif", ".avif", ".jxl", ".tif", ".tiff", ".bmp", ".gif", ".exr", ".dng", ".tga")
 MAX_SIDE = 16384
 _Key = TypeVar("_Key", bound=Hashable)
 MAX_BYTES = 512 << 20
@@ -78,6 +79,12 @@ def find_pictures(
     }
     uses = Counter(found.values())
     return {key: file if uses[file] == 1 or file in wanted[key][:1] else None for key, file in found.items()}
+
+
+def not_read(folders: Iterable[Path]) -> str:
+    """A hint for messages about missing pictures: that the folders hold pictures of other kinds; else nothing."""
+    others = [file.name for folder in sorted(set(folders)) if folder.is_dir() for file in files_in(folder, _NOT_READ)]
+    return f" (only PNG and JPEG are read; convert {listed(others, 3)})" if others else ""
 
 
 def _named(path: Path, folders: dict[Path, dict[str, list[Path]]], suffixes: tuple[str, ...]) -> Path | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from streamlod.core.data.dataset import RawRecording, Source
 from streamlod.core.data.files import blaming, number, numbers, read_json
 from streamlod.core.data.names import listed, numeric_key
 from streamlod.core.data.pictures import SUFFIXES as PICTURE_SUFFIXES
-from streamlod.core.data.pictures import find_pictures, picture_size
+from streamlod.core.data.pictures import find_pictures, not_read, picture_size
 from streamlod.core.data.sources import Pictures, videos
 from streamlod.core.data.video import SUFFIXES as VIDEO_SUFFIXES
 from streamlod.core.errors import InputError
@@ -58,10 +59,14 @@ def read_transforms(path: Path) -> RawRecording:
     found = find_pictures(wanted, PICTURE_SUFFIXES + VIDEO_SUFFIXES)
     entries = [(known, {**value, **frames[number]}) for number, known in found.items() if known is not None]
     skipped = [str(frames[number]["file_path"]) for number, known in found.items() if known is None]
+    hint = not_read(wanted[number][0].parent for number, known in found.items() if known is None)
+    if any("mask_path" in frame for frame in frames):
+        _log.warning("%s: masks (mask_path) are not used; what they hide is trained, too", file)
     if skipped:
-        _log.warning("%s: %d of %d listed files are missing: %s", file, len(skipped), len(frames), listed(skipped, 5))
+        missing = listed(skipped, 5) + hint
+        _log.warning("%s: %d of %d listed files are missing: %s", file, len(skipped), len(frames), missing)
     if not entries:
-        raise InputError(file, f"lists {len(frames)} files, none of which is there: {listed(skipped, 3)}")
+        raise InputError(file, f"lists {len(frames)} files, none of which is there: {listed(skipped, 3)}{hint}")
     entries.sort(key=lambda entry: numeric_key(entry[0].as_posix()))
     files = [entry[0] for entry in entries]
     offsets = [number(settings.get("time_offset", 0), "time_offset", file) for _, settings in entries]
@@ -90,10 +95,10 @@ def _spellings(folder: Path, name: object, file: Path) -> list[Path]:
         raise InputError(file, "each frame needs a 'file_path'")
     spellings = [Path(name), Path(name.replace("\\", "/"))]  # Windows writes it otherwise
     here = folder.absolute()
-    spellings = [path.relative_to(here) if path.is_relative_to(here) else path for path in spellings]
-    if any(spelling.is_absolute() or ".." in spelling.parts for spelling in spellings):
+    paths = [Path(os.path.normpath(here / spelling)) for spelling in spellings]
+    if not all(path.is_relative_to(here) for path in paths):
         raise InputError(file, f"file_path {name!r} leads out of the folder")
-    return [folder / spelling for spelling in spellings]
+    return [folder / path.relative_to(here) for path in paths]
 
 
 def _source(files: list[Path], offsets: list[float], file: Path) -> tuple[Source, list[tuple[int, int]]]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from streamlod.core.arrays import Float64
 from streamlod.core.camera import Camera
-from streamlod.core.data.colmap.model import find_model, read_model, read_points
+from streamlod.core.data.colmap.model import find_model, points_of, read_model
 from streamlod.core.data.colmap.reader import fitted
 from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming, number, read_array, read_json
@@ -62,12 +62,15 @@ def read_video_folder(path: Path, layout: str) -> RawRecording:
         with blaming(model):
             cameras = _colmap_cameras(model, names)
     else:
-        raise InputError(poses, "is missing, and so is a COLMAP model in sparse/0; one of them must give the cameras")
+        raise InputError(
+            poses,
+            "is missing, and so is a COLMAP model in sparse/0; one must give the cameras (or streamlod calibrate)",
+        )
     cameras = _distorted(path / "distortion.json", cameras)
     source, infos = videos(files)
     sizes = [(info.width, info.height) for info in infos]
     cameras = [fitted(camera, size, file) for camera, size, file in zip(cameras, sizes, files, strict=True)]
-    points = None if poses.is_file() or model is None else lambda space: read_points(model, space)
+    points = None if poses.is_file() or model is None else points_of(model)
     return RawRecording(path, layout, tuple(cameras), source, points, depth_bounds)
 
 
@@ -90,7 +93,7 @@ def _llff_cameras(path: Path, names: Sequence[str]) -> tuple[list[Camera], tuple
     if len(table) != len(names):
         raise InputError(
             "its array",
-            f"has {len(table)} rows, but there are {len(names)} videos ({listed(names)}); remove what is over",
+            f"has {len(table)} rows, but there are {len(names)} videos ({listed(names)}); each row needs one video",
         )
     usable = (np.abs(table) < _MAX_NUMBER).all(axis=1)
     if not usable.all():

@@ -20,7 +20,7 @@ from streamlod.core.camera import Camera
 from streamlod.core.camera.grid import period_of
 from streamlod.core.camera.space import UNCHANGED, Similarity
 from streamlod.core.data.dataset import scaled_bounds
-from streamlod.core.data.lens import Development, development
+from streamlod.core.data.lens import Development, developments
 from streamlod.core.errors import InputError
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.server.ingest.ahead import just_in_time
@@ -57,13 +57,6 @@ class LiveDataset:
 
     def __post_init__(self) -> None:
         self.cameras = tuple(self.space.camera(plan.camera) for plan in self.developments)
-        first = self.cameras[0]
-        for camera in self.cameras:
-            if (camera.width, camera.height) != (first.width, first.height):
-                fault = f"gives pictures of {camera.width}x{camera.height}, but {first.name} of "
-                raise InputError(
-                    f"camera {camera.name}", f"{fault}{first.width}x{first.height}; bring them to one size"
-                )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -205,8 +198,8 @@ def open_live(source: Path | dict[str, Any], *, downscale: float = 1, push_socke
     Pushed pictures come through a `RelayedIntake` to `push_socket`, or from an `Intake(dataset.rig)` in this process.
 
     Raises:
-        InputError: see `read_definition`; a file that is not there, a distortion that cannot be undone, or a downscale
-            below 1.
+        InputError: see `read_definition`; a file that is not there, pictures of different shapes, a distortion that
+            cannot be undone, or a downscale below 1.
     """
     definition = read_definition(source)
     for camera, address in zip(definition.cameras, definition.addresses, strict=True):
@@ -214,4 +207,4 @@ def open_live(source: Path | dict[str, Any], *, downscale: float = 1, push_socke
             raise InputError(f"camera {camera.name}", f"there is no file {address.url}")
     if not 1 <= downscale <= 64:
         raise InputError("downscale", f"must lie between 1 and 64, not {downscale}")
-    return LiveDataset(definition, tuple(development(camera, downscale) for camera in definition.cameras), push_socket)
+    return LiveDataset(definition, developments(definition.cameras, downscale), push_socket)

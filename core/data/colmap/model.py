@@ -6,6 +6,7 @@ Format: https://colmap.github.io/format.html. COLMAP's camera axes and pixel cen
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,7 +45,7 @@ def has_model(folder: Path) -> bool:
 
 
 def find_model(folder: Path) -> Path | None:
-    """The folder of the sparse model that belongs to a data set's `folder`: one in sparse, sparse itself or `folder`.
+    """The sparse model that belongs to a data set's `folder`: one in sparse or colmap/sparse, these, or `folder`.
 
     COLMAP writes one for each part of the pictures that it could not connect with the others: the largest counts.
     """
@@ -61,8 +62,9 @@ def find_model(folder: Path) -> Path | None:
 
 
 def _models(folder: Path) -> list[Path]:
-    sparse = folder / "sparse"
-    for candidates in (folders_in(sparse) if sparse.is_dir() else [], [sparse], [folder]):
+    homes = [folder / "sparse", folder / "colmap" / "sparse"]  # COLMAP's, and nerfstudio's
+    inner = [folders_in(home) for home in homes if home.is_dir()]
+    for candidates in (*inner, homes, [folder]):
         found = [c for c in candidates if any((c / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))]
         if found:
             return found
@@ -87,6 +89,13 @@ def read_model(folder: Path) -> ColmapModel:
     lenses = (binary if cameras.suffix == ".bin" else text).read_cameras(cameras)
     pictures = (binary if images.suffix == ".bin" else text).read_images(images)
     return ColmapModel(lenses, tuple(pictures))
+
+
+def points_of(folder: Path) -> Callable[[Similarity], PointCloud] | None:
+    """`read_points` of a sparse model, None for one without points."""
+    if not any((folder / f"points3D.{kind}").is_file() for kind in ("bin", "txt")):
+        return None
+    return lambda space: read_points(folder, space)
 
 
 def read_points(folder: Path, space: Similarity = UNCHANGED) -> PointCloud:

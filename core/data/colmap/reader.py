@@ -13,11 +13,11 @@ import logging
 from pathlib import Path, PurePosixPath
 
 from streamlod.core.camera import Camera
-from streamlod.core.data.colmap.model import ColmapModel, find_model, has_model, read_model, read_points
+from streamlod.core.data.colmap.model import ColmapModel, find_model, has_model, points_of, read_model
 from streamlod.core.data.dataset import RawRecording
 from streamlod.core.data.files import blaming
 from streamlod.core.data.names import files_in, folders_in, like_most, listed, numeric_key
-from streamlod.core.data.pictures import SUFFIXES, find_pictures, picture_size
+from streamlod.core.data.pictures import SUFFIXES, find_pictures, not_read, picture_size
 from streamlod.core.data.sources import Pictures
 from streamlod.core.errors import InputError
 
@@ -45,12 +45,13 @@ def read_colmap(path: Path) -> RawRecording:
     found = _registered_files(model, instants[0])
     skipped = tuple(name for name, file in found.items() if file is None)
     if skipped:
-        hint = "" if all(map(_is_utf8, skipped)) else " (names that are not UTF-8: export the model as UTF-8)"
+        hint = not_read({instants[0], *((instants[0] / name).parent for name in skipped)})
+        hint += "" if all(map(_is_utf8, skipped)) else " (names that are not UTF-8: export the model as UTF-8)"
         _log.warning("%s: %d pictures of the model are missing: %s%s", path, len(skipped), listed(skipped, 5), hint)
     files = {name: file for name, file in found.items() if file is not None}
     if not files:
         names = listed(skipped, 3)
-        raise InputError(instants[0], f"holds none of the pictures that the COLMAP model names: {names}")
+        raise InputError(instants[0], f"holds none of the pictures that the COLMAP model names: {names}{hint}")
     _report_others(path, list(files.values()))
     cameras = []
     with blaming(model_folder):
@@ -67,7 +68,7 @@ def read_colmap(path: Path) -> RawRecording:
         "colmap",
         tuple(camera for camera, _ in cameras),
         source,
-        read_points=lambda space: read_points(model_folder, space),
+        read_points=points_of(model_folder),
         skipped=skipped,
     )
 

@@ -15,7 +15,7 @@ MODEL_NAMES = {
     **{0: "SIMPLE_PINHOLE", 1: "PINHOLE", 2: "SIMPLE_RADIAL", 3: "RADIAL", 4: "OPENCV"},
     **{5: "OPENCV_FISHEYE", 6: "FULL_OPENCV", 7: "FOV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE"},
 }
-_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8}
+_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "FULL_OPENCV": 12}
 _QUATERNION_TOLERANCE = 1e-2
 
 
@@ -29,15 +29,17 @@ class ColmapCamera:
     parameters: tuple[float, ...]
 
     def intrinsics(self) -> tuple[Float64, Float64]:
-        """[3,3] intrinsics and [5] OpenCV distortion of the model."""
+        """[3,3] intrinsics and [5] OpenCV distortion of the model; InputError for coefficients beyond these five."""
         values = self.parameters
-        if self.model in ("PINHOLE", "OPENCV"):
+        if any(values[9:]):  # of FULL_OPENCV
+            raise InputError("camera model FULL_OPENCV", "has k4, k5 or k6, which are not supported; undistort first")
+        if self.model in ("PINHOLE", "OPENCV", "FULL_OPENCV"):
             (fx, fy, cx, cy), rest = values[:4], values[4:]
         else:
             (fx, cx, cy), rest = values[:3], values[3:]
             fy = fx
         distortion = np.zeros(5)
-        distortion[: len(rest)] = rest  # k1 | k1 k2 | k1 k2 p1 p2
+        distortion[: len(rest[:5])] = rest[:5]  # k1 | k1 k2 | k1 k2 p1 p2 | k1 k2 p1 p2 k3 (k4 k5 k6)
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64), distortion
 
 

@@ -20,7 +20,7 @@ from streamlod.core.data.video.times import PictureTimes, pictures_of, timed_pic
 from streamlod.core.data.video.upright import upright_size
 from streamlod.core.errors import InputError
 
-SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
+SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v", ".ts", ".mts", ".m2ts", ".mpg", ".3gp")
 _HIGH_DYNAMIC_RANGE = {16: "PQ", 18: "HLG"}  # transfer characteristics of ITU-T H.273
 _log = logging.getLogger(__name__)
 MAX_PICTURES = 4_000_000  # of a file: a day and a half at 30 a second
@@ -106,6 +106,8 @@ def _first_picture(path: Path) -> tuple[tuple[int, int], int]:
             if curve := _HIGH_DYNAMIC_RANGE.get(frame.color_trc):
                 fault = "%s: is HDR video (%s), whose pictures will look flat; film without HDR, or convert it"
                 _log.warning(fault, path, curve)
+            if frame.interlaced_frame:
+                _log.warning("%s: is interlaced, so that what moves has combs; deinterlace it with ffmpeg first", path)
             with blaming(path):
                 return upright_size(frame), time_ns
     raise InputError(path, "holds no picture that can be decoded; it may be cut before its first keyframe")

@@ -81,7 +81,7 @@ def test_distortion_is_dropped_only_on_request() -> None:
         ({"distortion": np.array([0, np.inf, 0, 0, 0])}, "its distortion holds"),
         ({"world_to_camera": np.full((4, 4), np.nan)}, "its pose holds numbers"),
         ({"world_to_camera": 1.01 * np.eye(4)}, "does not hold a rotation"),
-        ({"world_to_camera": np.diag([1, 1, -1, 1.0])}, "does not hold a rotation"),
+        ({"world_to_camera": np.diag([1, 1, -1, 1.0])}, "its pose is mirrored"),
         ({"world_to_camera": np.zeros((4, 4))}, "does not hold a rotation"),
         ({"world_to_camera": 1e200 * np.eye(4)}, "its pose holds numbers beyond 1e\\+12"),
         ({"width": 0}, "picture size 0x64"),

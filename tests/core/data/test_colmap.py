@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -64,8 +65,8 @@ def test_one_instant(tmp_path: Path, write: Writer) -> None:
 @both_formats
 @pytest.mark.parametrize("model", COLMAP_MODELS)
 def test_every_camera_model(tmp_path: Path, write: Writer, model: str) -> None:
-    kept = {"SIMPLE_RADIAL": 1, "RADIAL": 2, "OPENCV": 4}.get(model, 0)
-    distortion = np.array([0.01, -0.02, 0.003, -0.004, 0]) * (np.arange(5) < kept)
+    kept = {"SIMPLE_RADIAL": 1, "RADIAL": 2, "OPENCV": 4, "FULL_OPENCV": 5}.get(model, 0)
+    distortion = np.array([0.01, -0.02, 0.003, -0.004, 0.005]) * (np.arange(5) < kept)
     camera = replace(rig(["a"])[0], distortion=distortion)
     write(tmp_path, [("a.png", camera, model)], POINTS)
     read = read_model(tmp_path)
@@ -175,12 +176,13 @@ def test_counts_are_not_believed(tmp_path: Path, stem: str) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("cameras.txt", "PINHOLE", "FULL_OPENCV", r"cameras\.txt: camera model FULL_OPENCV is not supported"),
+        ("cameras.txt", "PINHOLE", "OPENCV_FISHEYE", r"cameras\.txt: camera model OPENCV_FISHEYE is not supported"),
         ("cameras.txt", "80.0", "eighty", r"cameras\.txt: line 2: "),
         ("cameras.txt", "80.0", "", r"cameras\.txt: line 2: PINHOLE has 4 parameters, not 2"),
         ("cameras.txt", "80.0", "-80.0", "camera a: focal length must be positive"),
         ("cameras.txt", "80.0", "nan", "camera a: its intrinsics"),
         ("cameras.txt", "\n1 ", "\n9 ", "image a.png: was taken by camera 1, which does not exist"),
+        ("cameras.txt", "80.0 48.0", "0.8 0.5", "camera a: its focal length is 0.8 for pictures of 96x64"),
         ("images.txt", " a.png", "", r"images\.txt: line 2: the picture's name is missing"),
         (
             "images.txt",
@@ -259,6 +261,88 @@ def test_flame_steak_distorted_model(real_data: Path) -> None:
     for image in bent.images:
         np.testing.assert_allclose(image.world_to_camera, poses[image.name], atol=1e-9)
         assert bent.camera_of(image, "a").has_distortion
+
+
+def test_coefficients_that_are_not_supported_are_named(tmp_path: Path) -> None:
+    write_colmap_text(tmp_path / "sparse", [("a.png", rig(["a"])[0], "FULL_OPENCV")], POINTS)
+    write_picture(tmp_path / "images" / "a.png", picture(0, 0))
+    path = tmp_path / "sparse" / "cameras.txt"
+    path.write_text(path.read_text().rstrip() + "\n")
+    path.write_text(path.read_text().replace(" 0.0\n", " 0.1\n"))
+    with pytest.raises(InputError, match="FULL_OPENCV: has k4, k5 or k6, which are not supported"):
+        open_dataset(tmp_path)
+
+
+@both_formats
+def test_pictures_of_several_sizes_are_scaled_to_the_smallest(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, write: Writer
+) -> None:
+    """Of two kinds of cameras, and of one whose pictures were made smaller afterwards."""
+    cameras = list(_one_instant(tmp_path, write))
+    cameras[1] = cameras[1].scaled(192, 128)
+    write(tmp_path / "sparse" / "0", [(f"{c.name}.png", c, "PINHOLE") for c in cameras], POINTS)
+    write_picture(tmp_path / "images" / "cam02.png", picture(1, 0, (192, 128)))
+    write_picture(tmp_path / "images" / "cam10.png", picture(2, 0, (48, 32)))
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset(tmp_path)
+    assert "several sizes; all are scaled to 48x32" in caplog.text
+    for found, wanted in zip(dataset.cameras, rig(NAMES), strict=True):
+        assert (found.width, found.height) == (48, 32)
+        np.testing.assert_allclose(found.intrinsics[:2], wanted.intrinsics[:2] / 2)
+    (frame,) = dataset.frames()
+    assert [read_back(image) for image in frame.images] == [(0, 0), (1, 0), (2, 0)]
+    assert open_dataset(tmp_path, cameras=["cam00", "cam02"]).cameras[0].width == 96
+
+
+def test_a_model_without_points_has_none(tmp_path: Path) -> None:
+    _one_instant(tmp_path, write_colmap_binary)
+    (tmp_path / "sparse" / "0" / "points3D.bin").unlink()
+    assert open_dataset(tmp_path).points() is None
+
+
+def test_spaces_in_names_are_kept(tmp_path: Path) -> None:
+    names = ["left  cam.png", "right cam 2.png"]
+    write_colmap_text(tmp_path / "sparse", [(n, c, "PINHOLE") for n, c in zip(names, rig("ab"), strict=True)], POINTS)
+    for index, name in enumerate(names):
+        write_picture(tmp_path / "images" / name, picture(index, 0))
+    assert open_dataset(tmp_path).names == ("left  cam", "right cam 2")
+
+
+@pytest.mark.parametrize("names", [NAMES, ("0000", "0001", "0002")], ids=["words", "numbers"])
+def test_text_models_without_lines_of_observations(tmp_path: Path, names: tuple[str, ...]) -> None:
+    """Programs that know no observations leave out the line, empty or not, that follows each image."""
+    write_colmap_text(tmp_path / "sparse", [(camera.name, camera, "PINHOLE") for camera in rig(names)], POINTS)
+    path = tmp_path / "sparse" / "images.txt"
+    path.write_text("\n".join(line for line in path.read_text().splitlines() if len(line.split()) == 10))
+    for index, name in enumerate(names):
+        write_picture(tmp_path / "images" / f"{name}.png", picture(index, 0))
+    assert open_dataset(tmp_path).names == names
+
+
+def test_cameras_may_share_a_lens(tmp_path: Path) -> None:
+    _one_instant(tmp_path, write_colmap_text)
+    lenses, images = (tmp_path / "sparse" / "0" / f"{stem}.txt" for stem in ("cameras", "images"))
+    lenses.write_text("\n".join(lenses.read_text().splitlines()[:2]))
+    images.write_text("\n".join(re.sub(r" \d+ (cam\d+)", r" 1 \1", line) for line in images.read_text().splitlines()))
+    dataset = open_dataset(tmp_path)
+    assert dataset.names == NAMES
+    assert len({camera.intrinsics[0, 0] for camera in dataset.cameras}) == 1
+
+
+def test_a_model_where_nerfstudio_puts_it(tmp_path: Path) -> None:
+    _one_instant(tmp_path, write_colmap_binary)
+    (tmp_path / "colmap").mkdir()
+    (tmp_path / "sparse").rename(tmp_path / "colmap" / "sparse")
+    (tmp_path / "images_2").mkdir()
+    assert open_dataset(tmp_path).names == NAMES
+
+
+def test_pictures_of_other_kinds_are_named(tmp_path: Path) -> None:
+    _one_instant(tmp_path, write_colmap_binary)
+    for file in (tmp_path / "images").iterdir():
+        file.rename(file.with_suffix(".HEIC"))
+    with pytest.raises(InputError, match=r"holds none .* \(only PNG and JPEG are read; convert cam00\.HEIC, "):
+        open_dataset(tmp_path)
 
 
 @both_formats

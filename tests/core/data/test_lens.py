@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from streamlod.core.arrays import Float64, UInt8
 from streamlod.core.camera import Camera
 from streamlod.core.data.lens import (
     development,
+    developments,
     distort,
     opencv_camera,
     opencv_matrix,
@@ -57,7 +59,7 @@ def _picture(camera: Camera) -> UInt8:
 @pytest.mark.parametrize("downscale", [1, 2, 2.5])
 def test_developed_pictures_are_those_of_the_pinhole(coefficients: Float64, downscale: float) -> None:
     camera = _camera(coefficients)
-    plan = development(camera, downscale)
+    plan = development(camera, scaled_size(camera.width, camera.height, downscale))
     developed = plan(_picture(camera))
     expected = _picture(plan.camera)
     assert not plan.camera.has_distortion
@@ -68,7 +70,7 @@ def test_developed_pictures_are_those_of_the_pinhole(coefficients: Float64, down
 
 
 def test_half_a_pixel_of_shift_would_be_noticed() -> None:
-    plan = development(_camera(BARREL), 1)
+    plan = development(_camera(BARREL), (240, 160))
     intrinsics = plan.camera.intrinsics.copy()
     intrinsics[:2, 2] += 0.5
     shifted = np.abs(_picture(plan.camera).astype(int) - _picture(replace(plan.camera, intrinsics=intrinsics)))
@@ -104,7 +106,34 @@ def test_points_beyond_the_lens_are_not_invented() -> None:
 
 def test_absurd_distortion_is_refused() -> None:
     with pytest.raises(InputError, match="camera cam: its distortion"):
-        development(_camera(np.array([-2.0, 0, 0, 0, 0])), 1)
+        development(_camera(np.array([-2.0, 0, 0, 0, 0])), (240, 160))
+
+
+def test_pictures_of_one_shape_get_the_smallest_size() -> None:
+    cameras = [_camera(BARREL), _camera(np.zeros(5)).scaled(480, 320), _camera(BARREL).scaled(121, 80)]
+    plans = developments(cameras, 2)
+    assert [plan.raw_size for plan in plans] == [(240, 160), (480, 320), (121, 80)]
+    assert {(plan.camera.width, plan.camera.height) for plan in plans} == {(60, 40)}
+    np.testing.assert_allclose(plans[1].camera.intrinsics[:2], _camera(BARREL).intrinsics[:2] / 4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"width": 160, "height": 240},
+            "has pictures of 160x240, but cam of 240x160; crop them to one",
+        ),
+        ({"width": 240, "height": 150}, "crop them to one shape"),
+        (
+            {"intrinsics": np.diag([0.83, 0.85, 1])},
+            "its focal length is 0.83 for .* 240x160; give it in pixels",
+        ),
+    ],
+)
+def test_pictures_that_do_not_belong_together_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        developments([_camera(np.zeros(5)), replace(_camera(np.zeros(5)), **change)], 1)
 
 
 def test_opencv_camera_and_matrix_are_inverse() -> None:
@@ -121,4 +150,4 @@ def test_sizes_after_scaling_down() -> None:
 
 def test_pictures_at_full_size_without_distortion_pass_unchanged() -> None:
     image = _picture(_camera(np.zeros(5)))
-    assert development(_camera(np.zeros(5)), 1)(image) is image
+    assert development(_camera(np.zeros(5)), (240, 160))(image) is image

@@ -14,6 +14,7 @@ from streamlod.core.errors import InputError
 from tests.core.data.writers import (
     llff_rows,
     picture,
+    read_back,
     rig,
     write_caliscope,
     write_colmap_binary,
@@ -168,8 +169,28 @@ def test_videos_of_different_rate_or_size(clip: Path) -> None:
     with pytest.raises(InputError, match=r"cam02\.mp4: runs at 25 pictures a second, but cam00\.mp4 at 30"):
         open_dataset(clip)
     write_video(clip / "cam02.mp4", [picture(2, t, (48, 32)) for t in range(6)])
-    with pytest.raises(InputError, match=r"clip: camera cam02 has pictures of 48x32, but cam00 of 96x64"):
-        open_dataset(clip)
+    dataset = open_dataset(clip)
+    assert {(camera.width, camera.height) for camera in dataset.cameras} == {(48, 32)}
+    assert next(dataset.frames()).present.all()
+
+
+def test_videos_with_the_suffixes_of_cameras_and_cutting_programs(clip: Path) -> None:
+    (clip / "cam00.mp4").rename(clip / "cam00.m4v")
+    (clip / "cam01.mp4").rename(clip / "cam01.MOV")
+    (clip / "cam02.mp4").unlink()
+    write_video(clip / "cam02.mts", [picture(2, t) for t in range(6)])
+    dataset = open_dataset(clip)
+    assert dataset.names == NAMES
+    assert [read_back(image) for frame in dataset.frames() for image in frame.images] == [
+        (camera, instant) for instant in range(6) for camera in range(3)
+    ]
+
+
+def test_a_folder_above_the_recording_says_which_is_one(clip: Path) -> None:
+    (clip.parent / "notes").mkdir()
+    (clip.parent / "again").symlink_to(clip.parent)
+    with pytest.raises(InputError, match="is no recording, but holds clip; name that folder"):
+        open_dataset(clip.parent)
 
 
 @pytest.mark.parametrize(

@@ -108,6 +108,30 @@ def test_matrices_of_three_rows_and_absolute_paths_into_the_folder(tmp_path: Pat
     assert read_back(next(found.frames()).images[2]) == (2, 0)
 
 
+def test_ways_out_of_the_folder_and_back_are_followed(tmp_path: Path) -> None:
+    (tmp_path / "shoot").mkdir()
+    _write(tmp_path / "shoot")
+    whole = open_dataset(tmp_path / "shoot")
+    _edit(tmp_path / "shoot", file_path=f"../shoot/images/../{FILES[2]}")
+    assert open_dataset(tmp_path / "shoot").names == whole.names
+
+
+def test_masks_are_not_used_which_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _write(tmp_path)
+    _edit(tmp_path, mask_path="masks/cam10.png")
+    with caplog.at_level(logging.WARNING):
+        open_dataset(tmp_path)
+    assert "masks (mask_path) are not used" in caplog.text
+
+
+def test_pictures_of_other_kinds_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    _write(tmp_path)
+    (tmp_path / FILES[2]).rename((tmp_path / FILES[2]).with_suffix(".webp"))
+    with caplog.at_level(logging.WARNING):
+        assert open_dataset(tmp_path).names == NAMES[:2]
+    assert "only PNG and JPEG are read; convert cam10.webp" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -119,7 +143,9 @@ def test_matrices_of_three_rows_and_absolute_paths_into_the_folder(tmp_path: Pat
         ({"transform_matrix": [[1, 2], [3, 4]]}, "transform_matrix of cam10 must be numbers of shape 4x4"),
         ({"transform_matrix": None}, "transform_matrix of cam10 must be"),
         ({"transform_matrix": (2 * np.eye(4)).tolist()}, "camera cam10: its pose does not hold a rotation"),
-        ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "camera cam10: its pose does not hold a rotation"),
+        ({"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}, "camera cam10: its pose is mirrored"),
+        ({"fl_x": 0.83, "fl_y": 0.83}, "its focal length is 0.83 for pictures of 96x64; give it in pixels"),
+        ({"cx": 4800}, "its principal point is 4800, 32 for pictures of 96x64; give it in pixels"),
         ({"transform_matrix": (np.nan * np.eye(4)).tolist()}, "camera cam10: its pose holds numbers that are not"),
         ({"camera_model": "OPENCV_FISHEYE"}, "lens model OPENCV_FISHEYE is not supported"),
         ({"is_fisheye": True}, r"a fisheye lens \(is_fisheye\) is not supported"),

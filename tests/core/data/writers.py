@@ -16,7 +16,7 @@ import numpy as np
 from streamlod.core.arrays import Float64, UInt8
 from streamlod.core.camera import Camera, look_at, pinhole
 
-COLMAP_MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
+COLMAP_MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "FULL_OPENCV": 6}
 
 
 def rig(names: Sequence[str], size: tuple[int, int] = (96, 64)) -> tuple[Camera, ...]:
@@ -150,13 +150,14 @@ def quaternion(rotation: Float64) -> Float64:
 def colmap_parameters(camera: Camera, model: str) -> list[float]:
     """The parameters of `camera` in one of COLMAP's models."""
     (fx, _, cx), (_, fy, cy), _ = camera.intrinsics
-    k1, k2, p1, p2, _ = camera.distortion
+    k1, k2, p1, p2, k3 = camera.distortion
     return {
         "SIMPLE_PINHOLE": [fx, cx, cy],
         "PINHOLE": [fx, fy, cx, cy],
         "SIMPLE_RADIAL": [fx, cx, cy, k1],
         "RADIAL": [fx, cx, cy, k1, k2],
         "OPENCV": [fx, fy, cx, cy, k1, k2, p1, p2],
+        "FULL_OPENCV": [fx, fy, cx, cy, k1, k2, p1, p2, k3, 0, 0, 0],
     }[model]
 
 

@@ -83,3 +83,9 @@ def test_hdr_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture, curve: st
     probe_video(tmp_path / "cam.mp4")
     assert bool(caplog.messages) == bool(told)
     assert told in "".join(caplog.messages)
+
+
+def test_interlaced_video_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_video(tmp_path / "cam.mp4", [picture(0, 0)], options={"flags": "+ilme+ildct"})
+    probe_video(tmp_path / "cam.mp4")
+    assert "is interlaced" in "".join(caplog.messages)
