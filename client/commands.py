@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 from tqdm import tqdm
@@ -21,9 +22,9 @@ from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
 from streamlod.client.viewpoints import CameraPath, along, camera_named, orbit, read_path, read_poses
 from streamlod.codec.export import bake, write_snapshot
-from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS
+from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES
 from streamlod.core.arrays import Float64
-from streamlod.core.errors import InputError
+from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.files import write_text
 from streamlod.core.scene.anchors import Scene, SceneHeader
 
@@ -123,12 +124,18 @@ def export(
         viewpoint: a camera's name, at which view-dependent colour is frozen, or "average" over the rig.
         out: the file, or the folder of a sequence; beside the scene by default.
     """
+    if file_format in PACKET_SUFFIXES:
+        if frame:
+            raise InputError("--frame", f"{file_format} carries the whole recording")
+        return _export_packets(scene, file_format, out)
     if file_format in CLIP_SUFFIXES:
         return _export_clip(
             scene, frame, viewpoint, out or scene.with_name(f"{scene.stem}{CLIP_SUFFIXES[file_format]}")
         )
     if file_format not in FORMATS:
-        raise InputError("--format", f"{file_format} is not one of {', '.join((*FORMATS, *CLIP_SUFFIXES))}")
+        raise InputError(
+            "--format", f"{file_format} is not one of {', '.join((*FORMATS, *CLIP_SUFFIXES, *PACKET_SUFFIXES))}"
+        )
     suffix = FORMATS[file_format].suffix
     if not sequence:
         path = out or scene.with_name(f"{scene.stem}-{frame:05d}{suffix}")
@@ -167,14 +174,33 @@ def _export_clip(scene: Path, frame: int, viewpoint: str, out: Path) -> str:
     return f"{out}: {count} Gaussians over time, {out.stat().st_size / 1000:.1f} KB, colours {_origin(viewpoint)}"
 
 
-def import_scene(source: Path, out: Path | None, fps: float, gaussians: int) -> str:
-    """Write plain Gaussians, a file or a folder with one for each frame, as a `.slod` file; says what was kept."""
+def _export_packets(scene: Path, file_format: str, out: Path | None) -> str:
+    """Write the packets themselves, with the sound, as an MP4 file or a folder of HLS."""
+    from streamlod.codec.mp4 import write_hls, write_mp4
+
+    write, suffix = (write_mp4, ".mp4") if file_format == "mp4" else (write_hls, "-hls")
+    out = out or scene.with_name(f"{scene.stem}{suffix}")
+    try:
+        count, has_sound = write(scene, out)
+    except BitstreamError as error:
+        raise InputError(scene, f"is damaged: {error}") from error
+    return f"{out}: {count} groups of pictures{', with sound' if has_sound else ''}"
+
+
+def import_scene(source: str, out: Path | None, fps: float, gaussians: int) -> str:
+    """Write plain Gaussians, a file or a folder with one for each frame, or the packets of an MP4 file or a HLS
+    playlist as a `.slod` file; says what was kept."""
+    from streamlod.client.connection.hls import is_playlist, save_hls
     from streamlod.codec.imported import import_files
 
+    if is_playlist(source):
+        place = urlsplit(source)
+        name = Path(f"{Path(place.path).stem}.slod")
+        out = out or (name if place.scheme in ("http", "https") else Path(source).with_name(name.name))
+        return save_hls(source, out, os.environ.get(TOKEN_VARIABLE))
+    path = Path(source)
     with tqdm(unit="file", desc="import", delay=0.5) as bar:
-        return import_files(
-            source, out or source.with_name(f"{source.stem}.slod"), fps, gaussians, lambda _: bar.update()
-        )
+        return import_files(path, out or path.with_name(f"{path.stem}.slod"), fps, gaussians, lambda _: bar.update())
 
 
 def _existing(scene: Path, frame: int) -> int:

@@ -1,4 +1,4 @@
-"""A readable report of what a `.slod` file holds."""
+"""A readable report of what a recorded file holds."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from streamlod.codec.container import SlodReader
+from streamlod.codec.container.packet_file import PacketFile
 from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.opening import open_packets
 from streamlod.codec.packet.bytes import parse
 from streamlod.codec.packet.info import PacketInfo, describe
 from streamlod.codec.packet.packet import PacketKind
@@ -27,7 +28,7 @@ def describe_file(path: Path) -> str:
         InputError: the file is none, or holds no whole keyframe; names it.
     """
     try:
-        with SlodReader(path) as reader:
+        with open_packets(path) as reader:
             infos, damaged = _packets(reader)
             faults = _fault_lines(path, reader, damaged)
             scene = _first_scene(reader)
@@ -41,7 +42,7 @@ def describe_file(path: Path) -> str:
     return "\n".join(parts)
 
 
-def _packets(reader: SlodReader) -> tuple[list[PacketInfo], list[int]]:
+def _packets(reader: PacketFile) -> tuple[list[PacketInfo], list[int]]:
     """Facts of the packets that are whole, and the numbers of the damaged ones."""
     infos: list[PacketInfo] = []
     damaged: list[int] = []
@@ -53,14 +54,14 @@ def _packets(reader: SlodReader) -> tuple[list[PacketInfo], list[int]]:
     return infos, damaged
 
 
-def _fault_lines(path: Path, reader: SlodReader, damaged: list[int]) -> list[str]:
+def _fault_lines(path: Path, reader: PacketFile, damaged: list[int]) -> list[str]:
     """Lines about what is missing from a file, if anything."""
     lines, size, count = [], path.stat().st_size, len(reader.entries)
     if damaged:
         numbers = ", ".join(map(str, damaged[:_MAX_NUMBERS])) + (" and others" if len(damaged) > _MAX_NUMBERS else "")
         cost = "each costs pictures up to the next keyframe"
         lines.append(f"damaged: {len(damaged)} of {count} packets ({numbers}); {cost}")
-    if reader.torn or reader.records_end == size:
+    if not reader.is_whole:
         lost = size - reader.records_end
         end = f"{lost} bytes of an incomplete packet or index are lost" if lost else "only the index is missing"
         there = f"{count} packets, to byte {reader.records_end}, are there"
@@ -68,7 +69,7 @@ def _fault_lines(path: Path, reader: SlodReader, damaged: list[int]) -> list[str
     return lines
 
 
-def _first_scene(reader: SlodReader) -> Scene | None:
+def _first_scene(reader: PacketFile) -> Scene | None:
     """The first keyframe's state, all its parts together."""
     decoder = SceneDecoder()
     for number, entry in enumerate(reader.entries):

@@ -1,4 +1,4 @@
-"""`.slod` files, decoded frame by frame."""
+"""Recorded files, `.slod` or MP4, decoded frame by frame."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from streamlod.codec.container import Entry, SlodReader
+from streamlod.codec.container import Entry
+from streamlod.codec.container.packet_file import PacketFile
 from streamlod.codec.decoder import SceneDecoder
+from streamlod.codec.opening import open_packets
 from streamlod.codec.packet.packet import PacketKind
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.scene.anchors import Scene
@@ -30,11 +32,11 @@ class RecordedFrame:
     predicted_bytes: int
 
 
-def require_whole(path: Path, reader: SlodReader) -> None:
+def require_whole(path: Path, reader: PacketFile) -> None:
     """Raise InputError for a file that is incomplete, because it was cut or is still being written."""
-    if reader.torn or reader.records_end == path.stat().st_size:
+    if not reader.is_whole:
         complete = len(reader.entries)
-        raise InputError(path, f"is cut short: {complete} complete packets and no index; copy or record it again")
+        raise InputError(path, f"is cut short: {complete} complete packets and no end; copy or record it again")
 
 
 def decode_frames(path: Path) -> Iterator[RecordedFrame]:
@@ -47,14 +49,14 @@ def decode_frames(path: Path) -> Iterator[RecordedFrame]:
         InputError: the file cannot be opened, is cut or damaged; names it.
     """
     try:
-        with SlodReader(path) as reader:
+        with open_packets(path) as reader:
             require_whole(path, reader)
             yield from _decode(reader)
     except BitstreamError as error:
         raise InputError(path, f"is damaged: {error}") from error
 
 
-def _decode(reader: SlodReader) -> Iterator[RecordedFrame]:
+def _decode(reader: PacketFile) -> Iterator[RecordedFrame]:
     decoder = SceneDecoder()
     for time_ns, numbers in _instants(reader.entries):
         key_bytes = predicted_bytes = 0
@@ -101,7 +103,7 @@ def decode_version(path: Path, version: int) -> Scene:
         InputError: the file is cut or damaged, or does not reach the version.
     """
     try:
-        with SlodReader(path) as reader:
+        with open_packets(path) as reader:
             require_whole(path, reader)
             decoder = SceneDecoder()
             for number in reader.plan(version):
@@ -116,7 +118,7 @@ def decode_version(path: Path, version: int) -> Scene:
 def versions(path: Path) -> tuple[int, ...]:
     """The versions that the file holds, ascending."""
     try:
-        with SlodReader(path) as reader:
+        with open_packets(path) as reader:
             require_whole(path, reader)
             return tuple(sorted({entry.to_version for entry in reader.entries}))
     except BitstreamError as error:
@@ -128,7 +130,7 @@ class RecordingFile:
     """A recorded stream on disk; nothing of it stays open between calls.
 
     Attributes:
-        path: the `.slod` file.
+        path: the file.
         versions: numbers of the states that it holds, ascending.
     """
 
@@ -153,7 +155,7 @@ class RecordingFile:
 
 
 def open_recording(path: Path) -> RecordingFile:
-    """A `.slod` file, for reading.
+    """A `.slod` file, or an MP4 file with packets, for reading.
 
     Raises:
         InputError: the file cannot be opened, or is cut or damaged.

@@ -75,6 +75,7 @@ FORMATS = {
 
 
 CLIP_SUFFIXES = {"4dgs": ".4dgs", "usd": ".usdc"}  # of files that hold a whole clip, by format
+PACKET_SUFFIXES = {"mp4": ".mp4", "hls": ""}  # of files, or a folder, that carry the packets themselves
 
 
 def format_of(path: Path) -> SnapshotFormat | None:

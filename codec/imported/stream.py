@@ -10,6 +10,8 @@ from pathlib import Path
 from streamlod.codec.container import SlodWriter
 from streamlod.codec.encoder import encode_keyframe, encode_residual
 from streamlod.codec.imported.field import Order, later, order_of, scene_of
+from streamlod.codec.mp4.file import write_slod
+from streamlod.codec.mp4.reader import is_mp4
 from streamlod.codec.packet.limits import DEFAULT_LIMITS
 from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, format_of
 from streamlod.core.errors import InputError
@@ -25,9 +27,11 @@ _MAX_TITLE = 200  # characters
 
 
 def is_importable(path: Path) -> bool:
-    """Whether the path is a file of plain Gaussians, one of a clip of them, or a folder that holds some."""
+    """Whether the path is a file of plain Gaussians, one of a clip of them, or a folder that holds some; or packets
+    in an MP4 file."""
     return (
         _is_clip(path)
+        or is_mp4(path)
         or format_of(path) is not None
         or (path.is_dir() and any(format_of(child) for child in path.iterdir()))
     )
@@ -41,7 +45,8 @@ def import_files(
     Returns one line that says what was kept.
 
     Frames of as many Gaussians as the first, in one order, become changes; where the number differs, or a Gaussian
-    grows by more than 1.9 since the keyframe, a new keyframe comes. View-dependent colour is dropped.
+    grows by more than 1.9 since the keyframe, a new keyframe comes. View-dependent colour is dropped. Of an MP4 file
+    with packets it takes these, byte for byte.
 
     Args:
         most: Gaussians of a frame that are kept, those that show most.
@@ -50,6 +55,9 @@ def import_files(
     Raises:
         InputError: no file of Gaussians, one that is damaged or holds none, or a place that cannot be written.
     """
+    if is_mp4(source):
+        packets, has_sound = write_slod(source, out)
+        return f"{out}: {packets} packets as they were{', with sound' if has_sound else ''}"
     clouds = _clip(source, fps) if _is_clip(source) else _read_all(_files(source), tell)
     title = "".join(c for c in source.stem if c.isprintable())[:_MAX_TITLE] or None
     writer = _Frames(fps, min(most, MAX_GAUSSIANS), title)

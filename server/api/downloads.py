@@ -51,7 +51,7 @@ async def packet_for_good(
     stream: StreamOf, incarnation: Incarnation, epoch: Epoch, version: Version, request: Request
 ) -> Response:
     """The packet that leads to this version, as in codec/FORMAT.md. Immutable."""
-    _check_incarnation(stream, incarnation)
+    check_incarnation(stream, incarnation)
     return respond(request, await _packet(stream, epoch, version, IMMUTABLE))
 
 
@@ -66,7 +66,7 @@ async def group_for_good(
     stream: StreamOf, incarnation: Incarnation, epoch: Epoch, first: Version, request: Request
 ) -> Response:
     """A keyframe and its residuals as a `.slod` file. Immutable once a later keyframe has come."""
-    _check_incarnation(stream, incarnation)
+    check_incarnation(stream, incarnation)
     return respond(request, await _group_file(stream, epoch, first, IMMUTABLE))
 
 
@@ -85,7 +85,7 @@ async def bitstream(
     try:
         groups = await stream.bus.groups()
     except OSError as error:
-        raise _unreadable(error) from error
+        raise unreadable(error) from error
     if not clock.is_open:
         firsts = [group.first for group in clock.choose(groups) if epoch in (None, group.first.epoch)]
         return respond(request, await recorded_file(stream.id, stream.incarnation, await _files(stream, firsts)))
@@ -108,7 +108,7 @@ async def recording(stream: StreamOf, request: Request) -> Response:
         raise Problem(404, "the recording cannot be read") from error
     changed_ns = (await asyncio.to_thread(stream.played_file.stat)).st_mtime_ns
     state = f"{stream.id} {changed_ns} {list(map(size_of, pieces))}"
-    return respond(request, Download(pieces, _hash(state.encode()), _FILE_TYPE, FRESH, f"{stream.id}.slod"))
+    return respond(request, Download(pieces, digest(state.encode()), _FILE_TYPE, FRESH, f"{stream.id}.slod"))
 
 
 @played.get(SOUND, summary="The sound of the file that the stream plays", response_class=Response, responses=ANSWERS)
@@ -119,7 +119,7 @@ async def sound(stream: StreamOf, request: Request) -> Response:
         raise Problem(404, "the stream has no sound")
     state = f"{stream.id} {found.changed_ns} {found.size_bytes} sound"
     whole = FilePart(found.path, 0, found.size_bytes)
-    return respond(request, Download((whole,), _hash(state.encode()), MEDIA_TYPE, FRESH, f"{stream.id}.opus"))
+    return respond(request, Download((whole,), digest(state.encode()), MEDIA_TYPE, FRESH, f"{stream.id}.opus"))
 
 
 async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Download:
@@ -127,11 +127,11 @@ async def _packet(stream: Stream, epoch: int, version: int, caching: str) -> Dow
     try:
         found = await stream.bus.read(place, place)
     except OSError as error:
-        raise _unreadable(error) from error
+        raise unreadable(error) from error
     if not found:
         raise _absent(stream, place)
     data = found[0].data
-    return Download((data,), _hash(data), _PACKET_TYPE, caching, f"{stream.id}-{epoch}-{version}.slpk")
+    return Download((data,), digest(data), _PACKET_TYPE, caching, f"{stream.id}-{epoch}-{version}.slpk")
 
 
 async def _group_file(stream: Stream, epoch: int, first: int, caching: str) -> Download:
@@ -143,7 +143,8 @@ async def _group_file(stream: Stream, epoch: int, first: int, caching: str) -> D
     return await _file(stream, chosen, caching if closed else FRESH, f"{epoch}-{first}")
 
 
-def _check_incarnation(stream: Stream, incarnation: str) -> None:
+def check_incarnation(stream: Stream, incarnation: str) -> None:
+    """Refuse an address that was made for an earlier stream of this id."""
     if incarnation != stream.incarnation:
         raise Problem(410, "that stream was deleted; there is another one of its id now")
 
@@ -154,10 +155,11 @@ async def _files(stream: Stream, firsts: list[Position]) -> dict[Position, Group
     except InputError as error:
         raise Problem(422, str(error)) from error
     except OSError as error:
-        raise _unreadable(error) from error
+        raise unreadable(error) from error
 
 
-def _unreadable(error: OSError) -> Problem:
+def unreadable(error: OSError) -> Problem:
+    """The answer where disk or network does not give what is retained."""
     return Problem(503, f"the past cannot be read now ({error})", {"Retry-After": "2"})
 
 
@@ -192,10 +194,11 @@ async def _joined(name: str, incarnation: str, groups: dict[Position, GroupFile]
     ]
     pieces = await asyncio.to_thread(joined, parts)
     state = f"{incarnation} {sorted(groups)} {list(map(size_of, pieces))}"
-    return Download(pieces, _hash(state.encode()), _FILE_TYPE, caching, f"{name}-{part}.slod")
+    return Download(pieces, digest(state.encode()), _FILE_TYPE, caching, f"{name}-{part}.slod")
 
 
-def _hash(data: bytes) -> str:
+def digest(data: bytes) -> str:
+    """A strong validator of what these bytes are, or say."""
     return hashlib.sha256(data).hexdigest()[:32]
 
 

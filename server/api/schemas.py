@@ -131,7 +131,7 @@ class NewLink(BaseModel):
 
     path: str = Field(
         default="",
-        pattern=r"^(bitstream|sound|(gops|packets)/[0-9]{1,10}/[0-9]{1,10}|ingest/[A-Za-z0-9][A-Za-z0-9_.-]{0,63})?$",
+        pattern=r"^(bitstream|sound|hls/index\.m3u8|(gops|packets)/[0-9]{1,10}/[0-9]{1,10}|ingest/[A-Za-z0-9][A-Za-z0-9_.-]{0,63})?$",
         description="download below the stream, all of them without; or `ingest/CAMERA` (right `publish`)",
     )
     seconds: int = Field(default=3600, ge=1, le=MAX_LINK_SECONDS, description="how long the address is good")

@@ -229,12 +229,13 @@ async def create_link(body: NewLink, stream: StreamOf, request: Request) -> Link
         raise Problem(403, "the token does not give the right to publish here")
     if camera is not None and stream.push_socket is None:
         raise Problem(409, "this stream takes no pictures: it is not made from live cameras")
-    scope = f"/v1/streams/{stream.id}/{body.path}" if camera is None else scope_of(stream.id, camera)
+    path = f"/v1/streams/{stream.id}/{body.path}"
+    scope = path.removesuffix("index.m3u8") if camera is None else scope_of(stream.id, camera)
     expires = int(time.time()) + body.seconds
     if (limit := grant_of(request).expires) is not None:
         expires = min(expires, limit)
     query = registry_of(request).gate.links.sign(scope, expires, stream.incarnation)
-    url = f"{scope}{'' if body.path else 'bitstream'}?{query}"
+    url = f"{path}{'' if body.path else 'bitstream'}?{query}"
     if camera is not None:
         url = capture_address(stream.id, camera, query)
     return Link(url=url, query=query, expires_at=datetime.fromtimestamp(expires, UTC))

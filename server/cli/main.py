@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 import typer
 
 from streamlod.client.evaluation.options import STUDY_OPTIONS, TRADEOFF_OPTIONS, StudyOptions, TradeoffOptions
-from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS
+from streamlod.codec.snapshots import CLIP_SUFFIXES, FORMATS, PACKET_SUFFIXES
 from streamlod.core.background_log import LOG_FORMAT
 from streamlod.core.errors import InputError
 from streamlod.core.version import streamlod_version
@@ -379,12 +379,15 @@ def export(
     ] = "average",
     format: Annotated[
         str,
-        typer.Option(metavar="|".join((*FORMATS, *CLIP_SUFFIXES)), help="File format; 4dgs, usd: all frames."),
+        typer.Option(
+            metavar="|".join((*FORMATS, *CLIP_SUFFIXES, *PACKET_SUFFIXES)),
+            help="File format; 4dgs, usd: all frames; mp4, hls: the packets themselves, with sound.",
+        ),
     ] = "ply",
     out: Annotated[Path | None, typer.Option(help="File, or folder of a sequence.")] = None,
     sequence: Annotated[bool, typer.Option("--sequence", help="One file for every frame from there on.")] = False,
 ) -> None:
-    """Write a snapshot as plain 3D Gaussians that other viewers and editors read."""
+    """Write plain 3D Gaussians that other viewers and editors read, or packets in MP4 that packagers carry."""
     from streamlod.client.commands import export as write
 
     typer.echo(write(scene, frame, view, format, out, sequence))
@@ -392,12 +395,15 @@ def export(
 
 @app.command("import")
 def import_scene(
-    source: Annotated[Path, typer.Argument(metavar="FILE|DIR", help=".ply, .spz, .4dgs, or a folder of frames.")],
+    source: Annotated[
+        str,
+        typer.Argument(metavar="FILE|DIR|URL", help=".ply, .spz, .4dgs, .glb, .mp4, a folder of frames, a .m3u8."),
+    ],
     out: Annotated[Path | None, typer.Option(metavar="FILE.slod", help="Beside the source by default.")] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Of a folder's frames.")] = 30.0,
     gaussians: Annotated[int, typer.Option(min=1, help="Keep so many at most, those that show most.")] = 262_144,
 ) -> None:
-    """Make a file that can be served and viewed of Gaussians that other programs wrote."""
+    """Make a file that can be served and viewed of Gaussians that other programs wrote, or of packets in MP4 or HLS."""
     from streamlod.client.commands import import_scene as convert
 
     typer.echo(convert(source, out, fps, gaussians))

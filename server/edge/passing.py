@@ -1,16 +1,18 @@
-"""Requests for what an edge does not hold: the files that a stream of a recording plays, passed on from the origin."""
+"""Requests for what an edge does not hold, passed on from the origin: files that a stream plays, and HLS."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 from fastapi.responses import StreamingResponse
 
+from streamlod.codec.mp4.playlist import MEDIA_TYPE, with_query
 from streamlod.server.api.access import StreamOf, need_download
 from streamlod.server.api.downloads import ANSWERS, RECORDING, SOUND
+from streamlod.server.api.hls.routes import HLS
 from streamlod.server.api.ranges import FRESH, caching
 from streamlod.server.edge.origin import Origin
 from streamlod.server.http.head import is_head
@@ -23,6 +25,8 @@ _ASKED = ("Range", "If-Range", "If-None-Match")
 _ANSWERED = ("Accept-Ranges", "Content-Disposition", "Content-Length", "Content-Range", "Content-Type", "ETag")
 _PASSED_ON = {200, 206, 304, 404, 416}
 _CHUNK_BYTES = 1 << 18
+_SEGMENTS = r"(recording|[0-9a-f]{16}/[0-9]{1,10})/(parts/[0-9]{1,10}-)?[0-9]{1,10}\.m4s"
+_NAMES = rf"^(index\.m3u8|init\.mp4|{_SEGMENTS})$"  # below HLS, and nothing that leads out of it
 
 router = APIRouter(prefix="/v1/streams/{stream_id}", tags=["downloads"], dependencies=[need_download()])
 
@@ -49,7 +53,23 @@ async def sound(stream: StreamOf, request: Request) -> Response:
     return await _pass_on(request, f"/v1/streams/{stream.id}{SOUND}")
 
 
-async def _pass_on(request: Request, path: str) -> Response:
+@router.get(
+    HLS + "/{name:path}",
+    summary="HLS playlist and its segments",
+    response_class=Response,
+    responses=ANSWERS | {502: PROBLEMS[502]},
+)
+async def hls(stream: StreamOf, request: Request, name: Annotated[str, Path(pattern=_NAMES)]) -> Response:
+    """The playlist and segments of the origin. A signature goes on to all that the playlist names."""
+    answer = await _pass_on(request, f"/v1/streams/{stream.id}{HLS}/{name}")
+    if name != "index.m3u8" or "signature" not in request.query_params or answer.status_code != 200:
+        return answer
+    text = b"".join([bytes(chunk) async for chunk in answer.body_iterator if not isinstance(chunk, str)]).decode()
+    headers = {"Cache-Control": answer.headers["cache-control"]}
+    return Response(with_query(text, request.url.query), headers=headers, media_type=MEDIA_TYPE)
+
+
+async def _pass_on(request: Request, path: str) -> StreamingResponse:
     """The origin's answer to the same request for `path`."""
     origin: Origin = request.app.state.origin
     asked = {name: value for name in _ASKED if (value := request.headers.get(name)) is not None}

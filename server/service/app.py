@@ -19,6 +19,7 @@ from starlette.exceptions import HTTPException
 from streamlod.core.errors import BackendUnavailable
 from streamlod.server.api import downloads, events, live, poster, push, recordings, server_info, streams, viewers
 from streamlod.server.api.access import grant_of, need, registry_of
+from streamlod.server.api.hls import routes as hls
 from streamlod.server.api.registry import Registry
 from streamlod.server.api.schemas import Health
 from streamlod.server.auth.gate import Right
@@ -98,6 +99,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
         generate_unique_id_function=operation_id,
     )  # fmt: skip
     app.state.registry, app.state.posters, app.state.origin = registry, poster.Posters(), origin
+    app.state.playlists = hls.Playlists()
     app.openapi = lambda: describe(app, needs_tokens=settings.has_tokens)  # type: ignore[method-assign]
     _add_errors(app)
     app.include_router(live.router)
@@ -105,7 +107,7 @@ def create_app(settings: Settings, specs: tuple[StreamSpec, ...] = ()) -> FastAP
     for part in (downloads, viewers, events, server_info, poster):
         app.include_router(part.router)
     if origin is None:
-        for router in (downloads.played, push.router, streams.control, recordings.router):
+        for router in (downloads.played, hls.router, push.router, streams.control, recordings.router):
             app.include_router(router)
     else:  # its streams are made, controlled and recorded at the origin
         app.include_router(passing.router)

@@ -1,0 +1,19 @@
+"""Files of packets, of whichever kind: `.slod` or MP4."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from streamlod.codec.container import SlodReader
+from streamlod.codec.container.packet_file import PacketFile
+from streamlod.codec.mp4.reader import Mp4Reader, is_mp4
+
+
+def open_packets(path: Path) -> PacketFile:
+    """The file for reading, by how it begins; to be closed.
+
+    Raises:
+        InputError: it cannot be opened.
+        BitstreamError: it is of neither kind, or of another version.
+    """
+    return Mp4Reader(path) if is_mp4(path) else SlodReader(path)
