@@ -46,7 +46,7 @@ class Playlists:
 @router.get("/" + INDEX, summary="HLS playlist", response_class=Response, responses=ANSWERS)
 async def index(stream: StreamOf, request: Request) -> Response:
     """All that is retained, a segment for each group of pictures, and parts of about a second of the newest. Of a
-    stream that plays a recording it is the whole recording, with its sound. A signature goes on to all that is named."""
+    stream that plays a recording it is all of that, with its sound. A signature goes on to all that is named."""
     if stream.played_file is not None:
         groups, _ = await _played(stream.played_file)
         segments = (PlaylistPart(f"recording/{n}.m4s", group.seconds) for n, group in enumerate(groups))
