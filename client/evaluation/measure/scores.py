@@ -110,7 +110,7 @@ def score_picture(drawn: UInt8, truth: UInt8, perception: Perception, render_sec
     return PictureScore(
         psnr=psnr(drawn, truth),
         ssim=ssim(drawn, truth),
-        psnr_fitted=_fitted_psnr(drawn, truth),
+        psnr_fitted=fitted_psnr(drawn, truth),
         lpips_alex=_distance_of(perception.alex, drawn, truth),
         lpips_vgg=_distance_of(perception.vgg, drawn, truth),
         render_seconds=render_seconds,
@@ -126,7 +126,7 @@ def mean_score(scores: Sequence[PictureScore]) -> PictureScore:
     return PictureScore(**means)  # type: ignore[arg-type]
 
 
-def _fitted_psnr(drawn: UInt8, truth: UInt8) -> float:
+def fitted_psnr(drawn: UInt8, truth: UInt8) -> float:
     """PSNR after the gain and offset of each channel that fit best in the least squares sense."""
     x, y = drawn.reshape(-1, 3) / 255.0, truth.reshape(-1, 3) / 255.0
     centred = x - x.mean(axis=0)
