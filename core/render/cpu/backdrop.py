@@ -10,6 +10,7 @@ from streamlod.core.arrays import Bool, Float32, Int32, Int64
 from streamlod.core.camera import Camera
 from streamlod.core.render.cpu.frame import Frame, blend, contiguous
 from streamlod.core.render.cpu.kernels.binning import merge_lists
+from streamlod.core.render.cpu.kernels.inline.constants import TILE_PIXELS
 from streamlod.core.render.cpu.listing import check_pairs, list_gaussians, pack_camera, projected, reaching, share_tiles
 from streamlod.core.render.cpu.workspace import POOL, Workspace
 from streamlod.core.scene.gaussians import GaussianCloud
@@ -25,12 +26,15 @@ class Backdrop:
         camera: whose picture.
         tile_mask: [tiles_y,tiles_x] bool, tiles that are drawn.
         base: [H,W,3] float32 the picture in all other tiles.
-        records: [S,16] by depth rank, depths: [S] ascending, offsets: [T+1], lists: [pairs] depth ranks.
+        layers: [L,1024] runs of still Gaussians that are blended already (`core.render.cpu.kernels.layers`).
+        records: [S,16] by rank, of which the first L stand for layers; depths: [S]. offsets: [T+1], lists: [pairs]
+            ranks, near to far in each tile.
     """
 
     camera: Camera
     tile_mask: Bool
     base: Float32
+    layers: Float32
     records: Float32
     depths: Float32
     offsets: Int64
@@ -52,6 +56,7 @@ def prepare(cloud: GaussianCloud, camera: Camera, tile_mask: Bool, base: Float32
         camera=camera,
         tile_mask=tile_mask,
         base=base,
+        layers=np.empty((0, 4 * TILE_PIXELS), np.float32),
         records=listing.sorted_records.copy(),
         depths=seen.depths[rows[listing.order]],
         offsets=listing.offsets.copy(),
@@ -113,6 +118,7 @@ def forward_over(
         image=canvas.image,
         transmittance=canvas.transmittance,
         camera=pack_camera(camera),
+        layers=backdrop.layers,
         visible=rows,
         rows=rows,
         order=np.concatenate([np.full(still, _NO_GRADIENTS, np.int32), listing.order]),

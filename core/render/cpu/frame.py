@@ -10,7 +10,7 @@ from streamlod.core.arrays import Bool, Float32, Int32, Int64
 from streamlod.core.camera import Camera
 from streamlod.core.render.cpu.kernels.backward import differentiate_tiles
 from streamlod.core.render.cpu.kernels.forward import blend_tiles
-from streamlod.core.render.cpu.kernels.inline.constants import SUMS
+from streamlod.core.render.cpu.kernels.inline.constants import SUMS, TILE_PIXELS
 from streamlod.core.render.cpu.kernels.project_backward import differentiate_projection
 from streamlod.core.render.cpu.listing import MAX_PAIRS, list_gaussians, pack_camera, projected, reaching, share_tiles
 from streamlod.core.render.cpu.workspace import Workspace
@@ -25,6 +25,7 @@ class Frame:
     Attributes:
         image: [H,W,3] float32, own memory. transmittance: [H,W] float32, own memory.
         camera: [16] float32, see `pack_camera`.
+        layers: [L,1024] what is blended already (`core.render.cpu.kernels.layers`); the first L ranks.
         visible: [V] int32 ascending rows of the Gaussians in view, own memory.
         rows: [M] int32 those that reach a tile to be drawn, own memory.
         order: by depth rank, index into `rows`; beyond its end for Gaussians that never want gradients.
@@ -35,6 +36,7 @@ class Frame:
     image: Float32
     transmittance: Float32
     camera: Float32
+    layers: Float32
     visible: Int32
     rows: Int32
     order: Int32
@@ -98,6 +100,7 @@ def forward(
             image=image,
             transmittance=transmittance,
             camera=pack_camera(camera),
+            layers=np.empty((0, 4 * TILE_PIXELS), np.float32),
             visible=visible,
             rows=rows,
             order=listing.order,
@@ -115,7 +118,7 @@ def forward(
 def blend(frame: Frame, background: Float32) -> Frame:
     """`frame` itself, its tiles drawn."""
     tiles_x = tile_grid(*frame.transmittance.shape[::-1])[1]
-    lists = (frame.sorted_records, frame.offsets, frame.lists)
+    lists = (frame.layers, frame.sorted_records, frame.offsets, frame.lists)
     blend_tiles(frame.tiles, frame.bounds, tiles_x, *lists, background, frame.image, frame.transmittance)
     return frame
 
@@ -158,7 +161,7 @@ def backward(
         screen=np.zeros((len(wanted), 2), np.float32),
     )
     if len(wanted):
-        lists = (frame.sorted_records, frame.order, frame.offsets, frame.lists)
+        lists = (frame.layers, frame.sorted_records, frame.order, frame.offsets, frame.lists)
         picture = (frame.image, frame.transmittance, image_gradient, light)
         differentiate_tiles(frame.tiles, frame.bounds, tiles_x, *lists, *picture, sums)
         parameters = (cloud.means, cloud.quaternions, cloud.scales, frame.camera, width, height)

@@ -22,6 +22,7 @@ from streamlod.core.train.control.frame_budget import FrameProgress
 from streamlod.core.train.control.rate_control import RatePlan
 from streamlod.core.train.field.exposure import Exposure
 from streamlod.core.train.later_frame.active_tiles import BORDER, mostly_active, tiles_near
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks
 from streamlod.core.train.later_frame.references import renewed_references
 from streamlod.core.train.later_frame.state import State
@@ -73,17 +74,20 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
     config = means.config.predict if plan is None else plan.applied(means.config.predict)
     with watch.stage("compare"):
         assert state.references is not None
+        assert state.filmed is not None
         masks = change_masks(state.references, views, config.noise_floor)
+        pictures = Comparison(views, masks, state.references, state.filmed, state.shown)
+        coarse = pictures.halved() if pictures.is_large and config.half_size_until > 0 else pictures
     with watch.stage("partition"):
-        dynamic, renewed = _selected(state, views, masks, index, config, means)
-        dynamic = _worth_training(state, dynamic, views, masks, means)
+        dynamic, renewed = _selected(state, coarse, index, config, means)
+        dynamic = _worth_training(state, dynamic, pictures, means)
     rows = torch.from_numpy(np.flatnonzero(dynamic)).to(state.field.feature.device)
     update, training, hooks = no_update(0), None, list[Hooks]()
     if len(rows):
-        seen = _beginning(state, rows, views, masks, means)
+        seen = _beginning(state, rows, pictures, coarse, means)
         hooks, values = started(means.config.parts, seen, means.allows, watch)
         with watch.stage("train"):
-            useful = _useful(state, views, masks, config)
+            useful = _useful(coarse, config)
             training = FrameTraining(seen, values, hooks, means.exposure, useful, means.backend, config.memory)
             generator = torch.Generator().manual_seed(means.config.seed + index)
             update = training.run(config, generator, means.pace)
@@ -106,30 +110,28 @@ def train_later_frame(state: State, views: Views, index: int, means: Means) -> L
     return LaterFrame(replace(after, shown=shown), residual, update, dynamic)
 
 
-def _selected(
-    state: State, views: Views, masks: Tensor, index: int, config: PredictConfig, means: Means
-) -> tuple[Bool, bool]:
+def _selected(state: State, pictures: Comparison, index: int, config: PredictConfig, means: Means) -> tuple[Bool, bool]:
     """[N] what to train, and whether that was found anew: where it is due and there is time; as before otherwise."""
     alive = state.alive
     previous = state.trained & alive.cpu().numpy()
     if not means.allows("partition") or (index % config.partition_interval and previous.any()):
         return previous, False
-    assert state.references is not None
     seen = Observation(
         field=state.field,
         canonical=state.canonical,
         alive=alive,
-        views=views,
-        references=state.references,
-        masks=masks,
+        views=pictures.views,
+        references=pictures.references,
+        masks=pictures.masks,
         previous=previous,
         backend=means.backend,
     )
     return cue_of(config).partition(seen), True
 
 
-def _worth_training(state: State, dynamic: Bool, views: Views, masks: Tensor, means: Means) -> Bool:
+def _worth_training(state: State, dynamic: Bool, pictures: Comparison, means: Means) -> Bool:
     """[N] those of the `dynamic` ones that mostly show what changed; all where the cue looks at still pixels too."""
+    views, masks = pictures.views, pictures.masks
     changed = [number for number in views.usable if masks[number].any()]
     if means.backend != "cpu" or not cue_of(means.config.predict).only_changed_views or not changed:
         return dynamic
@@ -139,14 +141,14 @@ def _worth_training(state: State, dynamic: Bool, views: Views, masks: Tensor, me
     return chosen
 
 
-def _beginning(state: State, rows: Tensor, views: Views, masks: Tensor, means: Means) -> Beginning:
+def _beginning(state: State, rows: Tensor, pictures: Comparison, coarse: Comparison, means: Means) -> Beginning:
     config = means.config
     return Beginning(
         state=state,
         rows=rows,
         base=state.field.with_rows(rows),
-        views=views,
-        masks=masks,
+        pictures=pictures,
+        coarse=coarse,
         bit_price=config.predict.rate_weight,
         max_anchors=config.model.max_anchors,
         first_count=means.first_count,
@@ -169,16 +171,15 @@ def started(
     return hooks, values
 
 
-def _useful(state: State, views: Views, masks: Tensor, config: PredictConfig) -> list[int]:
+def _useful(pictures: Comparison, config: PredictConfig) -> list[int]:
     """Cameras to train on: where the cue asks for it, those in which pixels changed, those that see most change first.
 
     All usable ones if only one is left: trained on its picture alone, anchors would get worse for every other camera.
     """
+    views = pictures.views
     if not cue_of(config).only_changed_views:
         return views.usable
-    assert state.references is not None
-    change = ((views.targets - state.references).nan_to_num().square().mean(dim=3) * masks).sum(dim=(1, 2))
-    order = torch.argsort(change, descending=True, stable=True).tolist()
+    order = torch.argsort(pictures.differences(), descending=True, stable=True).tolist()
     usable = [number for number in order if number in views.usable]
-    changed = [number for number in usable if masks[number].any()]
+    changed = [number for number in usable if pictures.masks[number].any()]
     return changed if len(changed) > 1 else usable

@@ -15,9 +15,9 @@ from streamlod.core.render.raster import Raster
 from streamlod.core.train.config import PartSettings
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.field import Field
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.later_frame.update import IntegerUpdate
-from streamlod.core.train.pictures.views import Views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +26,7 @@ class Beginning:
 
     Attributes:
         state: before the frame. rows: [n] numbers of its anchors that are trained; base: these as they were.
-        views: pictures of the instant. masks: [C,H,W] bool, pixels that changed.
+        pictures: of the instant. coarse: the same, at half the size where they are large.
         bit_price: configured weight of a bit in the loss, whatever rate control makes of it.
         max_anchors: that there may be; first_count: that the first frame had; max_new: that this frame may add.
     """
@@ -34,8 +34,8 @@ class Beginning:
     state: State
     rows: Tensor
     base: Field
-    views: Views
-    masks: Tensor
+    pictures: Comparison
+    coarse: Comparison
     bit_price: float
     max_anchors: int
     first_count: int
@@ -62,10 +62,13 @@ class Training(Protocol):
         """Their Gaussians for a camera, if they had gone `position` [n,3] steps."""
 
     def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
-        """[H,W,3] what a camera films of Gaussians in two places, before all that is not trained.
+        """[h,w,3] what a camera films of Gaussians in two places, before all that is not trained.
 
         They need to be right only where they differ: elsewhere, neither may be drawn.
         """
+
+    def target(self, number: int) -> Tensor:
+        """[h,w,3] what a camera should film, of the size of `draw_two`."""
 
     def changed(self) -> Field:
         """All n as they are now, without gradients."""

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from streamlod.core.render.backends import Backend
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.later_frame.active_tiles import tiles_near
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.tile_cache import TileCache, make_tile_cache
-from streamlod.core.train.pictures.views import Views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,37 +20,26 @@ class PlannedViews:
     """Cameras whose pictures are planned one by one, when they are first needed.
 
     Attributes:
-        views: cameras and pictures. masks: [C,H,W] bool, pixels that changed.
-        shown: [C,H,W,3] what the cameras would film of the state before, NaN where unknown; None: of nothing.
+        pictures: what the cameras should show, and what they showed before.
         static: Gaussians that are drawn but not trained, by camera. backgrounds: [3] behind them, by camera.
         backend: of the rasteriser.
         caches: plans so far, by camera. weights: [H,W,3] of absolute errors so far, by camera.
     """
 
-    views: Views
-    masks: Tensor
-    shown: Tensor | None
+    pictures: Comparison
     static: Sequence[Splats]
     backgrounds: Sequence[Tensor]
     backend: Backend
     caches: dict[int, TileCache] = field(default_factory=dict)
     weights: dict[int, Tensor] = field(default_factory=dict)
 
-    def halved(self) -> PlannedViews:
-        """The same at half the width and height; a pixel changed where any did that it covers."""
-        views = self.views.halved()
-        size = views.targets.shape[1:3]
-        masks = functional.adaptive_max_pool2d(self.masks[:, None].float(), size)[:, 0] > 0
-        shown = None if self.shown is None else replace(self.views, targets=self.shown).halved().targets
-        return PlannedViews(views, masks, shown, self.static, self.backgrounds, self.backend)
-
     def plan(self, number: int, trained: Splats) -> TileCache:
         """How camera `number` is drawn; planned now for the Gaussians `trained`, if it was not before."""
         if number not in self.caches:
-            active = tiles_near(self.masks[number].cpu().numpy(), 0)
+            active = tiles_near(self.pictures.masks[number].cpu().numpy(), 0)
             with torch.no_grad():
                 self.caches[number] = make_tile_cache(
-                    self.views.cameras[number],
+                    self.pictures.views.cameras[number],
                     trained,
                     self.static[number],
                     self.backgrounds[number],
@@ -72,15 +60,16 @@ class PlannedViews:
         """
         known = self._known(number)
         if known is not None:
-            self.views.targets[number] += self.caches[number].render(before).image - known
+            self.pictures.views.targets[number] += self.caches[number].render(before).image - known
 
     def pixel_weights(self, number: int, changed_weight: float) -> Tensor | None:
         """[H,W,3] of one picture's absolute errors: those of changed pixels count more."""
         if number not in self.weights and changed_weight:
-            counted = 1 + changed_weight * self.masks[number, ..., None].to(self.views.targets.dtype)
+            counted = 1 + changed_weight * self.pictures.masks[number, ..., None].to(self.pictures.views.targets.dtype)
             self.weights[number] = counted.expand(-1, -1, 3).contiguous()
         return self.weights.get(number)
 
     def _known(self, number: int) -> Tensor | None:
         """[H,W,3] picture that camera `number` would film of the state before, if it is known."""
-        return None if self.shown is None or bool(self.shown[number, 0, 0, 0].isnan()) else self.shown[number]
+        shown = self.pictures.shown
+        return None if shown is None or bool(shown[number, 0, 0, 0].isnan()) else shown[number]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -12,7 +12,8 @@ from streamlod.core.camera import Camera
 from streamlod.core.render.backends import Backend
 from streamlod.core.render.cpu.autograd import rasterise_over
 from streamlod.core.render.cpu.backdrop import Backdrop, Canvas, canvas_of, prepare
-from streamlod.core.render.cpu.dirty_tiles import touched_tiles
+from streamlod.core.render.cpu.dirty_tiles import near_depths, touched_tiles
+from streamlod.core.render.cpu.layers import layered
 from streamlod.core.render.differentiable import rasterise
 from streamlod.core.render.raster import Raster
 from streamlod.core.render.tiles import Box
@@ -32,6 +33,7 @@ class TileCache:
         background: [3] behind all of them.
         backend: of the rasteriser.
         backdrop: the static ones, ready to be drawn behind moving ones; on the CPU only.
+        layers: the same, blended together where no moving one is near, likewise.
         canvas: where the pictures of the steps are drawn, likewise.
         region: boxes of pixels that the loss needs, None for all.
         is_empty: whether no Gaussian that is trained can reach this picture.
@@ -42,14 +44,25 @@ class TileCache:
     background: Tensor
     backend: Backend
     backdrop: Backdrop | None = None
+    layers: Backdrop | None = None
     canvas: Canvas | None = None
     region: tuple[Box, ...] | None = None
     is_empty: bool = False
 
     def render(self, dynamic: Splats) -> Raster:
-        """The picture with gradients for `dynamic`, until the next one is drawn; only tiles that can change are."""
-        if self.backdrop is not None and self.canvas is not None:
-            return rasterise_over(*dynamic.astuple(), self.backdrop, self.background, self.canvas)
+        """The picture with gradients for `dynamic`, until the next one is drawn; only tiles that can change are.
+
+        Where one of them passes before or behind what is still, it may be drawn a little later than it gets there.
+        """
+        return self._render_over(self.layers, dynamic)
+
+    def render_exactly(self, dynamic: Splats) -> Raster:
+        """The same, each in its place by depth."""
+        return self._render_over(self.backdrop, dynamic)
+
+    def _render_over(self, backdrop: Backdrop | None, dynamic: Splats) -> Raster:
+        if backdrop is not None and self.canvas is not None:
+            return rasterise_over(*dynamic.astuple(), backdrop, self.background, self.canvas)
         return self._render_whole(dynamic)
 
     def render_two(self, first: Splats, second: Splats) -> tuple[Raster, Raster]:
@@ -93,8 +106,14 @@ def make_tile_cache(
     if base is None:
         with torch.no_grad():
             base = cache.render(dynamic).image
-    reached = touched_tiles(camera, dynamic.cloud(), _ROOM_PIXELS)
-    tiles = reached if active is None else reached | active
+    near = near_depths(camera, dynamic.cloud(), _ROOM_PIXELS)
+    tiles = near.tiles if active is None else near.tiles | active
     backdrop = prepare(static.cloud(), camera, tiles, base.numpy())
-    canvas, region = canvas_of(backdrop), loss_boxes(tiles, camera)
-    return TileCache(camera, static, background, backend, backdrop, canvas, region, is_empty=not reached.any())
+    return replace(
+        cache,
+        backdrop=backdrop,
+        layers=layered(backdrop, near),
+        canvas=canvas_of(backdrop),
+        region=loss_boxes(tiles, camera),
+        is_empty=not near.tiles.any(),
+    )

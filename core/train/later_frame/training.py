@@ -32,7 +32,6 @@ from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.optimise.schedule import ViewOrder
 
 _PREPARATION = 0.3  # of a frame's training time, after which no more is planned or searched
-_HALVED_FROM = 300  # rows of a picture; of smaller ones too little is left
 _TRANSPARENT = 1 / 255  # opacity below which nothing is drawn
 
 
@@ -59,7 +58,7 @@ class FrameTraining:
         backend: Backend,
         memory: float = 0.9,
     ) -> None:
-        state, views = seen.state, seen.views
+        state, views = seen.state, seen.pictures.views
         field, device = state.field, state.field.feature.device
         others = state.alive.index_fill(0, seen.rows, False)
         cameras = [views.cameras[number] for number in views.usable]
@@ -72,8 +71,10 @@ class FrameTraining:
         self._centres = [torch.from_numpy(camera.centre).float().to(device) for camera in views.cameras]
         static_splats = _static_splats(field, torch.nonzero(others)[:, 0], self._centres)
         static = [exposure.before(splats, number) for number, splats in enumerate(static_splats)]
-        self._whole = PlannedViews(views, seen.masks, state.shown, static, backgrounds, backend)
+        self._whole = PlannedViews(seen.pictures, static, backgrounds, backend)
         self._half: PlannedViews | None = None
+        if seen.coarse is not seen.pictures:
+            self._half = PlannedViews(seen.coarse, static, backgrounds, backend)
         self.numbers = list[int]()
 
     def run(
@@ -97,8 +98,6 @@ class FrameTraining:
                 hooks.ready(self)
         order, epochs = ViewOrder(self.numbers, generator), EpochProgress(len(self.numbers), config.least_gain)
         progress = 0.0
-        if config.half_size_until > 0 and self._whole.views.targets.shape[1] >= _HALVED_FROM:
-            self._half = self._whole.halved()
 
         def reached(_: int) -> float:
             nonlocal progress, epochs
@@ -141,8 +140,12 @@ class FrameTraining:
 
     def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
         """As `Training.draw_two`."""
-        one, other = self._whole.caches[number].render_two(first, second)
+        one, other = self._planned(number).caches[number].render_two(first, second)
         return one.image, other.image
+
+    def target(self, number: int) -> Tensor:
+        """As `Training.target`."""
+        return self._planned(number).pictures.views.targets[number]
 
     @torch.no_grad()
     def changed(self) -> Field:
@@ -158,13 +161,13 @@ class FrameTraining:
 
         NaN for a camera that nobody had time for, and for one of which nothing was known.
         """
-        unknown = torch.full_like(self._whole.views.targets, torch.nan)
+        unknown = torch.full_like(self._whole.pictures.views.targets, torch.nan)
         pictures = unknown if self._shown is None else self._shown.clone()
         pictures[[number for number in self._useful if number not in self._whole.caches]] = torch.nan
         with torch.no_grad():
             for number, cache in self._whole.caches.items():
                 splats = field.decode(self._centres[number], rows)
-                pictures[number] = cache.render(self._exposure.before(splats, number)).image
+                pictures[number] = cache.render_exactly(self._exposure.before(splats, number)).image
         return pictures
 
     def _prepare(self, pace: FrameProgress) -> None:
@@ -176,20 +179,30 @@ class FrameTraining:
                 if not self._whole.plan(number, self._splats(number)).is_empty:
                     self.numbers.append(number)
 
+    def _planned(self, number: int) -> PlannedViews:
+        """The pictures of the size that is trained now, that of camera `number` planned."""
+        if self._half is None:
+            return self._whole
+        if number not in self._half.caches:
+            with torch.no_grad():
+                self._half.plan(number, self._splats(number))
+            self._half.allow_for_size(number, self._filmed(self._anchors.base, number))
+        return self._half
+
     def _step(self, number: int, config: PredictConfig, decay: float) -> tuple[Tensor, Raster]:
         """One view, one update; returns the detached loss, and what was drawn."""
-        moves, planned = self._anchors.moves, self._half or self._whole
-        splats = self._splats(number, moves)
-        if self._half is not None and number not in self._half.caches:
-            self._half.plan(number, splats)
-            self._half.allow_for_size(number, self._filmed(self._anchors.base, number))
-        cache = planned.caches[number]
+        planned, moves = self._planned(number), self._anchors.moves
+        splats, cache = self._splats(number, moves), planned.caches[number]
         raster = cache.render(splats)
         image, prices = raster.image, list[Tensor]()
         if config.rate_weight:
-            prices.append(config.rate_weight * self._anchors.bits(moves) / self._whole.views.targets[number].numel())
+            prices.append(
+                config.rate_weight * self._anchors.bits(moves) / self._whole.pictures.views.targets[number].numel()
+            )
         weights = planned.pixel_weights(number, config.changed_weight)
-        loss = total_loss(image, planned.views.targets[number], config.dssim_weight, prices, cache.region, weights)
+        loss = total_loss(
+            image, planned.pictures.views.targets[number], config.dssim_weight, prices, cache.region, weights
+        )
         loss.backward()  # type: ignore[no-untyped-call]
         self._anchors.step(config, decay)
         return loss.detach(), raster
@@ -207,7 +220,11 @@ class FrameTraining:
         field = self._anchors.field()
         if not self._all.looks_the_same:  # what is transparent to one camera may not be so to another
             return np.ones(len(field), np.bool_)
-        opacity = field.decode(self._centres[self._whole.views.usable[0]]).opacities.reshape(len(field), -1).amax(dim=1)
+        opacity = (
+            field.decode(self._centres[self._whole.pictures.views.usable[0]])
+            .opacities.reshape(len(field), -1)
+            .amax(dim=1)
+        )
         return np.asarray((opacity > _TRANSPARENT).cpu().numpy())
 
 

@@ -26,7 +26,17 @@ class Views:
 
     def halved(self) -> Views:
         """The same pictures at half the width and height: each pixel is the mean of those it covers."""
-        height, width = (max(size // 2, 1) for size in self.targets.shape[1:3])
-        planes = functional.adaptive_avg_pool2d(self.targets.permute(0, 3, 1, 2), (height, width))
-        cameras = tuple(camera.scaled(width, height) for camera in self.cameras)
-        return Views(cameras, planes.permute(0, 2, 3, 1).contiguous(), self.usable)
+        targets = halved_pictures(self.targets)
+        height, width = targets.shape[1:3]
+        return Views(tuple(camera.scaled(width, height) for camera in self.cameras), targets, self.usable)
+
+
+def halved_pictures(pictures: Tensor) -> Tensor:
+    """[C,H,W,3] pictures at half the width and height: each pixel is the mean of those it covers."""
+    height, width = (max(size // 2, 1) for size in pictures.shape[1:3])
+    if pictures.shape[1:3] == (2 * height, 2 * width):  # much faster than the general way
+        pairs = pictures[:, ::2] + pictures[:, 1::2]
+        return (pairs[:, :, ::2] + pairs[:, :, 1::2]) / 4
+    return (
+        functional.adaptive_avg_pool2d(pictures.permute(0, 3, 1, 2), (height, width)).permute(0, 2, 3, 1).contiguous()
+    )

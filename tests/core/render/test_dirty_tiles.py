@@ -257,5 +257,5 @@ def test_the_whole_picture_is_planned_where_most_of_it_moves() -> None:
     dynamic, static = rows_of(cloud, np.arange(150)), rows_of(cloud, np.arange(150, 300))
     cache = make_tile_cache(CAMERA, Splats(*tensors(dynamic)), Splats(*tensors(static)), BACKGROUND, "cpu")
     assert cache.region == (Box(0, 0, 200, 150),)
-    raster = cache.render(Splats(*tensors(dynamic)))
+    raster = cache.render_exactly(Splats(*tensors(dynamic)))
     assert torch.equal(raster.image, full(tensors(dynamic), static).image)

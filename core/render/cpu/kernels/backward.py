@@ -55,7 +55,7 @@ from streamlod.core.render.cpu.kernels.inline.simd import (
     splat,
     store,
 )
-from streamlod.core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part
+from streamlod.core.render.cpu.kernels.inline.tile import any_unfinished, behind_layer, exp_of_8, reached_part
 
 _AHEAD = 8  # list entries between asking for a record and using it
 _CHECK = 32  # Gaussians between looks at whether the tile is finished
@@ -149,6 +149,20 @@ def _pass_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) 
             _absorb(pixels, row * TILE_WIDTH + chunk * LANES, gaussian, dx, by, cyy)
 
 
+@njit(**INLINE)
+def _pass_layer(pixels: Float32, layer: Float32) -> None:
+    """Blend a layer, planes as of `blend_layer`: the pixels are updated."""
+    for at in range(0, TILE_PIXELS, LANES):
+        transmittance = load(pixels, at)
+        own = keep_where(above(transmittance, ZERO), transmittance) * (
+            load(layer, at + TILE_PIXELS) * load(pixels, at + TILE_PIXELS)
+            + load(layer, at + 2 * TILE_PIXELS) * load(pixels, at + 2 * TILE_PIXELS)
+            + load(layer, at + 3 * TILE_PIXELS) * load(pixels, at + 3 * TILE_PIXELS)
+        )
+        store(pixels, at + _BEHIND, load(pixels, at + _BEHIND) - own)
+        store(pixels, at, behind_layer(transmittance, load(layer, at)))
+
+
 @njit(**SERIAL)
 def _load_tile(
     x0: int,
@@ -191,6 +205,7 @@ def _end_of_wanted(start: Any, stop: Any, order: Int32, lists: Int32, wanted: An
 def _differentiate_tile(
     tile: int,
     tiles_x: int,
+    layers: Float32,
     records: Float32,
     order: Int32,
     offsets: Int64,
@@ -216,15 +231,18 @@ def _differentiate_tile(
         prefetch(records, np.int64(ahead) * RECORD)
         prefetch(sums, np.int64(min(order[ahead], wanted - 1)) * SUMS)
         rank = lists[entry]
-        record, own_row = records[rank], np.int64(order[rank])
-        x, y = record[MEAN_X] - (np.float32(x0) + HALF), record[MEAN_Y] - (np.float32(y0) + HALF)
-        if own_row < wanted:
-            red, green, blue, s1, sx, sy, sxx, sxy, syy = _sum_gaussian(pixels, record, x, y, rows)
-            at = own_row * SUMS
-            store(sums, at, load(sums, at) + lane_sums(red, green, blue, s1, sx, sy, sxx, sxy))
-            sums[own_row, SUMS - 1] += lane_sum(syy)
+        if rank < layers.shape[0]:
+            _pass_layer(pixels, layers[rank])
         else:
-            _pass_gaussian(pixels, record, x, y, rows)
+            record, own_row = records[rank], np.int64(order[rank])
+            x, y = record[MEAN_X] - (np.float32(x0) + HALF), record[MEAN_Y] - (np.float32(y0) + HALF)
+            if own_row < wanted:
+                red, green, blue, s1, sx, sy, sxx, sxy, syy = _sum_gaussian(pixels, record, x, y, rows)
+                at = own_row * SUMS
+                store(sums, at, load(sums, at) + lane_sums(red, green, blue, s1, sx, sy, sxx, sxy))
+                sums[own_row, SUMS - 1] += lane_sum(syy)
+            else:
+                _pass_gaussian(pixels, record, x, y, rows)
         if (entry - start) % _CHECK == _CHECK - 1 and not any_unfinished(pixels):
             break
 
@@ -234,6 +252,7 @@ def differentiate_tiles(
     tiles: Int32,
     bounds: Int64,
     tiles_x: int,
+    layers: Float32,
     records: Float32,
     order: Int32,
     offsets: Int64,
@@ -247,7 +266,7 @@ def differentiate_tiles(
     """Sum gradients over pixels, a slab of `sums` a worker: no two workers write to one place.
 
     Args:
-        tiles, bounds, tiles_x, records, offsets, lists: as for `blend_tiles`.
+        tiles, bounds, tiles_x, layers, records, offsets, lists: as for `blend_tiles`.
         order: [M] row of `sums` for each depth rank; a number beyond its last row means no gradients.
         image [H,W,3], transmittance [H,W]: as rendered. image_gradient [H,W,3]; light_gradient [H,W] or [0,0].
         sums: out, [workers,G,9] see `constants`.
@@ -260,6 +279,7 @@ def differentiate_tiles(
             _differentiate_tile(
                 tiles[k],
                 tiles_x,
+                layers,
                 records,
                 order,
                 offsets,

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from streamlod.core.arrays import Float32, Int32, UInt8
+from streamlod.core.arrays import Float32, Int32, Int64, UInt8
 from streamlod.core.render.cpu.kernels.inline.constants import (
     EXTENT_X,
     EXTENT_Y,
     HALF,
+    INLINE,
     KERNEL,
     MEAN_X,
     MEAN_Y,
@@ -24,33 +25,67 @@ from streamlod.core.render.cpu.kernels.inline.constants import (
 from streamlod.core.render.cpu.kernels.inline.tile import ellipse_span, tile_span
 
 
+@njit(**INLINE)
+def _rows_near(record: Float32, y: Any, dilation: Any, rows: int) -> Any:
+    """Rows of tiles [first, last] within `dilation` pixels of a Gaussian whose mean is at height `y`."""
+    reach, height = record[EXTENT_Y] + dilation, np.float32(TILE_HEIGHT)
+    first = max(0, math.floor(max(y - reach, ZERO) / height))
+    return first, min(rows - 1, math.floor(min(y + reach, np.float32(rows * TILE_HEIGHT)) / height))
+
+
+@njit(**INLINE)
+def _tiles_near(record: Float32, x: Any, y: Any, tile_y: int, dilation: Any, columns: int) -> Any:
+    """Tiles [start, stop] of a row of tiles within `dilation` pixels of a Gaussian whose mean is at x, y."""
+    top, width = np.float32(tile_y * TILE_HEIGHT) - y, np.float32(TILE_WIDTH)
+    left, right = ellipse_span(record, top - dilation, top + np.float32(TILE_HEIGHT - 1) + dilation)
+    left, right = max(left, -record[EXTENT_X]), min(right, record[EXTENT_X])
+    left, right = x + left - dilation, x + right + dilation
+    if not (right >= ZERO and left < np.float32(columns * TILE_WIDTH)):
+        return 0, -1
+    start = math.floor(max(left, ZERO) / width)
+    return start, math.floor(min(right, np.float32(columns * TILE_WIDTH - 1)) / width)
+
+
 @njit(**{**SERIAL, "cache": True})
-def mark_tiles(records: Float32, depths: Float32, padding: Any, dilation: Any, mask: UInt8) -> None:
-    """Set `mask` [tiles_y,tiles_x] to 1 at tiles that a visible Gaussian reaches if it may move `dilation` pixels.
+def count_near(records: Float32, depths: Float32, padding: Any, dilation: Any, counts: Int64) -> None:
+    """Add to `counts` [tiles_y,tiles_x] the visible Gaussians that reach a tile if they may move `dilation` pixels.
 
     padding: what was added to each side of the picture before projecting, float32 pixels.
     """
-    rows, columns = mask.shape
-    band = np.float32(TILE_HEIGHT - 1)
+    rows, columns = counts.shape
     for i in range(records.shape[0]):
         if not (depths[i] > ZERO):
             continue
         record = records[i]
         x, y = record[MEAN_X] - padding - HALF, record[MEAN_Y] - padding - HALF
-        reach = record[EXTENT_Y] + dilation
-        first = max(0, math.floor(max(y - reach, ZERO) / np.float32(TILE_HEIGHT)))
-        last = min(rows - 1, math.floor(min(y + reach, np.float32(rows * TILE_HEIGHT)) / np.float32(TILE_HEIGHT)))
+        first, last = _rows_near(record, y, dilation, rows)
         for tile_y in range(first, last + 1):
-            top = np.float32(tile_y * TILE_HEIGHT) - y
-            left, right = ellipse_span(record, top - dilation, top + band + dilation)
-            left, right = max(left, -record[EXTENT_X]), min(right, record[EXTENT_X])
-            left, right = x + left - dilation, x + right + dilation
-            if not (right >= ZERO and left < np.float32(columns * TILE_WIDTH)):
-                continue
-            start = math.floor(max(left, ZERO) / np.float32(TILE_WIDTH))
-            stop = math.floor(min(right, np.float32(columns * TILE_WIDTH - 1)) / np.float32(TILE_WIDTH))
+            start, stop = _tiles_near(record, x, y, tile_y, dilation, columns)
             for tile_x in range(start, stop + 1):
-                mask[tile_y, tile_x] = 1
+                counts[tile_y, tile_x] += 1
+
+
+@njit(**{**SERIAL, "cache": True})
+def list_near(
+    records: Float32, depths: Float32, order: Int64, padding: Any, dilation: Any, cursors: Int64, listed: Float32
+) -> None:
+    """Write the depths of those that `count_near` counts into the lists of their tiles.
+
+    Args:
+        order: [M] rows of the visible ones, near to far.
+        cursors: [tiles_y,tiles_x] where each tile's list begins in `listed`; overwritten.
+        listed: out, depths, ascending in each list.
+    """
+    rows, columns = cursors.shape
+    for i in order:
+        record = records[i]
+        x, y = record[MEAN_X] - padding - HALF, record[MEAN_Y] - padding - HALF
+        first, last = _rows_near(record, y, dilation, rows)
+        for tile_y in range(first, last + 1):
+            start, stop = _tiles_near(record, x, y, tile_y, dilation, columns)
+            for tile_x in range(start, stop + 1):
+                listed[cursors[tile_y, tile_x]] = depths[i]
+                cursors[tile_y, tile_x] += 1
 
 
 @njit(**SERIAL)

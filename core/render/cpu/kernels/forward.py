@@ -46,7 +46,7 @@ from streamlod.core.render.cpu.kernels.inline.simd import (
     splat,
     store,
 )
-from streamlod.core.render.cpu.kernels.inline.tile import any_unfinished, exp_of_8, reached_part
+from streamlod.core.render.cpu.kernels.inline.tile import any_unfinished, behind_layer, exp_of_8, reached_part
 
 _AHEAD = 8  # list entries between asking for a record and using it
 _CHECK = 32  # Gaussians between looks at whether the tile is finished
@@ -70,7 +70,7 @@ def _blend(pixels: Float32, at: Any, gaussian: Any, dx: Any, by: Any, cyy: Any) 
 
 
 @njit(**INLINE)
-def _blend_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) -> None:
+def blend_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int) -> None:
     """Add one Gaussian to a tile; x, y: its mean relative to the tile's first pixel centre."""
     gaussian = (
         splat(record[CONIC_A]),
@@ -92,10 +92,22 @@ def _blend_gaussian(pixels: Float32, record: Float32, x: Any, y: Any, rows: int)
             _blend(pixels, row * TILE_WIDTH + right * LANES, gaussian, dx_right, by, cyy)
 
 
+@njit(**INLINE)
+def blend_layer(pixels: Float32, layer: Float32) -> None:
+    """Add a layer to a tile: what several Gaussians came to, blended before. Planes of both as in `_blend`."""
+    for at in range(0, TILE_PIXELS, LANES):
+        transmittance = load(pixels, at)
+        light = keep_where(above(transmittance, ZERO), transmittance)
+        for plane in range(TILE_PIXELS, 4 * TILE_PIXELS, TILE_PIXELS):
+            store(pixels, at + plane, load(pixels, at + plane) + light * load(layer, at + plane))
+        store(pixels, at, behind_layer(transmittance, load(layer, at)))
+
+
 @njit(**SERIAL)
 def _blend_tile(
     tile: int,
     tiles_x: int,
+    layers: Float32,
     records: Float32,
     offsets: Int64,
     lists: Int32,
@@ -116,9 +128,13 @@ def _blend_tile(
     start, stop = offsets[tile], offsets[tile + 1]
     for entry in range(start, stop):
         prefetch(records, np.int64(lists[min(entry + _AHEAD, stop - 1)]) * RECORD)
-        record = records[lists[entry]]
-        x, y = record[MEAN_X] - (np.float32(x0) + HALF), record[MEAN_Y] - (np.float32(y0) + HALF)
-        _blend_gaussian(pixels, record, x, y, rows)
+        rank = lists[entry]
+        if rank < layers.shape[0]:
+            blend_layer(pixels, layers[rank])
+        else:
+            record = records[rank]
+            x, y = record[MEAN_X] - (np.float32(x0) + HALF), record[MEAN_Y] - (np.float32(y0) + HALF)
+            blend_gaussian(pixels, record, x, y, rows)
         if (entry - start) % _CHECK == _CHECK - 1 and not any_unfinished(pixels):
             break
     for row in range(rows):
@@ -137,6 +153,7 @@ def blend_tiles(
     tiles: Int32,
     bounds: Int64,
     tiles_x: int,
+    layers: Float32,
     records: Float32,
     offsets: Int64,
     lists: Int32,
@@ -148,10 +165,11 @@ def blend_tiles(
 
     Args:
         tiles: numbers of the tiles to render. bounds: [workers+1] worker w takes tiles[bounds[w]:bounds[w+1]].
+        layers: [L,1024] see `kernels.layers`; ranks below L are layers.
         records [M,16] in depth order, offsets [T+1], lists [pairs]: from `binning`.
         background: [3]. image [H,W,3], transmittance [H,W]: out, the pixels of `tiles` only.
     """
     for w in prange(bounds.shape[0] - 1):
         pixels = np.empty(4 * TILE_PIXELS, np.float32)
         for k in range(bounds[w], bounds[w + 1]):
-            _blend_tile(tiles[k], tiles_x, records, offsets, lists, background, image, transmittance, pixels)
+            _blend_tile(tiles[k], tiles_x, layers, records, offsets, lists, background, image, transmittance, pixels)

@@ -7,7 +7,6 @@ anchor begins where the pixels that it shows are nearer to the new pictures.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -15,11 +14,11 @@ import torch
 from torch import Tensor
 
 from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.part import Beginning, FramePart, Hooks, Training
 from streamlod.core.train.later_frame.state import State
 from streamlod.core.train.motion.optical_flow import anchor_flow
 from streamlod.core.train.motion.scene_flow import flow_error, scene_flow
-from streamlod.core.train.pictures.views import Views
 from streamlod.core.train.setting import left_out, setting
 
 _LEAST_GAIN = 0.2  # pixels by which a guess must fit the flow better than the usual start
@@ -52,64 +51,50 @@ class _Searching(Hooks):
 
     def start(self, values: dict[str, Tensor]) -> dict[str, Tensor]:
         seen = self._seen
-        self._guess = guessed_positions(seen.state, seen.rows, values["position"], seen.views, seen.masks, self._pixels)
+        self._guess = guessed_positions(seen.state, seen.rows, values["position"], seen.coarse, self._pixels)
         return values
 
     def ready(self, training: Training) -> None:
         assert self._guess is not None
-        parts = (training.position, self._guess, training.splats_at, training.draw_two, self._seen.views.targets)
-        training.begin_at(better_starts(*parts, training.numbers))
+        training.begin_at(better_starts(training.position, self._guess, training))
 
 
-def guessed_positions(state: State, rows: Tensor, usual: Tensor, views: Views, masks: Tensor, least: float) -> Tensor:
+def guessed_positions(state: State, rows: Tensor, usual: Tensor, pictures: Comparison, least: float) -> Tensor:
     """[n,3] steps that optical flow says the trained anchors `rows` [n] go; `usual` [n,3] where it says nothing better.
 
     Args:
-        masks: [C,H,W] bool, pixels that changed.
-        least: pixels that an anchor must go in a picture.
+        pictures: in which flow is looked for.
+        least: of their pixels that an anchor must go.
     """
-    assert state.filmed is not None
-    found = anchor_flow(state.field, rows, state.filmed, views, masks, least)
+    found = anchor_flow(state.field, rows, pictures.filmed, pictures.views, pictures.masks, least)
     going = found.seen.any(dim=0)
     guess = usual.clone()
     if not going.any():
         return guess
     found, position = found.of(going), state.field.position[rows[going]]
     steps = torch.from_numpy(state.scene.header.position_steps).to(position)
+    cameras = pictures.views.cameras
     step = steps[state.field.level[rows[going]]][:, None]
-    motion = scene_flow(position, found, views.cameras)
+    motion = scene_flow(position, found, cameras)
     starts = torch.zeros_like(motion), usual[going] * step
-    known = torch.stack([flow_error(start, position, found, views.cameras) for start in starts]).amin(dim=0)
-    better = known - flow_error(motion, position, found, views.cameras) > _LEAST_GAIN
+    known = torch.stack([flow_error(start, position, found, cameras) for start in starts]).amin(dim=0)
+    better = known - flow_error(motion, position, found, cameras) > _LEAST_GAIN
     led = (motion / step).clamp(-_MAX_STEPS, _MAX_STEPS)
     guess[going] = torch.where(better[:, None], led, usual[going])
     return guess
 
 
-def better_starts(
-    usual: Tensor,
-    guess: Tensor,
-    splats_at: Callable[[int, Tensor], Splats],
-    draw_two: Callable[[int, Splats, Splats], tuple[Tensor, Tensor]],
-    targets: Tensor,
-    numbers: Iterable[int],
-) -> Tensor:
-    """[n,3] of two starts, `usual` and `guess` [n,3], for each anchor the one whose picture is nearer to `targets`.
-
-    Args:
-        splats_at: the Gaussians of the anchors for a camera's number, if they started there.
-        draw_two: [H,W,3] what a camera sees of them in two places, where that differs, differentiable by their colours.
-        targets: [C,H,W,3] the pictures as they should be. numbers: of the cameras to ask.
-    """
+def better_starts(usual: Tensor, guess: Tensor, training: Training) -> Tensor:
+    """[n,3] of two starts, `usual` and `guess` [n,3], for each anchor the one that shows more of what was filmed."""
     differs = (usual != guess).any(dim=1)
     if not differs.any():
         return usual
     worth = torch.zeros(len(usual), device=usual.device)
-    for number in numbers:
-        places = [_tinted(splats_at(number, start)) for start in (usual, guess)]
-        pictures = draw_two(number, *places)
+    for number in training.numbers:
+        places = [_tinted(training.splats_at(number, start)) for start in (usual, guess)]
+        pictures, target = training.draw_two(number, *places), training.target(number)
         shots = [_Shot(image, splats.colours) for image, splats in zip(pictures, places, strict=True)]
-        error, guessed = ((shot.image.detach() - targets[number]).abs().sum(dim=2) for shot in shots)
+        error, guessed = ((shot.image.detach() - target).abs().sum(dim=2) for shot in shots)
         for shot in shots:
             worth += shot.sums(error - guessed, len(usual))
     return torch.where((differs & (worth > _WORTH))[:, None], guess, usual)

@@ -69,5 +69,5 @@ class _Adding(Hooks):
         seen = self._seen
         living = seen.state.field.with_rows(torch.nonzero(seen.state.alive)[:, 0])
         price = _ANCHOR_BIT * seen.bit_price * ANCHOR_BITS
-        nodes = error_nodes(living, seen.views, self._drawn, seen.masks, self._most, price)
+        nodes = error_nodes(living, seen.pictures.views, self._drawn, seen.pictures.masks, self._most, price)
         return values_at(living, nodes, torch.Generator().manual_seed(len(seen.rows)))

@@ -11,6 +11,7 @@ from torch import Tensor
 from streamlod.core.arrays import Bool
 from streamlod.core.render.backends import Backend
 from streamlod.core.train.field.exposure import neutral
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.frame import started
 from streamlod.core.train.later_frame.part import Beginning, FramePart
 from streamlod.core.train.later_frame.state import State
@@ -27,7 +28,9 @@ def beginning_of(
     """What is known before the anchors `trained` [N] are."""
     rows = torch.from_numpy(np.flatnonzero(trained))
     base, count = state.field.with_rows(rows), state.scene.anchor_count
-    return Beginning(state, rows, base, views, masks, bit_price, PLENTY, count, max_new)
+    references, filmed = (views.targets if seen is None else seen for seen in (state.references, state.filmed))
+    pictures = Comparison(views, masks, references, filmed, state.shown)
+    return Beginning(state, rows, base, pictures, pictures, bit_price, PLENTY, count, max_new)
 
 
 def training_of(

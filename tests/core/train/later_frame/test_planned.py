@@ -13,6 +13,7 @@ from streamlod.core.train.config import PredictConfig
 from streamlod.core.train.field.convert import scene_of
 from streamlod.core.train.field.decode import Splats
 from streamlod.core.train.field.rendered import rendered
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.planned import PlannedViews
 from streamlod.core.train.later_frame.state import State, fresh_state
 from streamlod.core.train.pictures.views import Views
@@ -30,13 +31,13 @@ def state() -> State:
 
 
 def planned(state: State, targets: Tensor, shown: Tensor | None) -> tuple[PlannedViews, Splats]:
-    """Views of which every second anchor is trained; the Gaussians of these."""
+    """Views at half the size of which every second anchor is trained; the Gaussians of these."""
     masks = torch.zeros(1, HEIGHT, WIDTH, dtype=torch.bool)
     masks[0, 11, 21] = True
     trained = torch.arange(len(state.field)) % 2 == 0
     moving, still = (state.field.decode(CENTRE, torch.nonzero(rows)[:, 0]).detached() for rows in (trained, ~trained))
-    views = Views((CAMERA,), targets, [0])
-    return PlannedViews(views, masks, shown, [still], [torch.zeros(3)], "cpu"), moving
+    pictures = Comparison(Views((CAMERA,), targets, [0]), masks, targets, targets, shown)
+    return PlannedViews(pictures.halved(), [still], [torch.zeros(3)], "cpu"), moving
 
 
 def picture_of(state: State) -> Tensor:
@@ -45,8 +46,7 @@ def picture_of(state: State) -> Tensor:
 
 def test_half_the_size_is_half_of_everything(state: State) -> None:
     shown = picture_of(state)
-    whole, _ = planned(state, shown, shown)
-    half = whole.halved()
+    half = planned(state, shown, shown)[0].pictures
     assert half.views.targets.shape == (1, HEIGHT // 2, WIDTH // 2, 3)
     assert (half.views.cameras[0].width, half.views.cameras[0].height) == (WIDTH // 2, HEIGHT // 2)
     assert half.masks.nonzero().tolist() == [[0, 5, 10]]
@@ -56,32 +56,29 @@ def test_half_the_size_is_half_of_everything(state: State) -> None:
 
 def test_what_has_not_changed_asks_for_nothing(state: State) -> None:
     shown = picture_of(state)
-    whole, moving = planned(state, shown, shown)
-    half = whole.halved()
+    half, moving = planned(state, shown, shown)
     cache = half.plan(0, moving)
     drawn = cache.render(moving).image.clone()
-    assert float((drawn - half.views.targets[0]).abs().max()) > 0.005  # they are drawn wider
+    assert float((drawn - half.pictures.views.targets[0]).abs().max()) > 0.005  # they are drawn wider
     half.allow_for_size(0, moving)
-    torch.testing.assert_close(half.views.targets[0], drawn)
+    torch.testing.assert_close(half.pictures.views.targets[0], drawn)
 
 
 def test_what_has_changed_asks_for_as_much_as_at_full_size(state: State) -> None:
     shown = picture_of(state)
     brighter = (shown + 0.25).clone()
-    whole, moving = planned(state, brighter, shown)
-    half = whole.halved()
+    half, moving = planned(state, brighter, shown)
     cache = half.plan(0, moving)
     half.allow_for_size(0, moving)
-    wanted = half.views.targets[0] - cache.render(moving).image
+    wanted = half.pictures.views.targets[0] - cache.render(moving).image
     torch.testing.assert_close(wanted, torch.full_like(wanted, 0.25))
 
 
 def test_where_nothing_is_known_to_be_shown_the_picture_itself_counts(state: State) -> None:
     target = picture_of(state)
     for shown in (None, torch.full_like(target, torch.nan)):
-        whole, moving = planned(state, target, shown)
-        half = whole.halved()
-        before = half.views.targets.clone()
+        half, moving = planned(state, target, shown)
+        before = half.pictures.views.targets.clone()
         half.plan(0, moving)
         half.allow_for_size(0, moving)
-        torch.testing.assert_close(half.views.targets, before)
+        torch.testing.assert_close(half.pictures.views.targets, before)

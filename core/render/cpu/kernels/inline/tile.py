@@ -27,10 +27,21 @@ from streamlod.core.render.cpu.kernels.inline.constants import (
     TILE_HEIGHT,
     TILE_PIXELS,
     TILE_WIDTH,
+    TRANSMITTANCE_MIN,
     ZERO,
 )
 from streamlod.core.render.cpu.kernels.inline.geometry import clamp
-from streamlod.core.render.cpu.kernels.inline.simd import above, higher_of, keep_where, lane_sum, load, lower_of, splat
+from streamlod.core.render.cpu.kernels.inline.simd import (
+    above,
+    choose,
+    higher_of,
+    keep_where,
+    lane_sum,
+    load,
+    lower_of,
+    minus_magnitude,
+    splat,
+)
 
 # exp(8 x) = p(x)^8: a polynomial of degree 5 on [-0.78, 0], squared three times; relative error 3e-6. That is range
 # enough, since alpha >= 1/255 means sigma <= ln(255 OPACITY_MAX) = 6.234.
@@ -98,6 +109,13 @@ def reached_part(record: Float32, x: Any, y: Any, rows: Any) -> Any:
     left = int(min(max(x - record[EXTENT_X], ZERO), edge)) // LANES
     right = int(max(min(x + record[EXTENT_X], edge), ZERO)) // LANES
     return top, bottom, left, right
+
+
+@njit(**INLINE)
+def behind_layer(transmittance: Any, passes: Any) -> Any:
+    """Transmittance of eight pixels behind a layer that lets `passes` through; minus it where they are finished."""
+    left = choose(above(transmittance, ZERO), transmittance * passes, transmittance)
+    return choose(above(left, TRANSMITTANCE_MIN), left, minus_magnitude(left))
 
 
 @njit(**INLINE)

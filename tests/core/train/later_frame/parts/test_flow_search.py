@@ -19,8 +19,10 @@ from streamlod.core.scene.anchors import Scene
 from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.field.decode import Splats
+from streamlod.core.train.later_frame.comparison import Comparison
 from streamlod.core.train.later_frame.parts import USUAL, FlowSearch
 from streamlod.core.train.later_frame.parts.flow_search import better_starts, guessed_positions
+from streamlod.core.train.later_frame.training import FrameTraining
 from tests.core.train.motion.moved import RIG, Moved, moved_state
 from tests.core.true_points import true_points
 
@@ -34,24 +36,34 @@ def step(moved: Moved) -> Tensor:
 def guess_of(moved: Moved, usual: Tensor) -> Tensor:
     masks = (moved.views.targets - moved.state.filmed).abs().amax(dim=3) > 0.02
     rows = torch.arange(len(usual))
-    return guessed_positions(moved.state, rows, usual, moved.views, masks, 0.5)
+    pictures = Comparison(moved.views, masks, moved.state.filmed, moved.state.filmed, None)
+    return guessed_positions(moved.state, rows, usual, pictures, 0.5)
 
 
-def chosen(moved: Moved, usual: Tensor, guess: Tensor) -> Tensor:
-    field, background = moved.state.field, torch.full((3,), 0.2)
+class Rendering(FrameTraining):
+    """All anchors of a state in training, each camera's picture drawn whole."""
 
-    def splats_at(number: int, start: Tensor) -> Splats:
-        there = replace(field, position=field.position + start * step(moved))
+    def __init__(self, moved: Moved) -> None:
+        self._moved, self.numbers = moved, list(range(len(RIG)))
+
+    def splats_at(self, number: int, position: Tensor) -> Splats:
+        field = self._moved.state.field
+        there = replace(field, position=field.position + position * step(self._moved))
         return there.decode(torch.from_numpy(RIG[number].centre).float())
 
-    def draw_two(number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
+    def draw_two(self, number: int, first: Splats, second: Splats) -> tuple[Tensor, Tensor]:
         one, other = (
-            rasterise(*splats.astuple(), camera=RIG[number], background=background, backend="cpu").image
+            rasterise(*splats.astuple(), camera=RIG[number], background=torch.full((3,), 0.2), backend="cpu").image
             for splats in (first, second)
         )
         return one, other
 
-    return better_starts(usual, guess, splats_at, draw_two, moved.views.targets, range(len(RIG)))
+    def target(self, number: int) -> Tensor:
+        return self._moved.views.targets[number]
+
+
+def chosen(moved: Moved, usual: Tensor, guess: Tensor) -> Tensor:
+    return better_starts(usual, guess, Rendering(moved))
 
 
 def test_flow_takes_most_anchors_to_where_they_went() -> None:
@@ -83,12 +95,12 @@ def test_each_anchor_begins_where_the_pictures_want_it() -> None:
 
 
 def test_equal_starts_are_not_drawn() -> None:
+    class Refusing(Rendering):
+        def splats_at(self, number: int, position: Tensor) -> Splats:
+            raise AssertionError
+
     usual = torch.ones(4, 3)
-
-    def refuse(*_: object) -> Splats:
-        raise AssertionError
-
-    assert better_starts(usual, usual.clone(), refuse, refuse, torch.zeros(1, 2, 2, 3), [0]) is usual  # type: ignore[arg-type]
+    assert better_starts(usual, usual.clone(), Refusing(moved_state())) is usual
 
 
 @pytest.mark.long
