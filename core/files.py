@@ -29,14 +29,19 @@ def put_in_place(temporary: Path, path: Path) -> None:
     temporary.replace(path)
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes, *, private: bool = False) -> None:
     """Write a whole file, in a folder that is there.
+
+    Args:
+        private: only the user who runs this may read it.
 
     Raises:
         InputError: it cannot be written; what was there before stays.
     """
     temporary = temporary_beside(path)
     try:
+        if private:
+            temporary.touch(mode=0o600)
         temporary.write_bytes(data)
         put_in_place(temporary, path)
     except OSError as error:
@@ -45,6 +50,6 @@ def write_bytes(path: Path, data: bytes) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a whole file of UTF-8 text; errors are those of `write_bytes`."""
-    write_bytes(path, text.encode())
+def write_text(path: Path, text: str, *, private: bool = False) -> None:
+    """Write a whole file of UTF-8 text; see `write_bytes`."""
+    write_bytes(path, text.encode(), private=private)

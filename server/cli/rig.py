@@ -73,7 +73,7 @@ def find(
     if not cameras:
         raise InputError("rig", "none of its cameras gave a picture")
     value = {"fps": fps, "calibration": calibration, "cameras": cameras}
-    write_text(out, json.dumps(value, indent=1) + "\n")
+    write_text(out, json.dumps(value, indent=1) + "\n", private=True)  # sources may hold passwords
     say(f"{out}: {len(cameras)} cameras; they are calibrated by the folder {calibration}, once there is one")
     if pictures:
         sheet = out.with_suffix(".jpg")

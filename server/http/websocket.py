@@ -130,6 +130,12 @@ class ViewerProtocol(WebSocketsSansIOProtocol):
             self.turned_away[str(int(self.conn.close_sent.code))] += 1
         super().handle_parser_exception()
 
+    async def send(self, message: Any) -> None:
+        """Send for the endpoint; ClientDisconnected also where a server that stops has refused the upgrade itself."""
+        if not self.handshake_complete and self.transport.is_closing():
+            raise ClientDisconnected
+        await super().send(message)
+
     async def run_asgi(self) -> None:
         scope: dict[str, Any] = self.scope  # type: ignore[assignment]
         scope[CONNECTION] = Connection(self)

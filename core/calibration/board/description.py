@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from streamlod.core.arrays import Float64
+from streamlod.core.calibration.track import MIN_CORNERS
 from streamlod.core.data.files import number, read_text
 from streamlod.core.errors import InputError
 
@@ -47,6 +48,9 @@ class Board:
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= MAX_SQUARES and 3 <= self.rows <= MAX_SQUARES):
             raise InputError("board", f"needs 3 to {MAX_SQUARES} squares a side, not {self.columns}x{self.rows}")
+        if self.corner_count < MIN_CORNERS:
+            fault = f"{self.columns}x{self.rows} squares have {self.corner_count} inner corners, but {MIN_CORNERS} are"
+            raise InputError("board", f"{fault} needed; take 4x3 or more")
         if not 0.001 <= self.square_m <= _MAX_SQUARE_M:
             raise InputError("board", f"has squares of {self.square_m * 1000:g} mm; 1 to 5000 mm are possible")
         if not 0.3 <= self.marker_ratio <= 0.95:

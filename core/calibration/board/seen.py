@@ -117,8 +117,15 @@ def _why_unseen(samples: Sequence[_Sample], board: Board) -> str:
     if any(_corners(samples, variant, mirrored=True) >= MIN_CORNERS for variant in variants(board)[:2]):
         return "its pictures show the board mirrored; switch the mirroring of the camera off, or print the board anew"
     detect = Detector(board)
-    markers = [marker for each in samples for picture in each.pictures for marker in detect(picture).markers.tolist()]
+    at_once = [detect(picture).markers.tolist() for each in samples for picture in each.pictures]
+    markers = [marker for seen in at_once for marker in seen]
     if len(markers) >= 2 * _FEW:
+        most = max(len(set(seen)) for seen in at_once)
+        if 2 * most <= max(markers) + 1:
+            return (
+                f"at most {most} of the board's markers are read in one picture, too few for its corners; "
+                "hold it nearer to the camera and slower, with more light"
+            )
         other = board.columns != board.rows and max(markers) >= 0.75 * board.marker_count
         turned = Board(board.rows, board.columns, board.square_m, board.marker_ratio, board.dictionary, board.inverted)
         if other and _corners(samples, turned) >= MIN_CORNERS:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from fastapi import APIRouter
 from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.utils import ClientDisconnected
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import InputError, SessionError
@@ -65,11 +66,19 @@ def push_router(
                 if PUSH_SUBPROTOCOL not in offers:
                     raise SessionError(CloseCode.BAD_VERSION, f"offer the sub-protocol {PUSH_SUBPROTOCOL}")
                 intake = await open_intake(websocket, stream_id)
-            finally:  # also to be refused: close codes and reasons need a connection
+            except SessionError:  # close codes and reasons need a connection
                 await websocket.accept(PUSH_SUBPROTOCOL if PUSH_SUBPROTOCOL in offers else None)
+                raise
+            try:
+                await websocket.accept(PUSH_SUBPROTOCOL)
+            except BaseException:
+                await asyncio.to_thread(intake.close)
+                raise
             await _first(_take(websocket, intake, silence_seconds), until_withdrawn(websocket, stream_id))
         except SessionError as error:
             await _close(websocket, error.close_code, error.detail)
+        except ClientDisconnected:  # perhaps before it was accepted, which is for uvicorn to know
+            raise
         except (WebSocketDisconnect, ConnectionError):
             return
         except Exception:
@@ -130,5 +139,5 @@ async def _receive(websocket: WebSocket, silence_seconds: float) -> Message:
 
 async def _close(websocket: WebSocket, code: int, reason: str) -> None:
     reason = reason.encode()[:_MAX_REASON_BYTES].decode(errors="ignore")
-    with contextlib.suppress(RuntimeError, WebSocketDisconnect, ConnectionError):
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect, ClientDisconnected, ConnectionError):
         await websocket.close(code, reason)

@@ -59,6 +59,18 @@ def test_another_board_is_refused(picture: UInt8, described: Board, sentence: st
         track_of(footage_of("a", [picture] * 5), described)
 
 
+@pytest.mark.parametrize(("board", "metres"), [(BOARD, 2.0), (Board(4, 3), 1.5)])
+def test_a_board_too_far_away_is_not_taken_for_another_one(board: Board, metres: float) -> None:
+    shot = filmed(rays_of(LENS, SIZE), np.array([*POSE[:5], metres]), SIZE, board)
+    with pytest.raises(InputError, match=r"camera a: at most 3 of the board's markers are read .*; hold it nearer"):
+        track_of(footage_of("a", [shot] * 5), board)
+
+
+def test_a_board_with_too_few_corners_is_refused_before_it_is_printed() -> None:
+    with pytest.raises(InputError, match="board: 3x3 squares have 4 inner corners, but 6 are needed; take 4x3 or more"):
+        Board(3, 3)
+
+
 def test_a_mirrored_board_is_named(picture: UInt8) -> None:
     mirrored = np.ascontiguousarray(picture[:, ::-1])
     with pytest.raises(InputError, match="camera front: its pictures show the board mirrored"):

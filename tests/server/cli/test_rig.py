@@ -80,6 +80,13 @@ def test_what_cannot_be_a_rig_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "rig.json").read_text() == "{}"
 
 
+def test_nobody_else_may_read_the_file_as_sources_hold_passwords(tmp_path: Path) -> None:
+    (tmp_path / "rig.json").write_text("{}")
+    (tmp_path / "rig.json").chmod(0o644)
+    found(tmp_path, phones=1, overwrite=True)
+    assert (tmp_path / "rig.json").stat().st_mode & 0o777 == 0o600
+
+
 def test_no_password_of_a_source_is_shown(tmp_path: Path) -> None:
     """Neither one before the place nor one in its options, whatever the camera calls it."""
     said, source = list[str](), "http://me:secret@127.0.0.1:9/main?loginpas=hidden&channel=2"

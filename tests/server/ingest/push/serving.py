@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,8 +15,10 @@ from fastapi import FastAPI
 from starlette.websockets import WebSocket
 
 from streamlod.core.errors import InputError
+from streamlod.server.http.websocket import websocket_class
 from streamlod.server.ingest.push.relay import RelayedIntake
 from streamlod.server.ingest.push.router import AnyIntake, push_router
+from streamlod.server.settings import Limits
 
 
 @contextmanager
@@ -23,7 +26,8 @@ def serving_push(open_intake: Callable[[WebSocket, str], Awaitable[AnyIntake]]) 
     """Serve `push_router` on a free port, which is given."""
     app = FastAPI()
     app.include_router(push_router(open_intake))
-    server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws="websockets-sansio", lifespan="off"))
+    protocol = websocket_class(Limits(), Counter())
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error", ws=protocol, lifespan="off"))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()
