@@ -120,29 +120,26 @@ def test_the_server_draws_the_same_picture_and_obeys(page: Any, server: Running,
     shows(page, f"s.version === {FRAMES - 1} && s.mode === 'live'")
 
 
-TIMED_SEEK = """async (version) => {
-  const begin = performance.now();
+# Versions of the pictures that are shown after a seek and before the one that it asks for.
+SEEK = """async (version) => {
+  const others = [];
   const shown = new Promise((resolve) => {
-    const stop = streamlod.on("picture", (p) => p.version === version && (stop(), resolve()));
+    const stop = streamlod.on("picture", (p) => p.version === version ? (stop(), resolve()) : others.push(p.version));
   });
   streamlod.seek(version);
   await shown;
-  return performance.now() - begin;
+  return others;
 }"""
 
 
 @pytest.mark.parametrize("prepare", ["streamlod.pause()", "streamlod.play()"])
-def test_seeks_within_half_a_second(page: Any, server: Running, prepare: str) -> None:
-    """Paused, and while it plays, the frame that is asked for is seen soon, and it is the first to be seen."""
+def test_a_seek_shows_nothing_on_the_way(page: Any, server: Running, prepare: str) -> None:
+    """Paused, and while it plays, no more is shown before the frame that is asked for than the picture in flight."""
     page.goto(f"{server.url}/?ui=0")
     shows(page, f"s.version === {FRAMES - 1} && s.phase === 'ended'")
     page.evaluate(prepare)
-
-    def seeks() -> None:
-        seconds = [page.evaluate(TIMED_SEEK, version) / 1000 for version in (3, 20, 8, 14, 2)]
-        assert sorted(seconds)[2] < 0.5, seconds
-
-    eventually(seeks)  # what else the machine does takes time, too
+    for version in (3, 20, 8, 14, 2):
+        assert len(page.evaluate(SEEK, version)) <= 1
 
 
 def test_plays_from_where_it_was_sent(page: Any, server: Running) -> None:
