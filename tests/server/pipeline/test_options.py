@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -117,6 +118,7 @@ def words_of(option: Option, text: str) -> list[str]:
     return [name.replace("--", "--no-", 1) if option.default is True else name]
 
 
+@cache
 def schemas() -> dict[str, dict[str, Any]]:
     """Where an option has to be described: the schema of REST and that of the configuration file."""
     rest = create_app(Settings()).openapi()["components"]["schemas"]["NewStream"]["properties"]
@@ -149,7 +151,6 @@ def test_no_place_has_an_option_of_its_own() -> None:
     }
 
 
-@pytest.mark.long
 @each_option
 def test_help_default_and_bounds_are_the_same_everywhere(option: Option) -> None:
     commands = {serve: option.default}
