@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], None]
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_WALK = "walk"  # folder beside the rig's file, which the board walk is recorded into and calibrates
 _WAIT_SECONDS = 600.0  # for all cameras of a rig to deliver
 
 
@@ -43,7 +44,6 @@ def find(
     phones: int,
     size: tuple[int, int] | None,
     fps: float,
-    calibration: str,
     say: Say,
     *,
     overwrite: bool,
@@ -72,15 +72,15 @@ def find(
         cameras.append({"name": f"phone{number}", "source": "push:", "width": wanted[0], "height": wanted[1]})
     if not cameras:
         raise InputError("rig", "none of its cameras gave a picture")
-    value = {"fps": fps, "calibration": calibration, "cameras": cameras}
+    value = {"fps": fps, "calibration": _WALK, "cameras": cameras}
     write_text(out, json.dumps(value, indent=1) + "\n", private=True)  # sources may hold passwords
-    say(f"{out}: {len(cameras)} cameras; they are calibrated by the folder {calibration}, once there is one")
+    say(f"{out}: {len(cameras)} cameras; they are calibrated by the folder {_WALK}, once there is one")
     if pictures:
         sheet = out.with_suffix(".jpg")
         write_bytes(sheet, contact_sheet(pictures, {each.name: look.fault for each, look in looks.items()}))
         say(f"{sheet}: what each of them sees")
     options = f"--config {_prepared_phones(out, say)} --insecure " if phones else ""
-    say(f"next: streamlod rig {out} {options}--record {out.parent / calibration}")
+    say(f"next: streamlod rig {out} {options}--record {out.parent / _WALK}")
 
 
 def watch(file: Path, record_to: Path | None, seconds: float, settings: Settings, say: Say, *, overwrite: bool) -> None:

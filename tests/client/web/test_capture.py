@@ -252,7 +252,7 @@ def test_a_phone_is_recorded_over_https_before_anything_is_calibrated(phone: Any
     still = tmp_path / "still.mp4"
     write_video(still, [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * (60 * FPS), fps=FPS)
     file, said = tmp_path / "rig.json", list[str]()
-    find([str(still)], file, 1, (WIDTH, HEIGHT), FPS, "walk", said.append, overwrite=False)
+    find([str(still)], file, 1, (WIDTH, HEIGHT), FPS, said.append, overwrite=False)
     settings = load_settings(tmp_path / "rig.toml").model_copy(update={"host": "127.0.0.1", "port": 0})
     recording = threading.Thread(
         target=lambda: watch(file, tmp_path / "walk", 3.0, settings, said.append, overwrite=False), daemon=True

@@ -21,7 +21,7 @@ from tests.client.clips import states, write_clip
 from tests.core.data.writers import llff_rows, rig, write_video_clip
 
 COMMANDS = (
-    "synth rig calibrate check train evaluate serve edge push view remote info export import bench demo study tradeoff"
+    "synth rig calibrate check train evaluate study tradeoff serve edge push view remote info export import demo bench"
     " doctor warm"
 )
 

@@ -34,7 +34,7 @@ SKEW_NS = 7_000_000  # by which the second phone films later
 def found(folder: Path, *sources: str, phones: int = 0, overwrite: bool = False) -> list[str]:
     """What `find` says."""
     said: list[str] = []
-    find(sources, folder / "rig.json", phones, (160, 128), FPS, "walk", said.append, overwrite=overwrite)
+    find(sources, folder / "rig.json", phones, (160, 128), FPS, said.append, overwrite=overwrite)
     return said
 
 
@@ -91,7 +91,7 @@ def test_no_password_of_a_source_is_shown(tmp_path: Path) -> None:
     """Neither one before the place nor one in its options, whatever the camera calls it."""
     said, source = list[str](), "http://me:secret@127.0.0.1:9/main?loginpas=hidden&channel=2"
     with pytest.raises(InputError, match="none of its cameras"):
-        find([source], tmp_path / "rig.json", 0, None, FPS, "walk", said.append, overwrite=False)
+        find([source], tmp_path / "rig.json", 0, None, FPS, said.append, overwrite=False)
     assert any("http://me:***@127.0.0.1:9/main?loginpas=***&channel=2" in line for line in said)
     assert not any("secret" in line or "hidden" in line for line in said)
 

@@ -18,7 +18,8 @@ from streamlod.core.errors import InputError
 from streamlod.core.initialise import METHODS
 from streamlod.core.options import Option
 from streamlod.core.train import preset
-from streamlod.server.cli.main import serve, train
+from streamlod.server.cli.declared.serving import serve
+from streamlod.server.cli.declared.training import train
 from streamlod.server.cli.options import TRAINING, takes
 from streamlod.server.pipeline.job import JOB_OPTIONS, ONE_LINE, POINT_METHODS, TrainJob
 from streamlod.server.pipeline.new_stream import NewStream

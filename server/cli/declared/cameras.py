@@ -1,0 +1,124 @@
+"""Commands before anything is trained: a clip to try, cameras, their calibration, its check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from streamlod.core.errors import InputError
+from streamlod.server.cli.app import app
+from streamlod.server.cli.given import chosen_settings, require
+from streamlod.server.cli.options import DEFAULTS, Config, Host, Insecure, Layout, Port, Seed, Tokens
+
+
+@app.command()
+def synth(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write; must not exist, or be empty.")],
+    cameras: Annotated[int, typer.Option(min=1, help="Number of cameras.")] = 13,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
+    size: Annotated[str, typer.Option(help="Picture size, WIDTHxHEIGHT.")] = "480x270",
+    seed: Seed = DEFAULTS["seed"],
+    kind: Annotated[str, typer.Option(help="The place: room, bright, night, theatre, outdoor or hard.")] = "room",
+    speed: Annotated[float, typer.Option(min=0, help="Pixels a frame of the fastest; 0: the place's own pace.")] = 0.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier synthetic clip at OUT.")] = False,
+) -> None:
+    """Write a synthetic clip in the N3DV layout (camNN.mp4 and poses_bounds.npy), with its ground truth beside it."""
+    from streamlod.server.cli.commands import synth as write
+
+    typer.echo(write(out, cameras, frames, size, seed, kind, speed, overwrite))
+
+
+@app.command()
+def rig(
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME=]SOURCE...|rig.json", help="Addresses of cameras; without, they are looked for."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="rig.json", help="File to write.")] = Path("rig.json"),
+    phones: Annotated[int, typer.Option(min=0, max=64, help="So many phones more, which film in their browsers.")] = 0,
+    size: Annotated[
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Asked of webcams and phones.  [default: 1280x720]")
+    ] = None,
+    fps: Annotated[float, typer.Option(min=0.1, max=1000, help="Pictures a second.")] = 30.0,
+    record: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Record the cameras of a rig.json, a video each, to calibrate.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=1, max=7200, help="How long to record.")] = 60.0,
+    config: Config = None,
+    host: Host = None,
+    port: Port = None,
+    tokens: Tokens = None,
+    insecure: Insecure = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier rig.json or recording.")] = False,
+) -> None:
+    """Find cameras and write rig.json, with a picture of what each sees; or watch and record those of a rig.json.
+
+    Phones are shown a QR code of the page /capture, on which they film. Host, port and rights are those of serve.
+    """
+    from streamlod.server.cli.commands import picture_size
+    from streamlod.server.cli.rig import find, watch
+
+    given = sources or []
+    if len(given) == 1 and given[0].endswith(".json"):
+        settings = chosen_settings(config, host=host, port=port, tokens=tokens, insecure=insecure or None)
+        watch(Path(given[0]), record, seconds, settings, typer.echo, overwrite=overwrite)
+    elif record is not None:
+        raise InputError("--record", "records the cameras of a rig.json; write that first, and give it")
+    else:
+        wanted = None if size is None else picture_size(size)
+        find(given, out, phones, wanted, fps, typer.echo, overwrite=overwrite)
+
+
+@app.command()
+def calibrate(
+    data: Annotated[
+        Path | None, typer.Argument(metavar="DATA", help="Folder of the cameras' videos of a board walk, one each.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder to write; the videos' own by default.")
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="COLUMNSxROWS|FILE.toml", help="The board; by default DATA/charuco.toml, else 7x5."),
+    ] = None,
+    square_mm: Annotated[
+        float | None, typer.Option(min=1, max=5000, help="Side of a square as it was measured.  [default: 55]")
+    ] = None,
+    lenses: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep the lenses of this calibrated recording.")
+    ] = None,
+    print_board: Annotated[
+        Path | None, typer.Option(metavar="A3.pdf|.png", help="Write the board for printing, and nothing else.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier calibration.")] = False,
+) -> None:
+    """Calibrate cameras with a ChArUco board that somebody walks through the scene: lenses, poses, time offsets.
+
+    Writes what train and serve read, rig.json, a report and a picture.
+    """
+    from streamlod.server.cli.calibrate import calibrate as run
+    from streamlod.server.cli.calibrate import print_board as write_board
+
+    if print_board is not None:
+        typer.echo(write_board(print_board, board, square_mm))
+    elif data is None:
+        raise InputError("calibrate", "needs DATA, the folder of the videos, or --print-board FILE.pdf")
+    else:
+        typer.echo(run(data, out, board, square_mm, lenses, overwrite))
+
+
+@app.command()
+def check(
+    source: Annotated[Path, typer.Argument(metavar="DATA|rig.json", help="A recording, or a live rig.")],
+    layout: Layout = None,
+) -> None:
+    """Check a rig before it films: focus, light, clocks, poses, coverage; exit code 1 where something is at fault."""
+    require(source)
+    from streamlod.server.cli.check import check as examine
+
+    text, at_fault = examine(source, layout)
+    typer.echo(text)
+    if at_fault:
+        raise typer.Exit(1)
