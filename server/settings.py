@@ -218,6 +218,9 @@ class Settings(BaseModel):
     camera_pictures: bool = Field(
         default=False, description="who may watch a stream that is trained may also see small pictures of its cameras"
     )
+    together: bool = Field(
+        default=False, description="viewers with the right `present` may show others where they look, who follow them"
+    )
     certificate: Path | None = Field(default=None, description="TLS certificate chain (PEM)")
     certificate_key: Path | None = Field(default=None, description="TLS private key (PEM)")
     drain_seconds: float = Field(default=8.0, gt=0, le=10, description="time that viewers get to leave after SIGTERM")

@@ -123,8 +123,13 @@ def is_signed(websocket: WebSocket, scope: str, stream_id: str) -> bool:
     return registry.gate.links.allows(scope, websocket.query_params, stream.incarnation)
 
 
-async def until_withdrawn(connection: HTTPConnection, right: Right, stream_id: str | None) -> NoReturn:
+async def until_withdrawn(
+    connection: HTTPConnection, right: Right, stream_id: str | None, tell: Callable[[Grant], None] = lambda _: None
+) -> NoReturn:
     """Look every few seconds whether the token of a connection that lasts still allows what it does.
+
+    Args:
+        tell: called with what it allows now.
 
     Raises:
         SessionError: it does not: it has expired, was withdrawn, or has lost the right.
@@ -137,6 +142,7 @@ async def until_withdrawn(connection: HTTPConnection, right: Right, stream_id: s
             raise SessionError(CloseCode.UNAUTHORISED, "the token has expired or was withdrawn; connect with another")
         if not grant.allows(right, stream_id):
             raise SessionError(CloseCode.FORBIDDEN, f"the token does not give the right to {right.value} here any more")
+        tell(grant)
 
 
 def need(right: Right) -> Any:

@@ -13,9 +13,9 @@ from uvicorn.protocols.utils import ClientDisconnected
 
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
-from streamlod.server.api.access import address_of, admit, registry_of, until_withdrawn
+from streamlod.server.api.access import address_of, admit, grant_of, registry_of, until_withdrawn
 from streamlod.server.api.registry import Registry
-from streamlod.server.auth.gate import Right
+from streamlod.server.auth.gate import Grant, Right
 from streamlod.server.http.websocket import CONNECTION, Connection
 from streamlod.server.protocol.messages import SUBPROTOCOL, Hello, parse_control, parse_hello
 from streamlod.server.protocol.packets import BinaryMessage, text_frame
@@ -136,6 +136,9 @@ async def _watch(
     else:
         session = ViewerSession(stream, hello, transport, limits, edges=registry.edges)
 
+    def may_present(grant: Grant) -> None:
+        session.companion.permit(grant.allows(Right.PRESENT, stream_id))
+
     def take(text: bytes) -> bool:
         try:
             session.on_control(parse_control(text.decode()))
@@ -143,12 +146,13 @@ async def _watch(
             return False  # once more by `_listen`, which closes the connection
         return True
 
+    may_present(grant_of(websocket))
     registry.sessions[session] = address
     registry.feed.tell("viewer.joined", stream_id, viewer=session.id, address=address, client=hello.client)
     transport.connection.listen(take)
     sending = asyncio.create_task(session.run())
     listening = asyncio.create_task(_listen(websocket, session))
-    checking = asyncio.create_task(until_withdrawn(websocket, Right.READ, stream_id))
+    checking = asyncio.create_task(until_withdrawn(websocket, Right.READ, stream_id, may_present))
     tasks = (sending, listening, checking)
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

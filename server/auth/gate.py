@@ -37,6 +37,7 @@ class Right(StrEnum):
     PUBLISH = "publish"
     CONTROL = "control"
     METRICS = "metrics"
+    PRESENT = "present"
 
 
 @dataclass(frozen=True, slots=True)

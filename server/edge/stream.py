@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from streamlod.core.errors import BitstreamError
+from streamlod.core.errors import BitstreamError, SessionError
 from streamlod.server.edge.ending import end
 from streamlod.server.edge.origin import OriginStream, is_incarnation
 from streamlod.server.edge.supply import Supply
 from streamlod.server.protocol.messages import event
 from streamlod.server.protocol.packets import Position, stream_packet
+from streamlod.server.protocol.presenting import Present, parse_presenting
 from streamlod.server.settings import Settings
 from streamlod.server.stream.feed import Feed
 from streamlod.server.stream.stream import Stream
@@ -24,6 +26,7 @@ _LOG = logging.getLogger(__name__)
 _STATES = {"idle", "starting", "live", "degraded", "ended", "failed"}
 _MAX_DETAIL = 4096
 _MAX_EPOCH = 2**32 - 1
+_MAX_SESSION = 64  # characters
 _MAX_CLOCK_AHEAD_NS = 86_400 * 10**9  # a day; a clock that is further away is none
 
 
@@ -68,6 +71,7 @@ class EdgeStream(Stream):
         self._clock_ahead_ns = 0  # of the origin's clock
         self._coming_epoch = 0  # of the packets that arrive
         self._joining = False  # until the first packet of a connection has been compared with what is held
+        self.together.is_local = False
         self.update(described)
 
     @property
@@ -144,6 +148,8 @@ class EdgeStream(Stream):
                 self._on_progress(message)
             case "skipped":
                 self._joining = True
+            case "presenter":
+                self._on_presenter(message)
 
     async def on_packet(self, data: bytes) -> None:
         """See `supply.PacketTaker`."""
@@ -170,6 +176,7 @@ class EdgeStream(Stream):
     def on_break(self, reason: str) -> None:
         """See `supply.PacketTaker`."""
         self._breaks += 1
+        self.together.relay(None, Present(None, None))
         self._enter(
             "degraded",
             f"the connection to {self._supply.origin_name} is lost ({reason}); it is being restored"[:_MAX_DETAIL],
@@ -179,6 +186,15 @@ class EdgeStream(Stream):
         return self.newest is not None and any(
             packet.data == data for packet in self.hub.window.read(position, position)
         )
+
+    def _on_presenter(self, message: dict[str, Any]) -> None:
+        by = message.get("by")
+        shown = {"type": "present", "view": message.get("view"), "at": message.get("at")}
+        if by is None or (isinstance(by, str) and len(by) <= _MAX_SESSION):
+            with contextlib.suppress(SessionError):  # a view that cannot be followed
+                found = parse_presenting(shown if by else {"type": "present"})
+                if isinstance(found, Present):
+                    self.together.relay(by, found)
 
     def _on_progress(self, message: dict[str, Any]) -> None:
         fraction, loss, text = message.get("fraction"), message.get("loss"), message.get("text")

@@ -11,6 +11,7 @@ from typing import Any
 from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
 from streamlod.server.protocol.packets import Position
+from streamlod.server.protocol.presenting import Follow, Present, parse_presenting
 from streamlod.server.protocol.thin_messages import Pick, Shown, ViewMessage, parse_view_message
 
 SUBPROTOCOL = "streamlod.v1"
@@ -72,7 +73,7 @@ class Play:
     """Go on after a pause."""
 
 
-Control = Ack | Set | Seek | Pause | Play | ViewMessage | Shown | Pick
+Control = Ack | Set | Seek | Pause | Play | ViewMessage | Shown | Pick | Present | Follow
 
 
 def parse_hello(text: str) -> Hello:
@@ -112,28 +113,36 @@ def parse_control(text: str) -> Control:
             return Set(_levels(message), _rate(message), given, _speed(message))
         case "seek":
             return Seek(_target(message.get("to"), "to"), _flag(message, "stop"))
-        case "pause":
-            return Pause()
-        case "play":
-            return Play()
+        case "pause" | "play" as kind:
+            return Pause() if kind == "pause" else Play()
         case "ack" | "view" | "pick":
             return parse_view_message(message)
-    raise SessionError(CloseCode.BAD_MESSAGE, "message type is not one of ack, set, seek, pause, play, view, pick")
+        case "present" | "follow":
+            return parse_presenting(message)
+    known = "ack, set, seek, pause, play, view, pick, present, follow"
+    raise SessionError(CloseCode.BAD_MESSAGE, f"message type is not one of {known}")
 
 
 def welcome(
-    stream: dict[str, Any], window: dict[str, Any] | None, session: str, now_ns: int, edges: Sequence[str] = ()
+    stream: dict[str, Any],
+    window: dict[str, Any] | None,
+    session: str,
+    now_ns: int,
+    edges: Sequence[str] = (),
+    together: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The answer to a hello, from STREAM of docs/protocol.md.
 
     Args:
         now_ns: Unix time of its packets' clock.
         edges: addresses of servers that serve the same stream.
+        together: who presents, and whether the viewer may.
     """
     about = {"version": PROTOCOL_VERSION, "session": session, "stream": stream["id"]}
     names = ("incarnation", "source", "loop", "sound", "state", "detail", "progress", "epoch", "levels", "fps")
     shared = {name: stream[name] for name in names}
     rest = {"window": window, "ack_every": ACK_EVERY, "server_time_ns": now_ns, "edges": list(edges)}
+    rest["together"] = together
     return {"type": "welcome", **about, **shared, **rest}
 
 

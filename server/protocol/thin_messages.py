@@ -61,11 +61,11 @@ def parse_view_message(message: dict[str, Any]) -> ViewMessage | Shown | Pick:
 
 def _view(message: dict[str, Any]) -> ViewMessage:
     size = _side(message.get("width"), "width"), _side(message.get("height"), "height")
-    focal, principal = _numbers(message, "focal", 2, 1e6), _numbers(message, "principal", 2, 1e6)
+    focal, principal = numbers(message, "focal", 2, 1e6), numbers(message, "principal", 2, 1e6)
     if not all(_FOCAL[0] <= value / max(size) <= _FOCAL[1] for value in focal):
         raise SessionError(CloseCode.BAD_MESSAGE, f"focal must be {_FOCAL[0]:g} to {_FOCAL[1]:g} times the longer side")
-    rotation = np.array(_numbers(message, "rotation", 9, 1.01)).reshape(3, 3)
-    position = np.array(_numbers(message, "position", 3, _MAX_COORDINATE))
+    rotation = np.array(numbers(message, "rotation", 9, 1.01)).reshape(3, 3)
+    position = np.array(numbers(message, "position", 3, _MAX_COORDINATE))
     pose = np.concatenate([rotation, -rotation @ position[:, None]], axis=1)
     try:
         return ViewMessage(pinhole("viewer", (focal[0], focal[1]), (principal[0], principal[1]), size, pose))
@@ -74,15 +74,20 @@ def _view(message: dict[str, Any]) -> ViewMessage:
 
 
 def _pick(message: dict[str, Any]) -> Pick:
-    origin = np.array(_numbers(message, "origin", 3, _MAX_COORDINATE))
-    direction = np.array(_numbers(message, "direction", 3, 2.0))
+    origin = np.array(numbers(message, "origin", 3, _MAX_COORDINATE))
+    direction = np.array(numbers(message, "direction", 3, 2.0))
     length = float(np.linalg.norm(direction))
     if length < 1e-3:
         raise SessionError(CloseCode.BAD_MESSAGE, "direction must not be zero")
     return Pick(_whole(message.get("id"), "id"), origin, direction / length)
 
 
-def _numbers(message: dict[str, Any], name: str, count: int, largest: float) -> list[float]:
+def numbers(message: dict[str, Any], name: str, count: int, largest: float) -> list[float]:
+    """The numbers of a field.
+
+    Raises:
+        SessionError: 4400, there are others than `count`, or some are larger than `largest`.
+    """
     values = message.get(name)
     if not isinstance(values, list) or len(values) != count:
         raise SessionError(CloseCode.BAD_MESSAGE, f"{name} must be a list of {count} numbers")

@@ -20,6 +20,7 @@ from streamlod.server.stream.bus import Bus
 from streamlod.server.stream.counters import Counters
 from streamlod.server.stream.feed import Feed
 from streamlod.server.stream.hub import Hub
+from streamlod.server.stream.together import Together
 from streamlod.server.stream.traces import Traces
 
 _HUB_BYTES = 8_000_000  # packets that viewers may lag behind within; seeking reads the bus
@@ -74,6 +75,7 @@ class Stream:
         self.bus = bus or Bus(settings.retention.memory_bytes)
         self.counters = Counters()
         self.hub = Hub(_HUB_BYTES, self.counters, settings.limits.decoder)
+        self.together = Together(settings.together)
         self.viewers = self.thin_viewers = 0
         self.state, self.detail = "idle", ""
         self.progress: dict[str, Any] | None = None

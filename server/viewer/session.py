@@ -18,6 +18,7 @@ from streamlod.core.close_codes import CloseCode
 from streamlod.core.errors import SessionError
 from streamlod.server.protocol.messages import Ack, Control, Hello, Pause, Play, Seek, Set, event, welcome
 from streamlod.server.protocol.packets import Position
+from streamlod.server.protocol.presenting import Follow, Present
 from streamlod.server.settings import Limits
 from streamlod.server.stream.counters import Counters
 from streamlod.server.stream.stream import Stream
@@ -27,6 +28,7 @@ from streamlod.server.viewer.pacing import Allowance, LevelControl
 from streamlod.server.viewer.playhead import Playhead
 from streamlod.server.viewer.relay_follower import RelayFollower
 from streamlod.server.viewer.replay import Replay
+from streamlod.server.viewer.together import Companion
 
 _LOG = logging.getLogger(__name__)
 _TICK_SECONDS = 1.0
@@ -83,6 +85,9 @@ class ViewerSession:
         self._window_sent_at = now
         self._allowance = Allowance(limits.messages_per_second, now)
         self._began_at = now
+        self.companion = Companion(stream.together, self.id, self._notify)
+        if self._relays:
+            self.companion.take(Follow(True))
 
     @property
     def position(self) -> Position | None:
@@ -136,6 +141,9 @@ class ViewerSession:
             if waiting or self._delivery.is_full:
                 self._notify()
             return
+        if isinstance(message, (Present, Follow)):
+            self.companion.take(message)
+            return
         self._notify()
         match message:
             case Set(levels, rate_kilobytes, given, speed):
@@ -170,7 +178,8 @@ class ViewerSession:
         stream.join()
         _LOG.info("stream %s: viewer %s (%s) joins", stream.id, self.id, self.client)
         try:
-            about = welcome(stream.describe(), stream.window, self.id, stream.now_ns(), self._edges)
+            together = self.companion.welcome()
+            about = welcome(stream.describe(), stream.window, self.id, stream.now_ns(), self._edges, together)
             await self._delivery.send_event(about)
             while True:
                 self.wake.clear()
@@ -187,10 +196,13 @@ class ViewerSession:
                 if self._is_draining:
                     self._is_draining = False
                     await self._delivery.send_event(event("draining", edges=list(self._edges)))
+                if (news := self.companion.news()) is not None:
+                    await self._delivery.send_event(news)
                 if not await self._step():
                     await self._idle()
         finally:
             stream.leave()
+            self.companion.leave()
             self._follower.leave_broadcast()
             stream.hub.listeners.discard(self._notify)
             stream.unlisten(events)

@@ -32,6 +32,7 @@ from streamlod.server.stream.stream import Stream
 from streamlod.server.viewer.delivery import Transport
 from streamlod.server.viewer.renderer import GRADES, HEADER, GradeControl, PictureRenderer, look_along
 from streamlod.server.viewer.session import ViewerSession
+from streamlod.server.viewer.together import Companion
 
 _REST_SECONDS = 0.3  # after which a view that does not move gets a better picture
 _MIN_INTERVAL_SECONDS = 0.05  # between two pictures
@@ -109,6 +110,11 @@ class ThinSession:
     def id(self) -> str:
         """See `ViewerSession`."""
         return self._session.id
+
+    @property
+    def companion(self) -> Companion:
+        """See `ViewerSession`."""
+        return self._session.companion
 
     @property
     def stream_id(self) -> str:

@@ -16,10 +16,12 @@ from PIL import Image
 from starlette.routing import Mount
 
 from streamlod.codec.container import SlodWriter
+from streamlod.codec.encoder import encode_keyframe
 from streamlod.core.camera import look_at, pinhole
 from streamlod.core.render import cpu
 from streamlod.core.scene.anchors import Scene
 from streamlod.core.scene.expand import expand
+from streamlod.core.scene.keyframe import as_keyframe
 from tests.client.web.miniserver import WEB, Behaviour, Clip, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_browser import comes_to_show, eventually, picture, psnr, reference, shows
@@ -161,4 +163,24 @@ def test_a_live_stream_plays_as_it_comes(visit: Any, clip: Clip, recording: Path
         behaviour.newest = 2 * STEP
         comes_to_agree(visit, after)
         assert likeness(before, foreign(visit)) < AGREEMENT - 5
+        visit.goto("about:blank")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_keyframes_with_more_gaussians_than_all_before_are_shown_whole(
+    visit: Any, clip: Clip, tmp_path: Path, engine: str
+) -> None:
+    """Buffers are made anew when a keyframe needs more than they hold, and what is left over of them is not drawn."""
+    small = clip.states[0]
+    large = replace(make_scene(1200, view_dependent=False), header=small.header, weights=small.weights)
+    states = [small, as_keyframe(large, STEP), as_keyframe(small, 2 * STEP)]
+    with SlodWriter(tmp_path / "clip.slod") as writer:
+        for number, state in enumerate(states):
+            writer.append(encode_keyframe(state, time_ns=number * 2_000_000_000))
+    with serving(with_examples(create_app(clip, Behaviour(), tmp_path), engine)) as url:
+        expected = [with_cubes(own, state) for own, state in zip(pages_own(visit, url, states), states, strict=True)]
+        assert likeness(expected[0], expected[1]) < AGREEMENT - 5
+        visit.goto(f"{url}/web/{engine}.html?stream=/files/clip.slod")
+        for picture_then in [*expected, expected[1]]:
+            comes_to_agree(visit, picture_then)
         visit.goto("about:blank")

@@ -1,0 +1,76 @@
+"""Watching together: one viewer of a stream presents where it looks, and others follow."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+from streamlod.server.protocol.presenting import Present
+
+_MIN_SECONDS = 0.1  # between two views that followers are told; the newest counts
+
+
+class Together:
+    """Who presents, and what.
+
+    Args:
+        is_offered: whether anybody may.
+
+    Attributes:
+        by: session of the presenter; None without.
+        shown: what it showed last, as fields of an event.
+        number: counts what was shown, so that each follower knows whether it has the newest.
+        watchers: called when somebody else presents, or nobody any more.
+        followers: called when there is something new to see.
+        is_local: whether viewers of this server present; otherwise those of its origin do.
+    """
+
+    def __init__(self, is_offered: bool) -> None:
+        self.is_offered = is_offered
+        self.is_local = True
+        self.watchers: set[Callable[[], None]] = set()
+        self.by: str | None = None
+        self.shown: dict[str, Any] = {}
+        self.number = 0
+        self.followers: set[Callable[[], None]] = set()
+        self._told_at = 0.0
+        self._told_by: str | None = None
+        self._timer: asyncio.TimerHandle | None = None
+
+    def present(self, session: str, message: Present) -> bool:
+        """Show what a viewer presents, or nothing more of it; False while somebody else presents."""
+        if self.by not in (None, session):
+            return False
+        if message.view is None or message.at is None:
+            self.leave(session)
+        else:
+            self._show(session, {"view": message.view, "at": message.at.to_json()})
+        return True
+
+    def relay(self, by: str | None, message: Present) -> None:
+        """Show what a viewer of the origin presents, or that nobody does any more."""
+        if message.view is None or message.at is None:
+            if (by, self.by) != (None, None):
+                self._show(by, {})
+        else:
+            self._show(by, {"view": message.view, "at": message.at.to_json()})
+
+    def leave(self, session: str) -> None:
+        """A viewer presents no more, if it did."""
+        if self.by == session:
+            self._show(None, {})
+
+    def _show(self, by: str | None, shown: dict[str, Any]) -> None:
+        self.by, self.shown, self.number = by, shown, self.number + 1
+        if self._timer is None:
+            wait = max(0.0, self._told_at + _MIN_SECONDS - time.monotonic())
+            self._timer = asyncio.get_running_loop().call_later(wait, self._tell)
+
+    def _tell(self) -> None:
+        self._timer, self._told_at = None, time.monotonic()
+        told = self.followers if self._told_by == self.by else self.watchers
+        self._told_by = self.by
+        for tell in tuple(told):
+            tell()

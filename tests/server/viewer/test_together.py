@@ -1,0 +1,190 @@
+"""Watching together: who may present, what followers are told, and what hostile viewers can't do."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from streamlod.server.auth.gate import hash_token
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import EdgeSettings, Limits, Settings
+from tests.server.conftest import Clip, Running, Viewer, running, viewing
+
+VIEW: dict[str, Any] = {
+    "position": [1.0, 2.0, -3.0], "rotation": [1.0, 0, 0, 0, 1, 0, 0, 0, 1], "distance": 4.0, "focal": 1.2,
+    "stretch": 1.0, "shift": [0.0, 0.01],
+}  # fmt: skip
+LIVE = {"mode": "live"}
+
+
+@pytest.fixture(scope="module")
+def server(slow_clip: Clip) -> Iterator[Running]:
+    with running(Settings(together=True), StreamSpec(play=slow_clip.path, loop=True)) as server:
+        yield server
+
+
+@contextmanager
+def joined(server: Running, **options: Any) -> Iterator[Viewer]:
+    with viewing(server, **options) as viewer:
+        yield viewer.hello()
+
+
+def present(viewer: Viewer, at: dict[str, Any] = LIVE, **changes: Any) -> None:
+    viewer.send(type="present", view=VIEW | changes, at=at)
+
+
+def shown_to(viewer: Viewer, **wanted: Any) -> dict[str, Any]:
+    """The first presenter event from now on in which these fields are so."""
+    while True:
+        found = viewer.until("presenter")
+        if all(found.get(name) == value for name, value in wanted.items()):
+            return found
+
+
+def test_followers_see_what_is_presented_and_others_only_who_presents(server: Running) -> None:
+    with joined(server) as presenter, joined(server) as follower, joined(server) as other:
+        assert presenter.welcome["together"] == {"by": None, "may_present": True}
+        follower.send(type="follow", on=True)
+        paused = {"mode": "paused", "epoch": 1, "version": 7}
+        present(presenter, paused)
+        by = presenter.welcome["session"]
+        told = {"type": "event", "event": "presenter", "by": by}
+        assert shown_to(follower, by=by) == told | {"view": VIEW, "at": paused}
+        assert shown_to(other, by=by) == told
+        present(presenter, focal=2.0)
+        assert shown_to(follower, at=LIVE)["view"]["focal"] == 2.0
+        with joined(server) as late:
+            assert late.welcome["together"]["by"] == by
+            late.send(type="follow", on=True)
+            assert shown_to(late, by=by)["view"]["focal"] == 2.0
+        follower.send(type="follow", on=False)
+        presenter.send(type="present", view=None)
+        for viewer in (follower, other):
+            assert shown_to(viewer, by=None) == {"type": "event", "event": "presenter", "by": None}
+
+
+def test_a_presenter_that_goes_presents_no_more_and_a_second_one_is_told_who_does(server: Running) -> None:
+    with joined(server) as follower:
+        follower.send(type="follow", on=True)
+        with joined(server) as first, joined(server) as second:
+            present(first)
+            by = first.welcome["session"]
+            shown_to(follower, by=by)
+            present(second, focal=9.0)
+            assert shown_to(second, by=by)["by"] == by
+            second.send(type="present", view=None)  # of somebody else
+            present(first, focal=3.0)
+            assert shown_to(follower, by=by)["view"]["focal"] == 3.0
+        assert shown_to(follower, by=None)["by"] is None
+        assert all(event.get("view", VIEW)["focal"] != 9.0 for event in follower.named("presenter"))
+
+
+def test_views_that_come_fast_are_told_ten_times_a_second_the_newest_last(server: Running) -> None:
+    with joined(server) as presenter, joined(server) as follower:
+        follower.send(type="follow", on=True)
+        begin = time.monotonic()
+        for number in range(1, 41):
+            present(presenter, distance=float(number))
+        found = shown_to(follower)
+        while found["view"]["distance"] != 40.0:
+            found = shown_to(follower)
+        spent = time.monotonic() - begin
+        assert len(follower.named("presenter")) <= 2 + 10 * spent
+
+
+def closed_with(viewer: Viewer) -> int | None:
+    with pytest.raises(ConnectionClosed) as caught:
+        viewer.until("the end")
+    assert caught.value.rcvd is not None
+    return caught.value.rcvd.code
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {"type": "follow"},
+        {"type": "follow", "on": 1},
+        {"type": "present", "view": VIEW},
+        {"type": "present", "view": [], "at": LIVE},
+        {"type": "present", "view": {}, "at": LIVE},
+        {"type": "present", "view": VIEW | {"position": [1, 2]}, "at": LIVE},
+        {"type": "present", "view": VIEW | {"position": [1e300, 0, 0]}, "at": LIVE},
+        {"type": "present", "view": VIEW | {"position": ["<b>", 0, 0]}, "at": LIVE},
+        {"type": "present", "view": VIEW | {"rotation": [0.5] * 9}, "at": LIVE},
+        {"type": "present", "view": VIEW | {"rotation": [-1, 0, 0, 0, 1, 0, 0, 0, 1]}, "at": LIVE},
+        {"type": "present", "view": VIEW | {"focal": 0}, "at": LIVE},
+        {"type": "present", "view": VIEW | {"distance": True}, "at": LIVE},
+        {"type": "present", "view": VIEW, "at": {"mode": "backwards"}},
+        {"type": "present", "view": VIEW, "at": {"mode": "paused", "epoch": 1}},
+        {"type": "present", "view": VIEW, "at": {"mode": "paused", "epoch": 2**32, "version": 0}},
+        {"type": "present", "view": VIEW, "at": {"mode": ["live"]}},
+    ],
+)
+def test_malformed_messages_end_the_connection_and_reach_nobody(server: Running, message: dict[str, Any]) -> None:
+    with joined(server) as hostile:
+        hostile.send(**message)
+        assert closed_with(hostile) == 4400
+    assert server.registry.streams["main"].together.by is None
+
+
+def test_what_is_not_known_is_not_passed_on_and_a_flood_is_cut_off(slow_clip: Clip) -> None:
+    settings = Settings(together=True, limits=Limits(messages_per_second=20))
+    with running(settings, StreamSpec(play=slow_clip.path, loop=True)) as server, joined(server) as follower:
+        follower.send(type="follow", on=True)
+        with joined(server) as hostile:
+            hostile.send(type="present", view=VIEW | {"script": "x" * 2000}, at=LIVE | {"more": 1})
+            found = shown_to(follower, by=hostile.welcome["session"])
+            assert (found["view"], found["at"]) == (VIEW, LIVE)
+            with contextlib.suppress(ConnectionClosed):
+                for _ in range(5000):
+                    present(hostile)
+            assert closed_with(hostile) == 4429
+        assert shown_to(follower, by=None)["by"] is None
+
+
+def test_nobody_presents_where_it_is_not_offered_or_without_the_right(slow_clip: Clip, tmp_path: Path) -> None:
+    with running(Settings(), StreamSpec(play=slow_clip.path, loop=True)) as plain, joined(plain) as viewer:
+        assert viewer.welcome["together"] is None
+        present(viewer)
+        assert closed_with(viewer) == 4403
+    entries = [
+        {"name": name, "sha256": hash_token(name), "rights": rights, "streams": "main"}
+        for name, rights in {"viewer": ["read"], "speaker": ["read", "present"]}.items()
+    ]
+    (tmp_path / "tokens.json").write_text(json.dumps(entries))
+    settings = Settings(together=True, tokens=tmp_path / "tokens.json")
+    with running(settings, StreamSpec(play=slow_clip.path, loop=True)) as server:
+        tokens = {name: {"additional_headers": {"Authorization": f"Bearer {name}"}} for name in ("viewer", "speaker")}
+        with joined(server, **tokens["viewer"]) as viewer, joined(server, **tokens["speaker"]) as speaker:
+            assert [each.welcome["together"]["may_present"] for each in (viewer, speaker)] == [False, True]
+            viewer.send(type="follow", on=True)
+            present(speaker)
+            shown_to(viewer, by=speaker.welcome["session"])
+            (tmp_path / "tokens.json").write_text(json.dumps([entries[0], entries[1] | {"rights": ["read"]}]))
+            assert shown_to(viewer, by=None)["by"] is None  # the right was withdrawn; it may still watch
+            present(viewer)
+            assert closed_with(viewer) == 4403
+
+
+def test_an_edge_passes_on_who_presents_at_its_origin(server: Running) -> None:
+    settings = Settings(edge=EdgeSettings(origin=server.url, linger_seconds=0), together=True)
+    with running(settings) as edge:
+        edge.wait(lambda stream: stream.get("id") == "main")
+        with joined(edge) as follower, joined(server) as presenter:
+            follower.send(type="follow", on=True)
+            assert follower.welcome["together"]["may_present"] is False
+            follower.next_packet()
+            present(presenter)
+            assert shown_to(follower, by=presenter.welcome["session"])["view"] == VIEW
+            presenter.send(type="present", view=None)
+            assert shown_to(follower, by=None)["by"] is None
+            present(follower)
+            assert closed_with(follower) == 4403
