@@ -18,7 +18,8 @@ _MAX_TEXT_BYTES = 65536  # of a control message from the server
 _MAX_FPS = 10_000
 _MAX_EDGES = 64  # of a list; further ones are left out
 _ADDRESS = re.compile(r"https?://[A-Za-z0-9.:\[\]-]{1,255}/?")
-_EVENTS = frozenset({"state", "progress", "epoch", "position", "levels", "skipped", "caught_up", "window", "draining"})
+_STREAM_EVENTS = frozenset({"state", "progress", "epoch", "window", "draining"})
+_EVENTS = _STREAM_EVENTS | {"position", "levels", "skipped", "caught_up", "presenter"}
 
 
 class Playback:

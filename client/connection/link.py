@@ -17,6 +17,7 @@ from streamlod.codec.packet.limits import DEFAULT_LIMITS, DecoderLimits
 from streamlod.core.errors import SessionError
 
 SUBPROTOCOL = "streamlod.v1"
+FOLLOW = '{"type": "follow", "on": true}'
 _OPEN_SECONDS = 10.0
 _CLOSE_SECONDS = 0.5  # the server's answer may be queued behind packets that nobody reads any more
 
@@ -30,6 +31,7 @@ class WatchOptions:
         start: position (epoch, version) to replay from; the live edge by default.
         limits: what the decoder accepts; a stream that needs more ends with a SessionError.
         levels: how many levels, coarse ones first; all by default.
+        follows: be told what a presenter shows, as a Notice `presenter` (`client.connection.presented`).
         nearest: watch at the nearest of the edges that the server names, where one answers.
     """
 
@@ -38,6 +40,7 @@ class WatchOptions:
     levels: int | None = None
     limits: DecoderLimits = DEFAULT_LIMITS
     nearest: bool = False
+    follows: bool = False
 
 
 class StreamLink:
@@ -75,6 +78,8 @@ class StreamLink:
             close_timeout=_CLOSE_SECONDS,
         )
         await socket.send(self.playback.hello(start, self._options.levels))
+        if self._options.follows:
+            await socket.send(FOLLOW)
         self.events = _session(socket, self.playback)
 
     async def close(self) -> None:

@@ -38,6 +38,16 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  * @property {number} retryAt - time in ms of the next attempt while reconnecting
  * @property {number} skipped - versions not sent one by one
  * @property {number} bytes - received on all connections
+ * @property {Together | null} together - null where nobody may present
+ */
+
+/**
+ * @typedef {object} Together
+ * @property {string} session - this viewer's
+ * @property {boolean} mayPresent - whether it has the right
+ * @property {string | null} by - session of who presents
+ * @property {{ position: import("../lib/vectors.js").Vec3, rotation: number[], distance: number, focal: number, stretch: number, shift: [number, number] } | null} view - to those who follow
+ * @property {{ mode: string, epoch: number, version: number } | { mode: "live" } | null} at
  */
 
 /** Close codes after which another attempt cannot help. @type {Record<number, Phase>} */
@@ -50,7 +60,7 @@ export class Session {
     this.status = {
       phase: "connecting", source: "cameras", loops: false, lagSeconds: null, filmedMs: null, newestMs: null, clockMs: null, detail: "", stage: "", trouble: "", fraction: null,
       window: null, position: null, mode: "live", levels: null,
-      sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0,
+      sentLevels: null, fps: null, retryAt: 0, skipped: 0, bytes: 0, together: null,
     };
     this.attempts = 0;
     this.open = false;
@@ -122,6 +132,10 @@ export class Session {
         if (message.server_time_ns) status.clockMs = message.server_time_ns / 1e6 - (unixMs - (now - this.saidHello) / 2);
         this.#progress(message.progress);
         this.#streamState(message.state, message.detail);
+        status.together = message.together && { session: message.session ?? "", mayPresent: message.together.may_present, by: message.together.by ?? null, view: null, at: null };
+        break;
+      case "presenter":
+        if (status.together) Object.assign(status.together, { by: message.by ?? null, view: message.view ?? null, at: message.at ?? null });
         break;
       case "state":
         this.#streamState(message.state, message.detail);

@@ -17,6 +17,7 @@ import { followPast } from "./past.js";
 import { backgroundItems, colourOf } from "./background.js";
 import { attachDrop } from "./drop.js";
 import { Timeline } from "./timeline.js";
+import { Together } from "./together.js";
 import { Viewer } from "../view/viewer.js";
 
 const MOVING = ["live", "behind", "replay"]; // phases in which the picture may move by itself
@@ -62,6 +63,7 @@ async function start(viewer) {
   const quality = new Quality(viewer, options.get("quality") ?? (viewer.thin ? "high" : null));
   const rates = new Rates();
   const flight = new Flight(viewer, timeline);
+  const together = new Together(viewer, timeline);
   const isShared = viewer.thin || (!recording && options.get("together") === "1"); // a played file is seen where the server plays it
   const token = recording ? null : options.get("token"); // files of other servers must not get it
   let told = false; // that the server can draw
@@ -225,7 +227,7 @@ async function start(viewer) {
   /** @type {Record<string, () => unknown>} */
   const keys = {
     " ": () => timeline.toggle(), ",": () => timeline.step(-1), ".": () => timeline.step(1), home: () => timeline.begin(), j: () => timeline.skip(-10), k: () => timeline.toggle(), l: () => timeline.skip(10),
-    end: () => timeline.live(), m: () => timeline.position && timeline.marks.toggle(timeline.position), r: goHome, f: fullScreen, t: () => flight.toggle(), v: () => putOn("vr"), p: () => savePicture(viewer), y: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(), b: () => button("b-path").click(),
+    end: () => timeline.live(), m: () => timeline.position && timeline.marks.toggle(timeline.position), r: goHome, f: fullScreen, t: () => flight.toggle(), g: () => together.toggle(), v: () => putOn("vr"), p: () => savePicture(viewer), y: () => copyMoment(viewer), i: statistics, h: help, "?": help, c: () => button("b-cameras").click(), b: () => button("b-path").click(),
   };
   window.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
@@ -249,7 +251,7 @@ async function start(viewer) {
   });
   if (options.has("path")) loadPaths();
 
-  controls.mayDrift = () => quality.step === 0 && !flight.stop && !paths?.stop && MOVING.includes(viewer.status?.phase ?? "");
+  controls.mayDrift = () => quality.step === 0 && together.role === "apart" && !flight.stop && !paths?.stop && MOVING.includes(viewer.status?.phase ?? "");
   if (!viewer.thin && !options.has("camera") && options.get("sway") !== "0" && (!viewer.software || options.get("sway") === "1")) {
     viewer.addEventListener("picture", () => setTimeout(() => quality.step === 0 && flight.open(), OPENING_AFTER_MS), { once: true });
   }

@@ -1,6 +1,6 @@
 /**
  * The part of the page that draws: worker, renderer and pose, without any controls around them.
- * Fires `scene`, `picture`, `status`, `refused`, `frame`, `drawn` and `graphics` events.
+ * Fires `scene`, `picture`, `status`, `refused`, `frame`, `drawn`, `graphics` and `steered` events.
  */
 
 import { exposureAt } from "./exposure.js";
@@ -221,6 +221,7 @@ export class Viewer extends EventTarget {
   /** The pose was changed by hand. @param {Pose} pose */
   steer(pose) {
     this.posed = true;
+    this.dispatchEvent(new Event("steered"));
     this.drift(this.space ? braked(this.space, this.pose, pose) : pose);
   }
 

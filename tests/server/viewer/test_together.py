@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import aclosing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 
+from streamlod.client.connection.link import WatchOptions
+from streamlod.client.connection.presented import Presented, presented
+from streamlod.client.connection.watch import watch
+from streamlod.client.events import Notice
+from streamlod.core.errors import InputError
 from streamlod.server.auth.gate import hash_token
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Limits, Settings
@@ -188,3 +194,39 @@ def test_an_edge_passes_on_who_presents_at_its_origin(server: Running) -> None:
             assert shown_to(follower, by=None)["by"] is None
             present(follower)
             assert closed_with(follower) == 4403
+
+
+def test_a_program_in_python_follows(server: Running) -> None:
+    found: list[Presented] = []
+
+    async def follow() -> None:
+        address = f"ws://127.0.0.1:{server.port}/v1/streams/main/live"
+        async with aclosing(watch(address, WatchOptions(follows=True))) as events:
+            async for event in events:
+                if isinstance(event, Notice) and event.name == "presenter" and event.fields["by"] is not None:
+                    found.append(cast(Presented, presented(event, (640, 480))))
+                    return
+
+    with joined(server) as presenter:
+        present(presenter, {"mode": "paused", "epoch": 1, "version": 3}, focal=1.5)
+        asyncio.run(follow())
+    (shown,) = found
+    assert (shown.by, shown.mode, shown.position) == (presenter.welcome["session"], "paused", (1, 3))
+    assert shown.camera.centre.tolist() == VIEW["position"]
+    assert shown.camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [720, 720, 320, 244.8]
+
+
+@pytest.mark.parametrize(
+    ("fields", "fault"),
+    [
+        ({"view": VIEW, "at": None}, "neither live"),
+        ({"view": VIEW | {"position": [1, 2]}, "at": LIVE}, "without 3 numbers"),
+        ({"view": VIEW | {"position": [float("inf"), 0, 0]}, "at": LIVE}, "out of range"),
+        ({"view": VIEW | {"rotation": [2.0] * 9}, "at": LIVE}, "rotation"),
+        ({"view": VIEW | {"focal": -1}, "at": LIVE}, "focal"),
+    ],
+)
+def test_a_program_refuses_what_a_lying_server_shows(fields: dict[str, Any], fault: str) -> None:
+    with pytest.raises(InputError, match=fault):
+        presented(Notice("presenter", {"by": "x", **fields}), (640, 480))
+    assert presented(Notice("presenter", {"by": None}), (640, 480)) is None

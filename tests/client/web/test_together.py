@@ -1,0 +1,117 @@
+"""Two people watch together: one presents, the other follows until it drags."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from streamlod.codec.container import SlodWriter
+from streamlod.server.pipeline.spec import StreamSpec
+from streamlod.server.settings import Settings
+from tests.client.web.conftest import Console
+from tests.client.web.miniserver import make_clip
+from tests.client.web.scenes import make_scene
+from tests.client.web.test_browser import WAIT, shows
+from tests.server.conftest import Running, running
+
+pytestmark = pytest.mark.browser
+CHIP = "document.getElementById('status-together').textContent"
+PLACE = "streamlod.state.camera.split(',').slice(0, 9).map(Number)"
+
+
+@pytest.fixture(scope="module")
+def server(kernel: bytes, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """A minute at five frames a second, which the server plays to all at once."""
+    clip = make_clip(make_scene(200), 300, frame_ns=200_000_000)
+    path = tmp_path_factory.mktemp("together") / "clip.slod"
+    with SlodWriter(path) as writer:
+        writer.append(clip.key())
+        for version in range(1, len(clip.states)):
+            writer.append(clip.residual(version - 1, version))
+    with running(Settings(together=True), StreamSpec(play=path, loop=True)) as server:
+        yield server
+
+
+@pytest.fixture
+def pair(chromium: Any, server: Running) -> Iterator[tuple[Any, Any]]:
+    """Two visitors who have a picture."""
+    contexts = [chromium.new_context(viewport={"width": 900, "height": 500}, reduced_motion="reduce") for _ in range(2)]
+    pages = [context.new_page() for context in contexts]
+    consoles = [Console(page) for page in pages]
+    for page in pages:
+        page.goto(f"{server.url}/?together=1&sway=0&quality=high")
+        shows(page, "s.version >= 0 && s.mode === 'live'")
+    yield pages[0], pages[1]
+    for context in contexts:
+        context.close()
+    assert [console.lines for console in consoles] == [[], []]
+
+
+def says(page: Any, text: str) -> None:
+    """Wait until the chip says so."""
+    page.wait_for_function(f"{CHIP} === {text!r}", **WAIT)
+
+
+def looks_from(page: Any, place: list[float]) -> None:
+    """Wait until the page looks from that place in that direction."""
+    page.wait_for_function(f"there => {PLACE}.every((x, i) => Math.abs(x - there[i]) < 2e-3)", arg=place, **WAIT)
+
+
+def test_a_follower_looks_where_the_presenter_does_until_it_drags(pair: tuple[Any, Any]) -> None:
+    presenter, follower = pair
+    says(follower, "")
+    presenter.locator("#b-together").click()
+    says(presenter, "You present")
+    says(follower, "Somebody presents")
+    follower.locator("#b-together").click()
+    says(follower, "Following, drag to leave")
+    for camera in (0, 3):
+        presenter.evaluate(f"streamlod.setCamera({camera})")
+        looks_from(follower, presenter.evaluate(PLACE))
+
+    presenter.evaluate("streamlod.pause()")
+    shows(presenter, "s.mode === 'paused'")
+    position = presenter.evaluate("streamlod.state.position")
+    shows(follower, f"s.mode === 'paused' && s.version === {position['version']}")
+    presenter.keyboard.press("End")
+    shows(follower, "s.mode === 'live'")
+    follower.locator("#status-viewers", has_text="2 watching").wait_for(**WAIT)
+
+    follower.mouse.move(400, 250)
+    follower.mouse.down()
+    follower.mouse.move(480, 260, steps=4)
+    follower.mouse.up()
+    says(follower, "Somebody presents")
+    own = follower.evaluate(PLACE)
+    presenter.evaluate("streamlod.setCamera(1)")
+    follower.keyboard.press("g")  # and again
+    says(follower, "Following, drag to leave")
+    looks_from(follower, presenter.evaluate(PLACE))
+    assert follower.evaluate(PLACE) != own
+    presenter.keyboard.press("g")
+    says(presenter, "")
+    says(follower, "")
+    assert follower.locator("#b-together").get_attribute("aria-pressed") == "false"
+
+
+def test_who_leaves_presents_no_more_and_another_may(pair: tuple[Any, Any]) -> None:
+    first, second = pair
+    first.locator("#b-together").click()
+    says(second, "Somebody presents")
+    first.goto("about:blank")
+    says(second, "")
+    second.locator("#b-together").click()
+    says(second, "You present")
+
+
+def test_a_server_that_does_not_offer_it_shows_no_button(page: Any, recording: Path) -> None:
+    with running(Settings(), StreamSpec(play=recording, loop=True)) as plain:
+        page.goto(f"{plain.url}/?together=1&sway=0")
+        shows(page, "s.version >= 0")
+        assert not page.locator("#b-together").is_visible()
+        page.keyboard.press("g")
+        assert page.evaluate(CHIP) == ""
+        page.goto("about:blank")
