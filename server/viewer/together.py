@@ -13,7 +13,7 @@ from streamlod.server.stream.together import Together
 
 
 class Companion:
-    """What a viewer presents and follows.
+    """A viewer that may present, and may follow.
 
     Args:
         together: of its stream.

@@ -46,7 +46,7 @@ const USUAL_GAPS = 4; // so many times the usual time between two frames is a st
  * @property {string} session - this viewer's
  * @property {boolean} mayPresent - whether it has the right
  * @property {string | null} by - session of who presents
- * @property {{ position: import("../lib/vectors.js").Vec3, rotation: number[], distance: number, focal: number, stretch: number, shift: [number, number] } | null} view - to those who follow
+ * @property {{ position: [number, number, number], rotation: number[], distance: number, focal: number, stretch: number, shift: [number, number] } | null} view - to those who follow
  * @property {{ mode: string, epoch: number, version: number } | { mode: "live" } | null} at
  */
 
