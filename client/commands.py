@@ -7,16 +7,13 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import numpy as np
 from tqdm import tqdm
 
 from streamlod.client.connection.link import WatchOptions
-from streamlod.client.evaluation.file_scores import DecodedScore, evaluate_file
-from streamlod.client.evaluation.measure.places import places_table
-from streamlod.client.evaluation.report.plots import frames_plot
 from streamlod.client.inspection import describe_file
 from streamlod.client.recording import decode_frames, decode_version, versions
 from streamlod.client.viewing import record_stream
@@ -27,6 +24,9 @@ from streamlod.core.arrays import Float64
 from streamlod.core.errors import BitstreamError, InputError
 from streamlod.core.files import write_text
 from streamlod.core.scene.anchors import Scene, SceneHeader
+
+if TYPE_CHECKING:
+    from streamlod.client.evaluation.file_scores import DecodedScore
 
 _PATH_SIZE = 1280, 720  # pixels, where the scene has no camera
 AVERAGE = "average"
@@ -100,6 +100,10 @@ def evaluate(
 
     The report goes to `report` as JSON, beside it a plot over frames.
     """
+    from streamlod.client.evaluation.file_scores import evaluate_file  # these need libraries of training
+    from streamlod.client.evaluation.measure.places import places_table
+    from streamlod.client.evaluation.report.plots import frames_plot
+
     if not test:
         raise InputError("--test", "name at least one held-out camera, for example --test cam00")
     with tqdm(unit="frame", desc="evaluate", delay=0.5) as bar:

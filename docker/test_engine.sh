@@ -54,7 +54,9 @@ if [ -z "${BASE_IMAGE:-}" ]; then
         # a package mirror and certificates that this machine is set up with hold inside as well
         cp /etc/ssl/certs/ca-certificates.crt "$root/etc/ssl/certs/"
         [ ! -f /etc/pip.conf ] || cp /etc/pip.conf "$root/etc/pip.conf"
-        tar -C "$root" -c . | docker import - "$BASE_IMAGE" >/dev/null
+        # what Debian's image of Python leaves out, too
+        tar -C "$root" --exclude=./var/cache/apt --exclude=./var/lib/apt/lists --exclude=./usr/share/doc \
+            --exclude=./usr/share/man --exclude=./usr/share/locale -c . | docker import - "$BASE_IMAGE" >/dev/null
     fi
 fi
 
@@ -69,6 +71,28 @@ chmod 644 "$WORK/clip/scene.slod" "$WORK/clip/server.toml"
 
 docker build --network host --build-arg BASE_IMAGE="$BASE_IMAGE" --build-arg EXTRAS=serve -t streamlod:ci \
     -f docker/Dockerfile .
+megabytes=$(($(docker image inspect --format '{{.Size}}' streamlod:ci) / 1000000))
+echo "image: $megabytes MB"
+[ $megabytes -lt 700 ] || { echo "the image that only plays is larger than 700 MB" >&2; exit 1; }
+
+# a host folder that belongs to root, as docker makes one that is missing: one sentence, and no traceback
+mkdir -p "$WORK/roots"
+chown 0:0 "$WORK/roots"
+chmod 755 "$WORK/roots"
+if docker run --rm --network none -v "$WORK/roots:/data" streamlod:ci >"$WORK/refused" 2>&1; then
+    echo "a folder that cannot be written was taken" >&2
+    exit 1
+fi
+cat "$WORK/refused"
+tail -1 "$WORK/refused" | grep -q "give the folder to user 10001" || { echo "not refused in one sentence" >&2; exit 1; }
+! grep -q Traceback "$WORK/refused"
+
+for command in "--version" "--help" "doctor --quick" "info /clip/scene.slod"; do
+    docker run --rm --network none --read-only --tmpfs /tmp -v "$WORK/clip:/clip:ro" streamlod:ci $command \
+        >"$WORK/said" 2>&1 || { cat "$WORK/said"; echo "streamlod $command failed" >&2; exit 1; }
+    echo "streamlod $command: $(head -1 "$WORK/said")"
+done
+
 $COMPOSE $files up --detach --wait --no-build
 echo "healthy"
 

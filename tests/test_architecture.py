@@ -205,6 +205,12 @@ def test_light_modules_stay_light_in_a_fresh_process(module: str) -> None:
     assert done.stdout.split() == []
 
 
+def test_commands_that_only_read_need_no_training_library() -> None:
+    """`info`, `view` and `export`, in an image that only plays."""
+    code = f"import sys; sys.modules |= dict.fromkeys({HEAVY!r}); import streamlod.client.commands"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
 def calls(path: Path) -> set[str]:
     """Functions that a file calls by a plain name."""
     found = (node.func for node in nodes(path) if isinstance(node, ast.Call))

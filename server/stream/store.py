@@ -96,7 +96,9 @@ class Store:
             self.seal = Seal(folder / "secret.key")
             self._catalogue = _open_catalogue(folder / "catalogue.sqlite3")
         except OSError as error:
-            raise InputError(folder, f"cannot hold recordings ({error}); choose another --state-dir") from error
+            fault = f"cannot hold recordings ({error.strerror or error})"
+            mend = f"give the folder to user {os.getuid()}, or " if isinstance(error, PermissionError) else ""
+            raise InputError(folder, f"{fault}; {mend}choose another --state-dir") from error
         self._recordings: list[Recording] = []
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
 

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from multiprocessing.connection import Connection
@@ -224,12 +224,13 @@ def _told(opened: OpenJob, pictures: CameraPictures | None, sender: Sender) -> I
     over = threading.Event()
 
     def run() -> None:
-        while not over.wait(_INGEST_SECONDS):
-            statistics = opened.statistics()
-            if statistics is not None:
-                sender.send(Tag.INGEST, asdict(statistics))
-            if pictures is not None and (body := pictures.take()) is not None:
-                sender.send(Tag.PICTURES, body)
+        with suppress(ConnectionError):  # the server has gone, which ends this process elsewhere
+            while not over.wait(_INGEST_SECONDS):
+                statistics = opened.statistics()
+                if statistics is not None:
+                    sender.send(Tag.INGEST, asdict(statistics))
+                if pictures is not None and (body := pictures.take()) is not None:
+                    sender.send(Tag.PICTURES, body)
 
     thread = threading.Thread(target=run, name="ingest statistics", daemon=True)
     thread.start()

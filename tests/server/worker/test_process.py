@@ -8,6 +8,7 @@ import math
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,12 +19,14 @@ import numpy as np
 import pytest
 
 from streamlod.core.errors import InputError
+from streamlod.core.frames import FrameSet
 from streamlod.server.pipeline.job import TrainJob
 from streamlod.server.pipeline.spec import StreamSpec, spec_from_json
 from streamlod.server.settings import Settings, WorkerSettings
 from streamlod.server.stream.worker_stream import WorkerStream
+from streamlod.server.worker.camera_pictures import CameraPictures
 from streamlod.server.worker.cluster.room import Shortage
-from streamlod.server.worker.process import Resume, Sender, Tag, play, receive_resume, send_resume
+from streamlod.server.worker.process import Resume, Sender, Tag, _told, play, receive_resume, send_resume
 from streamlod.server.worker.supervisor import Ending, Supervisor
 from tests.server.conftest import Clip, running
 
@@ -66,6 +69,24 @@ class Collector:
 
     def __call__(self, tag: Tag, body: object = b"") -> None:
         self.messages.append((tag, body))
+
+
+class _Filmed:
+    """A job without figures."""
+
+    def statistics(self) -> None:
+        return None
+
+
+def test_what_tells_of_cameras_ends_quietly_with_the_server() -> None:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    ours.close()
+    pictures, job = CameraPictures(["cam"]), _Filmed()
+    pictures.note(FrameSet(0, 0, np.zeros((1, 8, 8, 3), np.uint8), np.ones(1, np.bool_)))
+    with theirs, _told(job, pictures, Sender(theirs)):  # type: ignore[arg-type]
+        (teller,) = (each for each in threading.enumerate() if each.name == "ingest statistics")
+        teller.join(60)  # what it raised would be a warning, and so an error
+        assert not teller.is_alive()
 
 
 def test_figures_become_plain_json() -> None:
