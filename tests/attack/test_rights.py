@@ -18,7 +18,7 @@ from streamlod.server.auth.gate import hash_token
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
-from tests.server.edge.processes import wait
+from tests.waiting import wait
 
 _SECRET = "s" * 40
 _STREAMS = tuple(StreamSpec(id=name, play=Path("nothing.slod")) for name in ("stage-1", "stage-2", "office"))

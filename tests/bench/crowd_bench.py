@@ -32,7 +32,8 @@ import numpy as np
 from tests.bench.bulk_viewers import watch
 from tests.bench.edge_bench import VIEWER_CORE, crowd, sent_bytes
 from tests.server.conftest import make_clip
-from tests.server.edge.processes import Node, node, wait
+from tests.server.edge.processes import Node, node
+from tests.waiting import wait
 
 _COUNTS = (200, 800, 3000)  # anchors by level
 _FRAMES, _KEY_EVERY = 900, 300

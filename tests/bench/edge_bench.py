@@ -28,7 +28,8 @@ from streamlod.client.connection.watch import watch
 from streamlod.client.events import NewScene
 from tests.bench.fanout_viewers import watch as watch_many
 from tests.server.conftest import make_clip
-from tests.server.edge.processes import Node, node, wait
+from tests.server.edge.processes import Node, node
+from tests.waiting import wait
 
 _COUNTS = (100, 400, 1500)  # anchors by level
 VIEWER_CORE = 1

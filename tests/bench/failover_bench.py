@@ -23,8 +23,9 @@ import numpy as np
 
 from tests.bench.pictures import longest_gap
 from tests.server.conftest import make_clip
-from tests.server.edge.processes import Node, begin, listening, wait
+from tests.server.edge.processes import Node, begin, listening
 from tests.server.ports import free_ports
+from tests.waiting import wait
 
 _COUNTS = (100, 400, 1500)  # anchors by level
 _FAULTS = ("none", "stop", "kill", "alone", "origin")

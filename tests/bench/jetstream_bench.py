@@ -25,8 +25,9 @@ from tests.bench.pictures import longest_gap
 from tests.server.conftest import make_clip
 from tests.server.edge.jetstream.nats_servers import Nats, nats
 from tests.server.edge.jetstream.recorder import waiting_bytes
-from tests.server.edge.processes import Node, begin, listening, wait
+from tests.server.edge.processes import Node, begin, listening
 from tests.server.ports import free_ports
+from tests.waiting import wait
 
 _ELECTION_SECONDS = 12.0  # in which the NATS servers that are left have a leader again
 _SETTLE_SECONDS = 60.0

@@ -18,8 +18,8 @@ import pytest
 
 from streamlod.server.settings import Settings, load_settings
 from tests.server.edge.jetstream.nats_servers import NATS_SERVER
-from tests.server.edge.processes import wait
 from tests.server.ports import free_ports
+from tests.waiting import wait
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is missing: pip install pyyaml")
 

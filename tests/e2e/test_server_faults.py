@@ -27,6 +27,7 @@ from streamlod.codec.container import SlodReader
 from tests.e2e.test_server_process import PROGRAM, get, live, recorded, wait_live
 from tests.server.conftest import Clip, Viewer, make_clip
 from tests.server.test_faults import masked, raw
+from tests.waiting import wait
 
 _LOG = logging.getLogger(__name__)
 _CLOCK = """
@@ -90,13 +91,6 @@ def stream(port: int) -> dict[str, Any]:
     return found
 
 
-def until(done: Any, seconds: float = 20) -> None:
-    limit = time.monotonic() + seconds
-    while not done():
-        assert time.monotonic() < limit
-        time.sleep(0.05)
-
-
 def follows(port: int) -> None:
     """A viewer can join, and gets packets."""
     with live(port) as connection:
@@ -118,7 +112,7 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
     serve = [*PROGRAM, "serve", "--port", "0", *options]
     with started([*mount, "sh", "-c", script, "sh", *serve]) as (process, port, _):
         wait_live(port)
-        until(lambda: "stopped" in stream(port)["recording"])
+        wait(lambda: "stopped" in stream(port)["recording"])
         lost = metrics(port)['streamlod_recording_lost_packets_total{stream="main"}']
         assert lost > 0
         follows(port)
@@ -131,7 +125,7 @@ def test_a_full_disk_stops_recording_and_nothing_else(clip: Clip, tmp_path: Path
         assert len(packets) > 10
         for segment in Path(f"/proc/{process.pid}/root{tmp_path}/streams/main").glob("*.slod"):
             segment.unlink()  # somebody makes room
-        until(lambda: stream(port)["recording"] == "on")
+        wait(lambda: stream(port)["recording"] == "on")
         process.send_signal(signal.SIGTERM)
         process.wait(60)
 
@@ -170,9 +164,9 @@ def test_a_thousand_silent_viewers_are_shown_out(clip: Clip, tmp_path: Path) -> 
         for _ in range(1000):
             stack.enter_context(raw(port))
         follows(port)
-        until(lambda: away(port, "4408") == 1000)
+        wait(lambda: away(port, "4408") == 1000)
         stack.close()
-        until(lambda: len(list(Path(f"/proc/{process.pid}/fd").iterdir())) <= files + 3)
+        wait(lambda: len(list(Path(f"/proc/{process.pid}/fd").iterdir())) <= files + 3)
 
 
 def answer(peer: socket.socket) -> bytes:
@@ -240,12 +234,12 @@ def test_hostile_requests_are_refused_and_counted(clip: Clip, tmp_path: Path) ->
         with contextlib.suppress(ConnectionError):
             for _ in range(100):
                 chunked.sendall(b"1000\r\n" + b"a" * 4096 + b"\r\n")
-        until(lambda: away(port, "large") + away(port, "slow") == 5)
+        wait(lambda: away(port, "large") + away(port, "slow") == 5)
         assert away(port, "large") >= 1  # a busy machine may take too long for the other
         crowd = [connect() for _ in range(90)]  # more than twice as many as there may be
         for peer in crowd:
             answer(peer)  # cut off at once, or for its silence
-        until(lambda: away(port, "many") > 0)
+        wait(lambda: away(port, "many") > 0)
         follows(port)
         assert stream(port)["restarts"] == 0
 

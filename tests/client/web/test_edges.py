@@ -13,8 +13,8 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
 from tests.client.web.test_browser import shows
 from tests.server.conftest import Clip, Running, make_clip, running
-from tests.server.edge.processes import wait
 from tests.server.ports import held_ports
+from tests.waiting import wait
 
 pytestmark = [pytest.mark.browser, pytest.mark.cluster]
 

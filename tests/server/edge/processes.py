@@ -94,15 +94,6 @@ def listening(begun: tuple[subprocess.Popen[bytes], Path]) -> Node:
     return Node(process, int(found[1]), log)
 
 
-def wait(done: Any, seconds: float = 60) -> Any:
-    """What `done` returns once that is true."""
-    limit = time.monotonic() + seconds
-    while not (found := done()):
-        assert time.monotonic() < limit, found
-        time.sleep(0.05)
-    return found
-
-
 def wait_live(server: Node, seconds: float = 60) -> None:
     """Until its stream is live; says what it was instead, and what the server logged."""
     limit = time.monotonic() + seconds

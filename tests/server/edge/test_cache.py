@@ -22,8 +22,8 @@ from streamlod.server.auth.gate import hash_token
 from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
 from tests.server.conftest import Clip, Running, Viewer, running, viewing
-from tests.server.edge.processes import wait
 from tests.server.ports import free_ports
+from tests.waiting import wait
 
 pytestmark = [
     pytest.mark.cluster,

@@ -14,7 +14,8 @@ from streamlod.codec.sound.beside import sound_beside
 from streamlod.core.scene.anchors import Scene
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip
-from tests.server.edge.processes import Node, begin, listening, wait, wait_live
+from tests.server.edge.processes import Node, begin, listening, wait_live
+from tests.waiting import wait
 
 pytestmark = pytest.mark.cluster
 

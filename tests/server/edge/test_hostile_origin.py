@@ -19,7 +19,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from streamlod.server.settings import EdgeSettings, Limits, Settings
 from tests.server.conftest import Clip, running, viewing
-from tests.server.edge.processes import wait
+from tests.waiting import wait
 
 STREAM = {
     "id": "main", "incarnation": "0123456789abcdef", "source": "data", "loop": False, "state": "live", "detail": "",

@@ -10,9 +10,9 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Running, running, viewing
-from tests.server.edge.processes import wait
 from tests.server.large_clip import make_large_clip
 from tests.server.viewer.test_thin_session import ThinViewer
+from tests.waiting import wait
 
 pytestmark = pytest.mark.cluster
 REFRESHES = 3

@@ -17,8 +17,9 @@ from streamlod.client.connection.link import WatchOptions
 from streamlod.client.connection.watch import watch
 from streamlod.client.events import Disconnected, NewScene, Notice, Welcome
 from tests.server.conftest import Clip
-from tests.server.edge.processes import Node, begin, listening, wait
+from tests.server.edge.processes import Node, begin, listening
 from tests.server.ports import held_ports
+from tests.waiting import wait
 
 pytestmark = pytest.mark.cluster
 

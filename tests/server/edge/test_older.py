@@ -20,8 +20,9 @@ import pytest
 
 from streamlod.core.scene.anchors import Scene
 from tests.server.conftest import Clip
-from tests.server.edge.processes import Node, node, wait
+from tests.server.edge.processes import Node, node
 from tests.server.ports import free_ports
+from tests.waiting import wait
 
 pytestmark = pytest.mark.cluster
 

@@ -18,7 +18,8 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import EdgeSettings, Settings
 from tests.e2e.test_server_process import recorded
 from tests.server.conftest import Clip, Running, running, viewing
-from tests.server.edge.processes import Node, node, wait, wait_live
+from tests.server.edge.processes import Node, node, wait_live
+from tests.waiting import wait
 
 
 @pytest.fixture

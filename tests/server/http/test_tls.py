@@ -15,7 +15,7 @@ from streamlod.server.service.run import certificates_of
 from streamlod.server.settings import Limits, Settings
 from tests.server.auth.test_gate import serial_at, write_certificate
 from tests.server.conftest import Running, running
-from tests.server.edge.processes import wait
+from tests.waiting import wait
 
 
 def secured(folder: Path, **limits: float) -> Settings:

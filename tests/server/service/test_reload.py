@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -13,13 +11,7 @@ import httpx
 from tests.e2e.test_server_process import serving
 from tests.server.conftest import Clip
 from tests.server.service.test_webhooks import receiver
-
-
-def until(done: Callable[[], bool]) -> None:
-    limit = time.monotonic() + 120
-    while not done():
-        assert time.monotonic() < limit
-        time.sleep(0.02)
+from tests.waiting import wait
 
 
 def test_limits_and_webhooks_are_read_again(clip: Clip, tmp_path: Path) -> None:
@@ -53,21 +45,21 @@ def test_limits_and_webhooks_are_read_again(clip: Clip, tmp_path: Path) -> None:
             assert (limit(), create("a")) == (1, 422)
             write(3, first, second, more="camera_pictures = true")
             process.send_signal(signal.SIGHUP)
-            until(lambda: limit() == 3)
+            wait(lambda: limit() == 3)
             assert create("a") == 201
-            until(lambda: len(to_second) == 1)
+            wait(lambda: len(to_second) == 1)
             assert json.loads(to_second[0][1])["type"] == "stream.created"
             for text in ("[limits]\nstreams = 'many'", "[limits", "[[webhooks]]\nurl = 'http://x/'\nkey = '/none'"):
                 put(text)
                 process.send_signal(signal.SIGHUP)
             assert create("b") == 201  # the limits before stay
-            until(lambda: len(to_second) == 2)
+            wait(lambda: len(to_second) == 2)
             write(2, second)
             process.send_signal(signal.SIGHUP)
-            until(lambda: limit() == 2)
+            wait(lambda: limit() == 2)
             assert create("c") == 422  # there are three
             before = len(to_first)
             assert client.delete("/v1/streams/b").status_code == 204
-            until(lambda: len(to_second) == 3)
+            wait(lambda: len(to_second) == 3)
             assert json.loads(to_second[2][1])["type"] == "stream.deleted"
             assert len(to_first) == before

@@ -23,9 +23,10 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.service.app import create_app
 from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running, viewing
-from tests.server.edge.processes import node, wait
+from tests.server.edge.processes import node
 from tests.server.ports import held_ports
 from tests.server.service.telling_worker import work
+from tests.waiting import wait
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from streamlod.server.service.app import create_app
 from streamlod.server.service.webhooks import signature
 from streamlod.server.settings import Settings, Webhook
 from tests.server.conftest import running
+from tests.waiting import wait
 
 _KEY = b"k" * 40
 _STREAM = StreamSpec(play=Path("nothing.slod"))
@@ -56,18 +57,11 @@ def settings_for(folder: Path, url: str, networks: tuple[str, ...] = ("localhost
     return Settings(networks=networks, webhooks=(Webhook(url=url, key=folder / "key", **fields),))
 
 
-def wait_for(received: list[Any], count: int) -> None:
-    limit = time.monotonic() + 60
-    while len(received) < count:
-        assert time.monotonic() < limit, received
-        time.sleep(0.01)
-
-
 def test_an_event_is_signed_and_tried_again_until_it_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", (0.05, 0.05, 0.05))
     with receiver(500, 302, 204) as (url, received):
         with running(settings_for(tmp_path, url, events=("stream.*",), streams="ma*"), _STREAM):
-            wait_for(received, 4)  # three attempts for `starting`, and then `failed`
+            wait(lambda: len(received) >= 4)  # three attempts for `starting`, and then `failed`
         bodies = [json.loads(body) for _, body in received]
         assert bodies[0] == bodies[1] == bodies[2]
         assert [body["data"]["state"] for body in bodies[2:4]] == ["starting", "failed"]
@@ -82,7 +76,7 @@ def test_an_event_is_signed_and_tried_again_until_it_is_taken(tmp_path: Path, mo
 def test_an_event_that_nobody_takes_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("streamlod.server.service.webhooks.RETRY_SECONDS", (0.01, 0.01))
     with receiver(500) as (url, received), running(settings_for(tmp_path, url), _STREAM):
-        wait_for(received, 6)
+        wait(lambda: len(received) >= 6)
         kinds = [json.loads(body)["data"]["state"] for _, body in received]
         assert kinds == ["starting"] * 3 + ["failed"] * 3
 

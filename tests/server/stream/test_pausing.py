@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +11,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Settings
 from streamlod.server.stream.worker_stream import WorkerStream
 from tests.server.conftest import Clip, running, viewing
-
-
-def until(done: Callable[[], bool]) -> None:
-    limit = time.monotonic() + 60
-    while not done():
-        assert time.monotonic() < limit
-        time.sleep(0.02)
+from tests.waiting import wait
 
 
 @pytest.mark.parametrize("kept", [False, True])
@@ -28,7 +20,7 @@ def test_nothing_is_made_while_nobody_watches(clip: Clip, tmp_path: Path, kept: 
     with running(settings, StreamSpec(play=clip.path, recorded=False)) as server:
         stream = server.registry.streams["main"]
         assert isinstance(stream, WorkerStream)
-        until(lambda: stream.is_paused)
+        wait(lambda: stream.is_paused)
         assert server.stream()["state"] == "live"
         first = stream.counters.packets
         for _ in range(2):
@@ -39,7 +31,7 @@ def test_nothing_is_made_while_nobody_watches(clip: Clip, tmp_path: Path, kept: 
                 for _ in range(5):
                     viewer.next_packet()
                 assert stream.counters.packets > before
-            until(lambda: stream.is_paused)
+            wait(lambda: stream.is_paused)
         assert stream.counters.packets > first
         with server.client() as client:  # stopping one that pauses takes no time, and it starts again
             assert client.post("/v1/streams/main/stop").status_code == 202

@@ -14,7 +14,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Viewer, running, viewing
 from tests.server.edge.jetstream.nats_servers import nats, needs_nats
-from tests.server.edge.processes import wait
+from tests.waiting import wait
 
 pytestmark = needs_nats
 _READ_AHEAD = 2 * 16  # versions: what is being played and what is read next

@@ -21,7 +21,7 @@ from streamlod.server.settings import Settings
 from tests.server.conftest import Clip, running
 from tests.server.edge.jetstream.nats_servers import nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, stored
-from tests.server.edge.processes import wait
+from tests.waiting import wait
 
 pytestmark = needs_nats
 _NO_LIMITS = dict.fromkeys(("subs", "data", "payload", "imports", "exports", "conn", "leaf", "mem_storage",

@@ -18,8 +18,9 @@ from streamlod.server.protocol.packets import Position
 from tests.server.conftest import Clip
 from tests.server.edge.jetstream.nats_servers import Nats, NatsServer, nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, recording, stored, stored_at, waiting_bytes
-from tests.server.edge.processes import Node, begin, listening, node, wait, wait_live
+from tests.server.edge.processes import Node, begin, listening, node, wait_live
 from tests.server.ports import held_ports
+from tests.waiting import wait
 
 pytestmark = needs_nats
 

@@ -28,7 +28,8 @@ from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Running, make_clip, running, viewing
 from tests.server.edge.jetstream.nats_servers import RETENTION, Nats, nats, needs_nats
 from tests.server.edge.jetstream.recorder import packets_in, stored
-from tests.server.edge.processes import wait, wait_live
+from tests.server.edge.processes import wait_live
+from tests.waiting import wait
 
 pytestmark = needs_nats
 SMALL_PAYLOAD = 32_768  # bytes
