@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import Annotated
 from weakref import WeakKeyDictionary
@@ -14,6 +15,7 @@ from streamlod.codec.container import Piece, SlodReader
 from streamlod.codec.mp4.file import BEGINNING, INDEX, Group, groups_of, sound_of
 from streamlod.codec.mp4.playlist import MEDIA_TYPE, SEGMENT_TYPE, Playlist, PlaylistPart, playlist_text, with_query
 from streamlod.codec.mp4.segment import beginning
+from streamlod.codec.sound.beside import find_sound
 from streamlod.codec.sound.packets import OpusSettings
 from streamlod.core.errors import StreamlodError
 from streamlod.server.api.access import StreamOf, need_download
@@ -181,14 +183,23 @@ async def _played(path: FilePath) -> tuple[tuple[Group, ...], OpusSettings | Non
     """The groups of pictures of a played file, and the settings of its sound."""
 
     def read() -> tuple[tuple[Group, ...], OpusSettings | None]:
-        settings, packets = sound_of(path)
-        with SlodReader(path) as reader:
-            return groups_of(reader.entries, packets), settings
+        sound = find_sound(path)
+        return _read_played(path, path.stat().st_mtime_ns, None if sound is None else sound.changed_ns)
 
     try:
         return await asyncio.to_thread(read)
     except (OSError, StreamlodError) as error:
         raise Problem(404, "the recording cannot be read") from error
+
+
+@lru_cache(maxsize=4)  # a player asks for one segment after the other, and all sound is read for each
+def _read_played(
+    path: FilePath, changed_ns: int, sound_changed_ns: int | None
+) -> tuple[tuple[Group, ...], OpusSettings | None]:
+    """The same as `_played` gives; kept for as long as neither file changes."""
+    settings, packets = sound_of(path)
+    with SlodReader(path) as reader:
+        return groups_of(reader.entries, packets), settings
 
 
 def _segment(pieces: tuple[Piece, ...], etag: str, caching: str, name: str) -> Download:
