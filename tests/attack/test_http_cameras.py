@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -14,6 +13,7 @@ import pytest
 from streamlod.server.ingest.cameras.address import parse_address
 from streamlod.server.ingest.cameras.reader import Reader
 from streamlod.server.ingest.sync.timeline import Timeline
+from tests.waiting import wait
 
 _PLAYLIST = "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{url}\n#EXT-X-ENDLIST\n"
 _DASH = '<?xml version="1.0"?><MPD xmlns="urn:mpeg:dash:schema:mpd:2011"><BaseURL>{url}</BaseURL></MPD>'
@@ -80,10 +80,7 @@ def test_an_address_leads_nowhere_else(status: int, kind: str, body: str) -> Non
             address = parse_address(f"{outside}/camera.m3u8")
             reader = Reader("cam0", address, (64, 48), 10.0, sink, Timeline(), anchor_ns=0)
             reader.start()
-            limit = time.monotonic() + 60
-            while not sink.reasons:
-                assert time.monotonic() < limit
-                time.sleep(0.01)
+            wait(lambda: sink.reasons)
             reader.stop()
             reader.join(60)
             assert asked_outside

@@ -28,10 +28,18 @@ from tests.client.web.conftest import CHROMIUM_FLAGS, chromium_path
 from tests.client.web.miniserver import Behaviour, create_app, make_clip, serving
 from tests.client.web.scenes import make_scene
 from tests.client.web.test_quality import SLOW_DRAG
-from tests.client.web.test_thin import TIMED_SEEK
 from tests.codec import scenes as codec_scenes
 from tests.server.conftest import running
 
+TIMED_SEEK = """async (version) => {
+  const begin = performance.now();
+  const shown = new Promise((resolve) => {
+    const stop = streamlod.on("picture", (p) => p.version === version && (stop(), resolve()));
+  });
+  streamlod.seek(version);
+  await shown;
+  return performance.now() - begin;
+}"""
 FRAMES, ROUNDS, JOINS, SEEKS = 12, 4, 5, 30
 MEASURE = """async ([address, rounds]) => {
   const { walkRecords } = await import("/decode/container.js");

@@ -23,6 +23,7 @@ from websockets.sync.client import connect
 
 from streamlod.codec.container import SlodReader
 from tests.server.conftest import Clip, Viewer, make_clip
+from tests.waiting import wait
 
 PROGRAM = [sys.executable, "-m", "streamlod.server.cli"]
 
@@ -138,10 +139,7 @@ def test_a_killed_server_keeps_what_it_recorded(clip: Clip, tmp_path: Path) -> N
     options = recorded(tmp_path / "state", clip)
     with serving(*options) as (process, port):
         wait_live(port)
-        limit = time.monotonic() + 60
-        while len(json.loads(get(port, "/v1/streams/main/manifest"))["gops"]) < 2:
-            assert time.monotonic() < limit
-            time.sleep(0.05)
+        wait(lambda: len(json.loads(get(port, "/v1/streams/main/manifest"))["gops"]) >= 2)
         acknowledged = get(port, "/v1/streams/main/bitstream?epoch=1")
         pids = family(process.pid)
         os.kill(process.pid, signal.SIGKILL)

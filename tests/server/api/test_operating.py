@@ -24,6 +24,7 @@ from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.worker.process import Sender, Tag
 from tests.attack.test_rights import bearer, close_code, write_tokens
 from tests.server.conftest import Clip, Running, make_clip, running, viewing
+from tests.waiting import wait
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +53,10 @@ def test_every_get_has_its_head(client: httpx.Client) -> None:
     document = client.get("/openapi.json").json()
     incarnation = client.get("/v1/streams/main").json()["incarnation"]
     templates = [path for path, operations in document["paths"].items() if "get" in operations and "poster" not in path]
+    numbers = {"epoch": 1, "version": 0, "first": 0, "last": 0, "number": 0}
+    places = {"stream_id": "main", "incarnation": incarnation, "camera": "none", **numbers}
     for template in [*templates, "/", "/docs"]:
-        path = template.format(stream_id="main", epoch=1, version=0, first=0, incarnation=incarnation, camera="none")
+        path = template.format_map(places)
         asked = client.get(path, params={"seconds": 0.1})
         told = client.head(path)
         assert (told.status_code, told.content) == (asked.status_code, b""), path
@@ -174,10 +177,7 @@ class Reader:
                     self.events.append(json.loads(line[6:]))
 
     def until(self, count: int) -> list[tuple[str, str]]:
-        limit = time.monotonic() + 60
-        while len(self.events) < count:
-            assert time.monotonic() < limit, self.events
-            time.sleep(0.01)
+        wait(lambda: len(self.events) >= count)
         return [(event["type"], event["stream"]) for event in self.events]
 
 
@@ -222,20 +222,14 @@ def test_events_tell_each_token_what_it_may_know(clip: Clip, tmp_path: Path, mon
             client.post("/v1/streams/main/stop")
         seen = boss.until(4)
         assert {("viewer.joined", "main"), ("stream.state", "secret")} <= set(seen)
-        limit = time.monotonic() + 60
-        while not any(event["data"].get("state") == "idle" for event in reader.events):
-            assert time.monotonic() < limit
-            time.sleep(0.01)
+        wait(lambda: any(event["data"].get("state") == "idle" for event in reader.events))
         assert {(event["type"], event["stream"]) for event in reader.events} == {("stream.state", "main")}
         refused = Reader(server, headers=bearer("meter")).answer
         assert refused is not None
         assert refused.status_code == 403
         write_tokens(tmp_path, all=grants["all"])  # nobody sends a signal: the file is looked at
         with server.client(headers=bearer("reader")) as client:
-            limit = time.monotonic() + 60
-            while client.get("/v1/streams/main").status_code != 401:
-                assert time.monotonic() < limit
-                time.sleep(0.1)
+            wait(lambda: client.get("/v1/streams/main").status_code == 401)
         reader._thread.join(60)
         assert not reader._thread.is_alive()
         with pytest.raises(ConnectionClosed), viewing(server, additional_headers=bearer("reader")) as viewer:

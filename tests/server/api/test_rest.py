@@ -20,6 +20,7 @@ from streamlod.server.pipeline.spec import StreamSpec
 from streamlod.server.settings import Limits, Settings, load_settings
 from tests.codec.scenes import assert_same_state
 from tests.server.conftest import Clip, Running, kept_from, running, viewing
+from tests.waiting import wait
 
 
 @pytest.fixture(scope="module")
@@ -295,10 +296,7 @@ def test_rights_are_kept_apart(clip: Clip, tmp_path: Path) -> None:
         assert status("GET", "/v1/streams/main", other) == 403
         assert status("POST", "/v1/streams/main/stop", "reader") == 403
         assert status("POST", "/v1/streams/main/start", "boss") == 202
-        limit = time.monotonic() + 60
-        while client.get("/v1/streams/main", headers={"Authorization": "Bearer boss"}).json()["state"] != "live":
-            assert time.monotonic() < limit
-            time.sleep(0.05)
+        wait(lambda: client.get("/v1/streams/main", headers={"Authorization": "Bearer boss"}).json()["state"] == "live")
         with viewing(server, subprotocols=["streamlod.v1", "bearer.reader"]) as viewer:
             assert viewer.connection.subprotocol == "streamlod.v1"
             viewer.hello()

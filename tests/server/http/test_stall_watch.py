@@ -18,6 +18,7 @@ from streamlod.server.settings import Limits, Settings
 from tests.codec.scenes import make_scene
 from tests.server.conftest import Running, running
 from tests.server.test_faults import masked, raw
+from tests.waiting import wait
 
 _STREAM = StreamSpec(play=Path("nothing.slod"))
 _PINGS = masked(9, bytes(125)) * 1000
@@ -35,10 +36,7 @@ def peer_of(server: Running, *, upgraded: bool) -> Iterator[socket.socket]:
 
 
 def until_away(server: Running, reason: str) -> None:
-    limit = time.monotonic() + 60
-    while server.registry.turned_away[reason] != 1:
-        assert time.monotonic() < limit
-        time.sleep(0.02)
+    wait(lambda: server.registry.turned_away[reason] == 1)
 
 
 def test_answers_to_pings_do_not_pile_up() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import io
-import time
 from pathlib import Path
 
 import msgpack
@@ -20,6 +19,7 @@ from streamlod.server.worker.camera_pictures import CameraPictures, unpack_pictu
 from streamlod.server.worker.process import Tag
 from tests.attack.test_rights import bearer, write_tokens
 from tests.server.conftest import Clip, running
+from tests.waiting import wait
 
 
 def frame(brightness: int, *present: bool) -> FrameSet:
@@ -63,10 +63,7 @@ def test_who_may_watch_sees_them_while_the_stream_runs(clip: Clip, tmp_path: Pat
     with running(settings, StreamSpec(play=clip.path, loop=True)) as server, server.client() as client:
         stream = server.registry.streams["main"]
         assert isinstance(stream, WorkerStream)
-        limit = time.monotonic() + 60
-        while stream.state != "live":
-            assert time.monotonic() < limit
-            time.sleep(0.02)
+        wait(lambda: stream.state == "live")
         assert client.get(address, headers=bearer("mine")).status_code == 404
         asyncio.run(stream.on_message(Tag.PICTURES, stills))
         answer = client.get(address, headers=bearer("mine"))

@@ -28,6 +28,7 @@ from streamlod.server.worker.cluster import link
 from streamlod.server.worker.cluster.driver import _pass_all, passing_pictures
 from streamlod.server.worker.cluster.link import MAX_UNPROVEN, LinkAddress, cut, dial, listening_at
 from streamlod.server.worker.process import Resume, send_resume
+from tests.waiting import wait
 
 HOST = "127.0.0.1"
 STARTED = json.dumps({"version": streamlod_version(), "pictures": None}).encode()
@@ -231,10 +232,7 @@ def test_a_picture_waits_until_the_one_before_is_answered(far: tuple[Path, Intak
     intake = RelayedIntake(here)
     sending = threading.Thread(target=lambda: [intake.accept(picture(number)) for number in range(3)], daemon=True)
     sending.start()
-    limit = time.monotonic() + 60
-    while not intakes.got:
-        assert time.monotonic() < limit
-        time.sleep(0.01)
+    wait(lambda: intakes.got)
     time.sleep(0.3)
     assert intakes.got == [0]  # so the capture node drops and counts those that it may not send
     intakes.may_go_on.set()
