@@ -142,6 +142,7 @@ def export(
         )
     suffix = FORMATS[file_format].suffix
     if not sequence:
+        _check_suffix(out, file_format)
         path = out or scene.with_name(f"{scene.stem}-{frame:05d}{suffix}")
         state = decode_version(scene, _existing(scene, frame))
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -213,6 +214,13 @@ def _existing(scene: Path, frame: int) -> int:
         found = f"frames {held[0]} to {held[-1]}" if held else "no frame"
         raise InputError(scene, f"has no frame {frame}; it holds {found}")
     return frame
+
+
+def _check_suffix(out: Path | None, file_format: str) -> None:
+    """Refuse a file that is called like one of another snapshot format."""
+    called = next((each for each in FORMATS.values() if out is not None and out.suffix.lower() == each.suffix), None)
+    if called is not None and called.name != file_format:
+        raise InputError("--out", f"{out} is called like {called.name}; add --format {called.name}")
 
 
 def _snapshot(path: Path, scene: Scene, viewpoint: str, file_format: str) -> str:

@@ -210,6 +210,8 @@ def test_info_and_export(run: Run, tmp_path: Path, scene: Path) -> None:
     done = run("export", scene, "--frame", 2, "--view", "cam00", "--format", "spz", "--out", tmp_path / "s.spz")
     assert "as seen from cam00" in done.stdout
     assert (tmp_path / "s.spz").read_bytes()[:2] == b"\x1f\x8b"
+    assert_refused(run("export", scene, "--out", tmp_path / "t.spz"), "is called like spz; add --format spz")
+    assert not (tmp_path / "t.spz").exists()
 
 
 def test_a_port_in_use_is_one_sentence(run: Run, scene: Path) -> None:
