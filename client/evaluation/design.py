@@ -31,7 +31,6 @@ def one_at_a_time() -> tuple[Point, ...]:
     points = [Point(name, "preset", preset(name)) for name in PRESETS]
     turned = [
         *(_later("epochs", n, replace(base.predict, epochs=n, minimum_steps=3 * n)) for n in (5, 10, 40)),
-        *(_later("least gain", g, replace(base.predict, least_gain=g)) for g in (0.0, 0.6)),
         *(_later("rate weight", w, replace(base.predict, rate_weight=w)) for w in (0.0, 0.003, 0.03)),
         *(Point(f"step {f:g}", "step", with_coarser_steps(base, f)) for f in (0.5, 2.0)),
         *(_later("partition every", n, replace(base.predict, partition_interval=n)) for n in (2, 4)),

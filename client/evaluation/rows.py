@@ -45,7 +45,7 @@ def study_rows(preset_name: str, ablations: Sequence[str]) -> tuple[Row, ...]:
     unknown = sorted(set(wanted) - set(ABLATIONS))
     if unknown:
         raise InputError("--ablate", f"{', '.join(unknown)}: unknown; choose of all, {', '.join(ABLATIONS)}")
-    unbounded = unquantised(replace(ours, predict=replace(ours.predict, everything=True, least_gain=0.0)))
+    unbounded = unquantised(replace(ours, predict=replace(ours.predict, everything=True)))
     return (
         Row("ours", f"preset {preset_name}", ours),
         Row("paper", "preset paper", paper),

@@ -205,11 +205,6 @@ class PredictConfig:
         " a step, and what went far is nearer",
         reading(0.0, "not mentioned: pictures of full size from the start"),
     )
-    least_gain: float = setting(
-        0.3,
-        "share of the mean gain of earlier epochs; after an epoch that gains less, the frame moves on faster",
-        given(0.0, "V-A", "the number of epochs is fixed"),
-    )
     latent_rate: float = setting(
         0.3, "Adam's rate of latents, in steps", reading(0.2, "none given (docs/method.md, reading 12)")
     )

@@ -11,7 +11,6 @@ from streamlod.core.synthetic import SyntheticSpec, open_synthetic
 from streamlod.core.train import Trainer, preset
 from streamlod.core.train.keyframe.trainer import KeyframeTrainer
 from streamlod.core.train.later_frame.training import FrameTraining
-from streamlod.core.train.optimise.convergence import EpochProgress
 from tests.core.true_points import true_points
 from tests.device.pretend import Counts, counted
 
@@ -35,7 +34,7 @@ def test_steps_do_not_wait(gpu: str, monkeypatch: pytest.MonkeyPatch) -> None:
         predict=replace(config.predict, epochs=4, minimum_steps=0),
     )
     steps = list[Counts]()
-    for trained, name in ((KeyframeTrainer, "step"), (FrameTraining, "_step"), (EpochProgress, "advance")):
+    for trained, name in ((KeyframeTrainer, "step"), (FrameTraining, "_step")):
         whole = getattr(trained, name)
 
         def watched(*arguments: object, whole: object = whole) -> object:

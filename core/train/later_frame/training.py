@@ -27,7 +27,6 @@ from streamlod.core.train.later_frame.pixel_steps import steps_a_pixel
 from streamlod.core.train.later_frame.planned import PlannedViews
 from streamlod.core.train.later_frame.update import IntegerUpdate, no_update
 from streamlod.core.train.loss.total import total_loss
-from streamlod.core.train.optimise.convergence import EpochProgress
 from streamlod.core.train.optimise.loop import run_steps
 from streamlod.core.train.optimise.schedule import ViewOrder
 
@@ -96,20 +95,18 @@ class FrameTraining:
         if pace.progress(0) <= _PREPARATION:
             for hooks in self._hooks:
                 hooks.ready(self)
-        order, epochs = ViewOrder(self.numbers, generator), EpochProgress(len(self.numbers), config.least_gain)
-        progress = 0.0
+        order, progress = ViewOrder(self.numbers, generator), 0.0
 
-        def reached(_: int) -> float:
-            nonlocal progress, epochs
-            progress = pace.progress(epochs.done)
+        def reached(done: int) -> float:
+            nonlocal progress
+            progress = pace.progress(done)
             if self._half is not None and progress >= config.half_size_until:
-                self._half, epochs = None, epochs.anew()
+                self._half = None
             return progress
 
         def step() -> Tensor:
             number = order.next()
             loss, raster = self._step(number, config, config.final_rate**progress)
-            epochs.advance(loss)
             if progress >= config.average_from:
                 self._anchors.average()
             if self._half is None:
@@ -123,7 +120,7 @@ class FrameTraining:
         self._anchors.settle()
         loss = float(torch.stack(losses[-len(self.numbers) :]).mean())
         update = self._anchors.update(self._visible(), len(losses), loss)
-        return replace(update, complete=epochs.done >= total and len(self._whole.caches) == len(self._useful))
+        return replace(update, complete=len(losses) >= total and len(self._whole.caches) == len(self._useful))
 
     @property
     def position(self) -> Tensor:

@@ -1,1 +1,1 @@
-"""Optimiser, losses, rate term, schedules and convergence."""
+"""Optimiser, losses, rate term, and schedules."""

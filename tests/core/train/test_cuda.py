@@ -120,7 +120,7 @@ def test_frames_train_as_well_as_on_the_cpu(gpu: str) -> None:
     spec = SyntheticSpec(cameras=3, frames=2, width=64, height=36, seed=2)
     clip = open_synthetic(spec)
     config = TrainConfig(
-        keyframe=KeyframeConfig(steps=40), predict=PredictConfig(epochs=4, minimum_steps=0, least_gain=0.0), parts=USUAL
+        keyframe=KeyframeConfig(steps=40), predict=PredictConfig(epochs=4, minimum_steps=0), parts=USUAL
     )
     filmed, scores = list(clip.frames()), list[float]()
     points = true_points(spec)

@@ -110,27 +110,15 @@ def test_nothing_moves_nothing_is_sent(clip: Dataset, frames: list[FrameSet], tr
     assert len(packet) <= 64
 
 
-@pytest.mark.long
-def test_a_frame_that_has_converged_ends_early_and_is_as_good(
+def test_a_change_is_trained_until_that_helps_no_more(
     clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]
 ) -> None:
-    """More epochs than the motion needs: most of them are saved, and what was reached counts as reached."""
-    scores, steps = list[float](), list[int]()
-    for least_gain in (0.0, 0.3):
-        config = small_config()
-        config = replace(config, predict=replace(config.predict, epochs=20, least_gain=least_gain))
-        trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
-        trainer.resume(trained[0].scene)
-        trainer.predict(replace_index(frames[0], 1))
-        result = trainer.predict(replace_index(frames[1], 2))
-        steps.append(result.report.steps)
-        pictures = zip(clip.cameras, frames[1].images, strict=True)
-        scores.append(float(np.mean([quality(result.scene, camera, picture) for camera, picture in pictures])))
-        later = [trainer.predict(replace_index(frames[1], index)).report.steps for index in range(3, 11)]
-        assert later[-1] == 0  # it is trained until that helps no more
-    assert steps[0] == 100
-    assert steps[1] < 70
-    assert scores[1] > scores[0] - 0.1
+    trainer = Trainer(clip.cameras, small_config(), clip.fps, "cpu")
+    trainer.resume(trained[0].scene)
+    trainer.predict(replace_index(frames[0], 1))
+    later = [trainer.predict(replace_index(frames[1], index)).report.steps for index in range(2, 14)]
+    assert later[0] > 0
+    assert later[-1] == 0
 
 
 def test_a_resumed_trainer_goes_on(clip: Dataset, frames: list[FrameSet], trained: list[TrainedFrame]) -> None:

@@ -42,7 +42,7 @@ def config() -> TrainConfig:
         live,
         model=replace(live.model, max_anchors=2500),
         keyframe=replace(live.keyframe, steps=80, growth_interval=20),
-        predict=replace(live.predict, epochs=3, minimum_steps=12, least_gain=0.0),
+        predict=replace(live.predict, epochs=3, minimum_steps=12),
     )
 
 

@@ -81,7 +81,7 @@ def test_a_camera_whose_picture_did_not_change_is_not_drawn() -> None:
     images = moved.images.copy()
     images[1] = before.images[1]  # this camera sees nothing of what moves
     frame = FrameSet(1, moved.time_ns, images, moved.present)
-    predict = replace(live.predict, epochs=1, minimum_steps=6, least_gain=0.0)
+    predict = replace(live.predict, epochs=1, minimum_steps=6)
     config = replace(live, keyframe=replace(live.keyframe, steps=20), predict=predict)
     trainer = Trainer(clip.cameras, config, clip.fps, "cpu")
     trainer.resume(trainer.keyframe(before, true_points(spec)).scene)

@@ -32,7 +32,7 @@ from tests.core.train.fields import random_field
 from tests.core.train.later_frame.begun import training_of
 
 WIDTH, HEIGHT = 96, 64
-CONFIG = PredictConfig(epochs=15, minimum_steps=0, least_gain=0.0, rate_weight=0.0005, position_rate=0.2)
+CONFIG = PredictConfig(epochs=15, minimum_steps=0, rate_weight=0.0005, position_rate=0.2)
 GROWING = AnchorGrowth(share=1.0, room=10.0)
 CAMERAS = tuple(
     pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),

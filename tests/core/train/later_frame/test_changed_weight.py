@@ -15,7 +15,7 @@ from streamlod.core.train.pictures.views import Views
 from tests.client.web.scenes import make_scene
 from tests.core.train.later_frame.begun import training_of
 
-CONFIG = PredictConfig(epochs=20, minimum_steps=0, least_gain=0.0, rate_weight=0.0)
+CONFIG = PredictConfig(epochs=20, minimum_steps=0, rate_weight=0.0)
 POSE = look_at(np.array([0.0, -0.9, -3.2]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
 # two cameras at one place, which film different things
 CAMERAS = tuple(pinhole(name, (64.0, 64.0), (32.0, 24.0), (64, 48), POSE) for name in ("changed", "unchanged"))

@@ -82,7 +82,7 @@ def configured() -> TrainConfig:
     return replace(
         live,
         keyframe=replace(live.keyframe, steps=20),
-        predict=replace(live.predict, epochs=1, minimum_steps=6, least_gain=0.0),
+        predict=replace(live.predict, epochs=1, minimum_steps=6),
     )
 
 

@@ -71,7 +71,7 @@ def test_what_is_near_is_followed_as_well_where_the_scene_is_deep() -> None:
 
 def missing_share(field: Field, group_cells: float) -> float:
     """Mean distance that is missing after training to follow a shift by two pixels, as a share of that."""
-    config = PredictConfig(epochs=20, minimum_steps=0, least_gain=0.0)
+    config = PredictConfig(epochs=20, minimum_steps=0)
     cameras = tuple(
         pinhole(f"cam{i}", (WIDTH, WIDTH), (WIDTH / 2, HEIGHT / 2), (WIDTH, HEIGHT),
                 look_at(np.array([x, -0.4, -3.0]), np.zeros(3), np.array([0.0, -1.0, 0.0])))
