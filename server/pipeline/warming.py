@@ -49,8 +49,9 @@ def warm_rasteriser() -> None:
     """Draw one Gaussian in all ways, forward and backward: about half a minute once."""
     from streamlod.core.camera import pinhole
     from streamlod.core.render.cpu.backdrop import canvas_of, forward_over, prepare
-    from streamlod.core.render.cpu.dirty_tiles import reached_tiles, touched_tiles
+    from streamlod.core.render.cpu.dirty_tiles import near_depths, reached_tiles
     from streamlod.core.render.cpu.frame import backward, forward
+    from streamlod.core.render.cpu.layers import layered
     from streamlod.core.render.cpu.photometric import photometric_sums
     from streamlod.core.render.cpu.workspace import Workspace
     from streamlod.core.render.tiles import Box
@@ -65,9 +66,9 @@ def warm_rasteriser() -> None:
     frame = forward(workspace, cloud, camera, background)
     backward(workspace, frame, cloud, np.ones_like(frame.image))
     photometric_sums(frame.image, frame.image, 0.2, (Box(0, 0, 8, 8),))
-    touched = touched_tiles(camera, cloud, 1.0)  # one tile of two
-    reached_tiles(camera, cloud, touched)
-    backdrop = prepare(cloud, camera, touched, frame.image)
+    near = near_depths(camera, cloud, 1.0)  # one tile of two
+    reached_tiles(camera, cloud, near.tiles)
+    backdrop = layered(prepare(cloud, camera, near.tiles, frame.image), near)
     forward_over(workspace, cloud, backdrop, background, canvas_of(backdrop))
 
 

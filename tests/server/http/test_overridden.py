@@ -26,7 +26,7 @@ from streamlod.server.service.run import Server
 
 WEBSOCKET = """connection_made(transport) data_received(data) handle_text(event) handle_cont(event) handle_ping()
     pause_writing() resume_writing() connection_lost(exc) handle_close(event) shutdown() handle_parser_exception()
-    run_asgi()"""
+    run_asgi() send(message)"""
 HTTP = """connection_made(transport) data_received(data) on_message_begin() on_headers_complete() on_body(body)
     on_message_complete() resume_writing() handle_websocket_upgrade() connection_lost(exc) on_header(name,value)
     on_url(url) send_400_response(msg)"""

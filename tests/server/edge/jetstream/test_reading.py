@@ -39,8 +39,17 @@ async def _write(servers: Nats) -> None:
         await connection.jetstream.add_stream(name="numbers", subjects=["numbers.*"], num_replicas=3)
         for message in MESSAGES:
             await connection.jetstream.publish("numbers.a", message)
+        while not await _all_have_it(connection):  # a reader gets what the server has that it is made on
+            await asyncio.sleep(0.05)
     finally:
         await connection.close()
+
+
+async def _all_have_it(connection: NatsConnection) -> bool:
+    cluster = (await connection.jetstream.stream_info("numbers")).cluster
+    assert cluster is not None
+    assert cluster.replicas is not None
+    return all(replica.current and not replica.lag for replica in cluster.replicas)
 
 
 async def _read_often(servers: Nats, number: int) -> list[list[bytes]]:
