@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from tqdm import tqdm
 
-from streamlod.core.errors import BackendUnavailable, InputError, TrainingCutShort
+from streamlod.core.errors import BackendUnavailable, BitstreamError, InputError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.runtime import cache_folder
 from streamlod.server.pipeline.trace import chrome_trace
@@ -126,11 +126,18 @@ def playable(path: Path) -> Path:
     """The `.slod` file to play for `path`: itself, or one made of the Gaussians of a file or folder, kept in the cache.
 
     Raises:
-        InputError: no file of Gaussians can be read there, or the cache cannot be written.
+        InputError: nothing that can be played is there, or the cache cannot be written.
     """
     from streamlod.codec.imported import import_files, is_importable
+    from streamlod.codec.opening import open_packets
 
-    if not path.exists() or not is_importable(path):
+    if not path.exists():
+        raise InputError(path, "does not exist")
+    if not is_importable(path):
+        try:
+            open_packets(path).close()
+        except BitstreamError as error:
+            raise InputError(path, f"cannot be played: {error}") from error
         return path
     newest = max(each.stat().st_mtime_ns for each in (path, *(path.iterdir() if path.is_dir() else ())))
     name = hashlib.blake2b(f"{path.resolve()} {newest}".encode(), digest_size=8).hexdigest()

@@ -51,12 +51,12 @@ def serve(
     settings = read_settings()
     streams = tuple(stream.spec for stream in settings.streams)
     if any(options[name] is not None for name in (*SOURCES, "play")):
-        if options["play"] is not None:
-            options["play"] = playable(options["play"])
         for name in ("data", "live"):
             if options[name] is not None:
                 require(options[name])
         stream = replace(spec_from_json(options), recorded=options["play"] is None)
+        if stream.play is not None:
+            stream = replace(stream, play=playable(stream.play))
         if stream.job is not None:
             check_cameras(stream.job)
         streams += (stream,)

@@ -186,6 +186,16 @@ def test_a_file_that_is_served_is_made_once_and_again_when_it_changed(
     assert playable(made) == made
 
 
+@pytest.mark.parametrize("content", [b"", b"Notes on filming\n", b"SLOD\x02"])
+def test_what_cannot_be_played_is_refused_before_the_server_starts(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "notes.txt"
+    with pytest.raises(InputError, match="does not exist"):
+        playable(path)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="cannot be played"):
+        playable(path)
+
+
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
 def test_any_unit_will_do(tmp_path: Path, unit: float) -> None:
     cloud = _cloud()
