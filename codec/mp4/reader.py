@@ -18,7 +18,7 @@ from streamlod.codec.mp4.segment import (
     SOUND_RATE,
     SOUND_SETTINGS,
 )
-from streamlod.codec.mp4.tables import MAX_SAMPLES, Defaults, Run, fragment_runs, table_run
+from streamlod.codec.mp4.tables import Defaults, Run, fragment_runs, most_samples, table_run
 from streamlod.codec.packet.bytes import HEADER_BYTES
 from streamlod.codec.packet.info import peek
 from streamlod.codec.sound.packets import OpusPacket, OpusSettings, samples_in
@@ -109,7 +109,7 @@ class Mp4Reader(PacketFile):
         tracks: list[_Track] = []
         runs: list[Run] = []
         defaults: dict[int, Defaults] = {}
-        at, count = 0, 0
+        at, most = 0, most_samples(self._size)
         while at < self._size:
             kind, head, size = self._box_at(at)
             if size < head or (at == 0 and kind not in (b"ftyp", b"styp")):
@@ -121,13 +121,11 @@ class Mp4Reader(PacketFile):
                     raise refused(f"tables of {size} bytes are more than {MAX_TABLE_BYTES}")
                 body = memoryview(self._at(at + head, size - head))
                 if kind == b"moov":
-                    tracks, defaults, found = _movie(body)
+                    tracks, defaults, found = _movie(body, most)
                 else:
-                    found = list(fragment_runs(body, at, defaults))
+                    found = list(fragment_runs(body, at, defaults, most))
                 runs += found
-                count += sum(len(run.sizes) for run in found)
-                if count > MAX_SAMPLES:
-                    raise refused(f"{count} samples are more than {MAX_SAMPLES}")
+                most -= sum(len(run.sizes) for run in found)
             at += size
         return tracks, runs, False
 
@@ -164,8 +162,8 @@ def _placed(runs: list[Run], track: _Track, file_size: int) -> Iterator[tuple[in
     return zip(*rows, strict=True)
 
 
-def _movie(moov: memoryview) -> tuple[list[_Track], dict[int, Defaults], list[Run]]:
-    """Known tracks, defaults of their fragments, and the samples that are not in fragments."""
+def _movie(moov: memoryview, most: int) -> tuple[list[_Track], dict[int, Defaults], list[Run]]:
+    """Known tracks, defaults of their fragments, and the samples that are not in fragments, `most` at most."""
     found = list(boxes(moov))
     traks = [each.body for each in found if each.kind == b"trak"]
     if len(traks) > MAX_TRACKS:
@@ -181,7 +179,8 @@ def _movie(moov: memoryview) -> tuple[list[_Track], dict[int, Defaults], list[Ru
         track = _described(number, scale, child(table, b"stsd"))
         if track is not None:
             tracks.append(track)
-            runs.append(table_run(number, table))
+            runs.append(table_run(number, table, most))
+            most -= len(runs[-1].sizes)
     extends = [each for each in found if each.kind == b"mvex"]
     return tracks, dict(_defaults(box) for mvex in extends for box in boxes(mvex.body) if box.kind == b"trex"), runs
 

@@ -1,6 +1,7 @@
 """Where samples of tracks lie, as tables of a file or its fragments say. ISO/IEC 14496-12:2022, sections 8.6 to 8.8.
 
-Tables come from outside: no count is believed before there are bytes, or samples of the file, behind it.
+Tables come from outside. A count that has no bytes of its own behind it, as where all samples have one size, is bounded
+by the caller: a few bytes can name millions of samples.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from streamlod.codec.mp4.box import boxes, child, refused, take, version_and_fla
 from streamlod.core.arrays import Int64
 
 MAX_SAMPLES = 1 << 22  # of a file, all tracks together: a day and a half at 30 frames a second
+_USUAL_SAMPLES = 1 << 16  # that a file may name although it is too short for them: it may have been cut
 _WORD, _RUN, _LONG = struct.Struct(">I"), struct.Struct(">II"), struct.Struct(">Q")
 _BASE_OFFSET, _DESCRIPTION, _DURATION, _SIZE, _FLAGS = 1, 2, 8, 16, 32  # fields of tfhd
 _NO_BASE_BUT_MOOF = 0x020000
@@ -46,19 +48,24 @@ class Defaults:
     size: int = 0
 
 
-def table_run(track: int, table: memoryview) -> Run:
-    """The samples that the sample table of a track (box stbl) names.
+def most_samples(file_size: int) -> int:
+    """Samples that a file of `file_size` bytes may name: about as many as it has bytes, for each takes one or more."""
+    return min(MAX_SAMPLES, max(_USUAL_SAMPLES, file_size))
+
+
+def table_run(track: int, table: memoryview, most: int) -> Run:
+    """The samples that the sample table of a track (box stbl) names, `most` at most.
 
     Raises:
         BitstreamError: `bad_file`, tables that contradict each other or are too long.
     """
-    sizes = _sizes(child(table, b"stsz"))
+    sizes = _sizes(child(table, b"stsz"), most)
     times = _cumulated(_expanded(child(table, b"stts"), len(sizes)))
     return Run(track, _offsets(table, sizes), sizes, times)
 
 
-def fragment_runs(moof: memoryview, moof_at: int, defaults: dict[int, Defaults]) -> Iterator[Run]:
-    """The samples that a fragment (box moof), which begins at byte `moof_at` of the file, names.
+def fragment_runs(moof: memoryview, moof_at: int, defaults: dict[int, Defaults], most: int) -> Iterator[Run]:
+    """The samples that a fragment (box moof), which begins at byte `moof_at` of the file, names, `most` at most.
 
     Raises:
         BitstreamError: `bad_file`, it cannot be understood.
@@ -76,10 +83,12 @@ def fragment_runs(moof: memoryview, moof_at: int, defaults: dict[int, Defaults])
             if flags & field:
                 (found[field],), body = take(_WORD, body)
         known = Defaults(found.get(_DURATION, known.duration), found.get(_SIZE, known.size))
-        yield from _runs(track, traf.body, base, known)
+        for run in _runs(track, traf.body, base, known, most):
+            most -= len(run.sizes)
+            yield run
 
 
-def _runs(track: int, traf: memoryview, base: int, known: Defaults) -> Iterator[Run]:
+def _runs(track: int, traf: memoryview, base: int, known: Defaults, most: int) -> Iterator[Run]:
     time, at = _decode_time(traf), base
     for each in boxes(traf):
         if each.kind != b"trun":
@@ -92,7 +101,8 @@ def _runs(track: int, traf: memoryview, base: int, known: Defaults) -> Iterator[
         if flags & _RUN_FIRST_FLAGS:
             _, body = take(_WORD, body)
         columns = [bit for bit in _RUN_COLUMNS if flags & bit]
-        _check_count(count)
+        _check_count(count, most)
+        most -= count
         if len(body) < 4 * count * len(columns):
             raise refused(f"a run of {count} samples has {len(body)} bytes behind it")
         rows = np.frombuffer(body, ">u4", count * len(columns)).astype(np.int64).reshape(count, len(columns))
@@ -112,11 +122,11 @@ def _decode_time(traf: memoryview) -> int:
     return time
 
 
-def _sizes(stsz: memoryview) -> Int64:
+def _sizes(stsz: memoryview, most: int) -> Int64:
     """The length of each sample."""
     _, _, body = version_and_flags(stsz)
     (size, count), body = take(_RUN, body)
-    _check_count(count)
+    _check_count(count, most)
     return np.full(count, size, np.int64) if size else _words(body, count).astype(np.int64)
 
 
@@ -173,6 +183,6 @@ def _cumulated(steps: Int64) -> Int64:
     return np.cumsum(steps) - steps
 
 
-def _check_count(count: int) -> None:
-    if count > MAX_SAMPLES:
-        raise refused(f"{count} samples are more than {MAX_SAMPLES}")
+def _check_count(count: int, most: int) -> None:
+    if count > most:
+        raise refused(f"{count} samples are more than the {most} that can still come")

@@ -32,6 +32,7 @@ from streamlod.core.scene.residual import difference
 from tests.clicks import clicks, onsets
 from tests.codec.scenes import make_scene, move
 from tests.server.conftest import make_clip
+from tests.work import memory
 
 KEY_EVERY, FRAMES, FRAME_NS = 10, 30, 33_333_333
 BEGIN_NS = 40_000_000
@@ -173,11 +174,11 @@ def test_damaged_tables_are_refused_or_name_no_more_than_there_is(mp4: Path, tmp
             assert sum(map(len, reader.packets())) <= len(data)
 
 
-def _with_run(columns: int, count: int, body: bytes, default_size: int = 0) -> bytes:
-    """The beginning of a file of ours and one fragment with a run that says this."""
+def _with_run(columns: int, count: int, body: bytes, default_size: int = 0, runs: int = 1) -> bytes:
+    """The beginning of a file of ours and one fragment with `runs` runs that say this."""
     track = full_box(b"tfhd", 0, 0x020010, struct.pack(">II", 1, default_size))
     run = full_box(b"trun", 0, columns, struct.pack(">I", count), body)
-    traf = box(b"traf", track, full_box(b"tfdt", 1, 0, bytes(8)), run)
+    traf = box(b"traf", track, full_box(b"tfdt", 1, 0, bytes(8)), run * runs)
     return beginning() + box(b"moof", traf) + box(b"mdat", bytes(64))
 
 
@@ -185,8 +186,9 @@ def _with_run(columns: int, count: int, body: bytes, default_size: int = 0) -> b
     ("columns", "count", "body", "default_size", "fault"),
     [
         (0x200, 2**31, b"", 0, "samples are more than"),
-        (0, 2**22, b"", 1, "a sample has 1 bytes"),
-        (0, 2**22, b"", 2**31, "a sample has"),
+        (0, 2**22, b"", 1, "samples are more than"),
+        (0, 5, b"", 1, "a sample has 1 bytes"),
+        (0, 5, b"", 2**31, "a sample has"),
         (0, 5, b"", 0, "a sample has 0 bytes"),
         (0x700, 1000, bytes(100), 0, "has 100 bytes behind it"),
         (0x201, 1, struct.pack(">iI", -(2**31), 8), 0, "a sample has 8 bytes"),
@@ -198,9 +200,18 @@ def test_runs_that_lie_take_no_memory(
 ) -> None:
     path = tmp_path / "lying.mp4"
     path.write_bytes(_with_run(columns, count, body, default_size))
-    with pytest.raises(BitstreamError, match=fault) as caught, Mp4Reader(path):
+    with memory() as taken, pytest.raises(BitstreamError, match=fault) as caught, Mp4Reader(path):
         pass
     assert caught.value.code == "bad_file"
+    assert taken.peak_bytes < 1 << 20
+
+
+def test_many_runs_that_each_name_what_may_be_take_no_memory(tmp_path: Path) -> None:
+    path = tmp_path / "lying.mp4"
+    path.write_bytes(_with_run(0, 2**16, b"", 100, runs=500))
+    with memory() as taken, pytest.raises(BitstreamError, match="samples are more than"), Mp4Reader(path):
+        pass
+    assert taken.peak_bytes < 8 << 20
 
 
 def test_boxes_that_lie_are_refused(mp4: Path, tmp_path: Path) -> None:
