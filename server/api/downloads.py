@@ -15,7 +15,7 @@ from streamlod.server.api.access import StreamOf, need_download
 from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, WallClock, respond
 from streamlod.server.http.problems import PROBLEMS, Problem
 from streamlod.server.protocol.packets import Position
-from streamlod.server.stream.bus import GroupFile
+from streamlod.server.stream.bus import GroupFile, RetainedGroup
 from streamlod.server.stream.store import Segment
 from streamlod.server.stream.stream import Stream
 
@@ -79,17 +79,11 @@ async def bitstream(
 ) -> Response:
     """All retained groups of pictures of one encoder run as a `.slod` file; with `from` or `to`, those between two
     times, which only a recording knows. Where these span several runs, `epoch` has to name one (409)."""
-    recording = stream.bus.recording
-    if recording is not None:
-        await recording.flush()
-    try:
-        groups = await stream.bus.groups()
-    except OSError as error:
-        raise unreadable(error) from error
+    groups = await retained(stream)
     if not clock.is_open:
         firsts = [group.first for group in clock.choose(groups) if epoch in (None, group.first.epoch)]
         return respond(request, await recorded_file(stream.id, stream.incarnation, await _files(stream, firsts)))
-    kept = [group for group in groups if group.begun_ns is not None] or groups
+    kept = without_previews(groups)
     wanted = epoch if epoch is not None else max((group.first.epoch for group in kept), default=0)
     chosen = await _files(stream, [group.first for group in kept if group.first.epoch == wanted])
     if not chosen:
@@ -141,6 +135,22 @@ async def _group_file(stream: Stream, epoch: int, first: int, caching: str) -> D
         raise _absent(stream, place)
     closed = stream.bus.key_after(place) is not None
     return await _file(stream, chosen, caching if closed else FRESH, f"{epoch}-{first}")
+
+
+async def retained(stream: Stream) -> list[RetainedGroup]:
+    """All groups of pictures that are retained, up to the newest packet."""
+    recording = stream.bus.recording
+    if recording is not None:
+        await recording.flush()
+    try:
+        return await stream.bus.groups()
+    except OSError as error:
+        raise unreadable(error) from error
+
+
+def without_previews(groups: list[RetainedGroup]) -> list[RetainedGroup]:
+    """Those that were recorded, if any were: early previews do not count beside them."""
+    return [group for group in groups if group.begun_ns is not None] or groups
 
 
 def check_incarnation(stream: Stream, incarnation: str) -> None:

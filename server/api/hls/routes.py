@@ -19,7 +19,17 @@ from streamlod.codec.sound.beside import find_sound
 from streamlod.codec.sound.packets import OpusSettings
 from streamlod.core.errors import StreamlodError
 from streamlod.server.api.access import StreamOf, need_download
-from streamlod.server.api.downloads import ANSWERS, Epoch, Incarnation, Version, check_incarnation, digest, unreadable
+from streamlod.server.api.downloads import (
+    ANSWERS,
+    Epoch,
+    Incarnation,
+    Version,
+    check_incarnation,
+    digest,
+    retained,
+    unreadable,
+    without_previews,
+)
 from streamlod.server.api.hls.numbers import SegmentNumbers
 from streamlod.server.api.hls.parts import end_of, finished_parts, seconds_of, segment_of
 from streamlod.server.api.ranges import FRESH, IMMUTABLE, Download, respond
@@ -163,16 +173,8 @@ async def _retained(stream: Stream, numbers: SegmentNumbers) -> Playlist:
 
 
 async def _groups(stream: Stream) -> list[RetainedGroup]:
-    """Retained groups whose times are known; early previews do not count where something is recorded."""
-    recording = stream.bus.recording
-    if recording is not None:
-        await recording.flush()
-    try:
-        groups = await stream.bus.groups()
-    except OSError as error:
-        raise unreadable(error) from error
-    kept = [group for group in groups if group.begun_ns is not None] or groups
-    return [group for group in kept if group.first_time_ns is not None]
+    """Retained groups whose times are known."""
+    return [group for group in without_previews(await retained(stream)) if group.first_time_ns is not None]
 
 
 def _is_closed(stream: Stream, groups: list[RetainedGroup], number: int) -> bool:
