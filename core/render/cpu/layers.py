@@ -17,14 +17,16 @@ from streamlod.core.render.cpu.kernels.layers import blend_runs, count_runs
 from streamlod.core.render.cpu.listing import share_tiles
 from streamlod.core.render.tiles import tile_grid
 
+MAX_LAYERS = 1 << 14  # of a camera, 64 MiB; a picture of 1280x720 has about 6,000
 _LEAST = 6  # Gaussians that are worth a layer, which takes 4 KiB and the time of one that fills its tile
 
 
-def layered(backdrop: Backdrop, near: NearDepths) -> Backdrop:
+def layered(backdrop: Backdrop, near: NearDepths, most: int = MAX_LAYERS) -> Backdrop:
     """`backdrop` with layers, for moving Gaussians that stay in the order of depth in which they are now.
 
     Args:
         near: depths of the moving ones wherever they may come.
+        most: layers; where there would be more, the backdrop stays as it is.
     """
     mask = backdrop.tile_mask.ravel()
     tiles, bounds = share_tiles(mask, np.diff(backdrop.offsets))
@@ -33,6 +35,8 @@ def layered(backdrop: Backdrop, near: NearDepths) -> Backdrop:
     count_runs(tiles, bounds, _LEAST, backdrop.depths, *lists, layer_counts, entry_counts)
     layer_offsets, offsets = (np.concatenate([[0], np.cumsum(counts)]) for counts in (layer_counts, entry_counts))
     count = int(layer_offsets[-1])
+    if count > most:
+        return backdrop
     layers, depths = np.empty((count, 4 * TILE_PIXELS), np.float32), np.empty(count, np.float32)
     entries, tiles_x = np.empty(int(offsets[-1]), np.int32), tile_grid(backdrop.camera.width, 1)[1]
     blend_runs(

@@ -130,3 +130,11 @@ def test_where_nothing_moves_all_is_one_layer() -> None:
     assert np.diff(layers.offsets).max() <= 5  # too few for a layer are drawn one by one
     found = drawn(tensors(nothing), layers)
     torch.testing.assert_close(found.image, full(tensors(nothing), static).image, rtol=0, atol=5e-4)
+
+
+def test_layers_that_would_not_fit_are_not_made() -> None:
+    dynamic, static = scene()
+    one_by_one, layers = planned(dynamic, static)
+    near, count = near_depths(CAMERA, dynamic, ROOM), len(layers.layers)
+    assert layered(one_by_one, near, count - 1) is one_by_one
+    assert len(layered(one_by_one, near, count).layers) == count
