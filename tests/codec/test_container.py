@@ -139,7 +139,7 @@ def test_the_way_through_a_long_chain_takes_linear_time(tmp_path: Path, clip: tu
     work, space = [], []
     with SlodReader(path) as reader:
         key, step, *_ = reader.entries
-        for length in (1_000, 4_000):
+        for length in (5_000, 20_000):  # long ones, beside which what other threads take is little
             chain = [replace(step, from_version=n, to_version=n + 1) for n in range(length)]
             loops = [replace(step, from_version=n, to_version=max(n - 1, 0), size_bytes=0) for n in range(0, length, 7)]
             nowhere = [replace(e, to_version=e.from_version, size_bytes=0) for e in chain[:9]]
@@ -149,4 +149,4 @@ def test_the_way_through_a_long_chain_takes_linear_time(tmp_path: Path, clip: tu
             work.append(counted.count)
             space.append(taken.peak_bytes)
     assert work[1] < 4.1 * work[0]
-    assert space[1] < 5 * space[0]
+    assert space[1] < 5 * space[0]  # and not sixteen times
