@@ -20,7 +20,7 @@ from streamlod.core.errors import BitstreamError, InputError
 from streamlod.server.protocol.packets import PacketWindow, Position, StreamPacket, stream_packet
 from streamlod.server.stream.store import Recording, Segment
 
-RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
+_RECORD_SECONDS = 0.5  # that viewers wait for a disk, or for other servers, when these stand still
 GroupFile = Path | list[StreamPacket]  # a recorded group of pictures, or one in memory
 
 
@@ -91,7 +91,7 @@ class Bus:
         prompt = {writer: writing for writer, writing in writings.items() if writer not in late}
         if prompt:
             self._newest |= prompt
-            await asyncio.wait(prompt.values(), timeout=RECORD_SECONDS)
+            await asyncio.wait(prompt.values(), timeout=_RECORD_SECONDS)
 
     def _write(self, packet: StreamPacket) -> dict[str, asyncio.Future[None]]:
         recorded: Future[None] | None = None

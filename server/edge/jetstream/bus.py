@@ -13,8 +13,6 @@ from streamlod.server.stream.bus import Bus, GroupFile, RetainedGroup
 class ArchiveBus(Bus):
     """The newest packets in memory, all that JetStream holds behind them.
 
-    Memory may be behind JetStream, or ahead of it by packets that came directly; it has no holes.
-
     Args:
         memory_bytes: packets kept in memory, and read at once for a download.
         archive: of the stream.
@@ -52,7 +50,7 @@ class ArchiveBus(Bus):
 
         Raises:
             InputError: they are too much for memory.
-            OSError: NATS does not answer, or has not all of a group yet.
+            OSError: NATS does not answer.
         """
         chosen = await self._archive.groups(firsts)
         size = sum(group.size_bytes for group in chosen)
@@ -60,22 +58,8 @@ class ArchiveBus(Bus):
             parts = "groups" if len(chosen) > 1 else "packets"
             fault = f"has {size} bytes, this server holds {self._memory_bytes}; download its {parts} one by one"
             raise InputError("the download", fault)
-        read = {group.first: await self._group(group.first) for group in chosen}
+        read = {group.first: await self._archive.group(group.first) for group in chosen}
         return {first: packets for first, packets in read.items() if packets}
-
-    async def _group(self, first: Position) -> list[StreamPacket]:
-        """A group of pictures: JetStream's newest from memory, which has its end if it is closed.
-
-        All others come from JetStream, as memory may lack their ends.
-        """
-        if self._archive.keys[-1:] > [first]:
-            return await self._archive.group(first)
-        groups = {packets[0].position: packets for packets in self.window.groups()}
-        if first in groups:
-            return groups[first]
-        if groups and self._archive.keys[-1:] == [first] and first < min(groups):
-            raise OSError("the group's end is still to come")
-        return await self._archive.group(first)
 
     @property
     def oldest(self) -> Position | None:

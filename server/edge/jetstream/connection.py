@@ -7,10 +7,9 @@ import logging
 from contextlib import suppress
 
 from nats.aio.client import Client
-from nats.errors import SlowConsumerError
 from nats.js import JetStreamContext
 
-from streamlod.server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES, Names
+from streamlod.server.edge.jetstream.messages import MAX_HEADER_BYTES, MAX_PIECE_BYTES
 from streamlod.server.settings import JetStreamSettings
 
 _LOG = logging.getLogger(__name__)
@@ -32,7 +31,6 @@ class NatsConnection:
         self._settings = settings
         self._closing = False
         self._said: set[str] = set()
-        self._live = Names(settings.prefix).live_prefix.lower()
         self.fault = ""
         self.client = Client()
 
@@ -62,9 +60,7 @@ class NatsConnection:
             """Once for each fault: attempts fail several times a second, as does every message that is not allowed."""
             if not self.client.is_connected:  # an attempt to connect has failed
                 self._hang_up()
-            fault = str(error) or type(error).__name__
-            if not isinstance(error, SlowConsumerError) and self._live not in fault.lower():  # JetStream goes on
-                self.fault = fault
+            self.fault = fault = str(error) or type(error).__name__
             if fault not in self._said and len(self._said) < _MAX_SAID and not self._closing:
                 self._said.add(fault)
                 _LOG.warning("NATS: %s", fault)

@@ -106,12 +106,6 @@ class Directory:
         detail = f"the server that publishes it has said nothing for {SILENT_SECONDS:g} s"
         return replace(told, description=told.description.model_copy(update={"state": "degraded", "detail": detail}))
 
-    def hear(self, stream: str) -> None:
-        """Its publisher has been heard otherwise, and is not silent."""
-        told = self._told.get(stream)
-        if told is not None:
-            self._told[stream] = replace(told, told_at=time.monotonic())
-
     def streams(self) -> list[OriginStream]:
         """All streams, those that are no longer told of left out once their packets are gone."""
         oldest = time.monotonic() - self._settings.retention.seconds

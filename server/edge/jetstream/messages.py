@@ -6,26 +6,12 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from streamlod.server.protocol.packets import Place, Position, StreamPacket
+from streamlod.server.protocol.packets import Position, StreamPacket
 
 MAX_PIECE_BYTES = 1 << 19  # NATS takes messages of 1 MiB unless it is configured otherwise
 MAX_HEADER_BYTES = 4096  # of a message
 MSG_ID = "Nats-Msg-Id"  # the header that has a message's id
-AFTER = "Streamlod-After"  # of what is sent directly: an id of the packet before, empty where there is none
 _ID = re.compile(r"([0-9a-f]{16})/(\d{1,10})/(\d{1,10})/([kr])/(\d{1,4})/(\d{1,4})")
-
-
-@dataclass(frozen=True, slots=True)
-class LiveSubjects:
-    """Subjects that no stream of JetStream has.
-
-    Attributes:
-        packets: sent from server to server.
-        wanted: what readers ask: an id, of the packet behind which they want some.
-    """
-
-    packets: str
-    wanted: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +41,6 @@ class Names:
         """Subject of keyframes (kind ``k``), of residuals (``r``), or of both (``*``)."""
         return f"{self.prefix}.packets.{stream}.{incarnation}.{kind}"
 
-    @property
-    def live_prefix(self) -> str:
-        """With which subjects of packets that are sent directly begin, those of all streams."""
-        return f"{self.prefix}.live."
-
-    def live(self, stream: str, incarnation: str) -> LiveSubjects:
-        """Subjects of packets that are sent directly."""
-        packets = f"{self.live_prefix}{stream}.{incarnation}"
-        return LiveSubjects(packets, f"{packets}.wanted")
-
 
 @dataclass(frozen=True, slots=True)
 class MessageId:
@@ -89,11 +65,6 @@ class MessageId:
         return "k" if self.is_key else "r"
 
     @property
-    def place(self) -> Place:
-        """Position of the packet."""
-        return self.position, self.is_key
-
-    @property
     def is_last(self) -> bool:
         """Whether the packet ends here."""
         return self.piece == self.pieces - 1
@@ -103,21 +74,6 @@ class MessageId:
         return f"{self.incarnation}/{place.epoch}/{place.version}/{self.kind}/{self.piece}/{self.pieces}"
 
 
-@dataclass(frozen=True, slots=True)
-class LivePacket:
-    """A packet that was sent directly.
-
-    Attributes:
-        place: of the packet, as the sender says.
-        after: of the packet before it, where the sender knows that.
-        data: the packet.
-    """
-
-    place: Place
-    after: Place | None
-    data: bytes
-
-
 def parse_id(text: str) -> MessageId | None:
     """The id, or None where it is none."""
     match = _ID.fullmatch(text)
@@ -125,11 +81,6 @@ def parse_id(text: str) -> MessageId | None:
         return None
     epoch, version, piece, pieces = (int(match[group]) for group in (2, 3, 5, 6))
     return MessageId(match[1], Position(epoch, version), match[4] == "k", piece, pieces) if piece < pieces else None
-
-
-def id_at(incarnation: str, place: Place | None) -> str:
-    """The id of a packet in one message, empty where there is none; `parse_id` reads it again."""
-    return "" if place is None else str(MessageId(incarnation, *place, piece=0, pieces=1))
 
 
 def pieces_of(incarnation: str, packet: StreamPacket, max_bytes: int) -> Iterator[tuple[MessageId, bytes]]:

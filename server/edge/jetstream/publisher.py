@@ -1,7 +1,4 @@
-"""The publisher of what this server trains: packets in order, one at a time, each until JetStream has acknowledged it.
-
-What waits long for that is sent to other servers directly, too (`server.edge.jetstream.live`).
-"""
+"""The publisher of what this server trains: packets in order, each until JetStream has acknowledged it."""
 
 from __future__ import annotations
 
@@ -25,7 +22,6 @@ from streamlod.server.edge.jetstream.directory import (
     create_stream,
     directory_config,
 )
-from streamlod.server.edge.jetstream.live import LiveSender
 from streamlod.server.edge.jetstream.messages import MSG_ID, MessageId, Names, pieces_of
 from streamlod.server.protocol.packets import StreamPacket
 from streamlod.server.settings import Settings
@@ -72,8 +68,6 @@ class Publisher:
         self._has_left = False
         self._queue: deque[_Waiting] = deque()
         self._queued = asyncio.Event()
-        subjects = names.live(stream.id, stream.incarnation)
-        self._live = LiveSender(connection, subjects, stream.incarnation, self._is_ours)
         self._gap = False  # what comes does not follow what was stored, until a keyframe does
         self._may_be_missing = True  # what it needs in JetStream
         self._said_at = -_SAY_SECONDS
@@ -93,26 +87,24 @@ class Publisher:
         self._queue.append(waiting)
         self.waiting_bytes += len(packet.data)
         self._queued.set()
-        self._live.append(packet)
         return waiting.stored
 
     async def run(self) -> None:
         """Publish until cancelled, or the stream was deleted."""
-        tasks = [asyncio.create_task(work) for work in (self._send(), self._live.run())]
+        sending = asyncio.create_task(self._send())
         try:
             while not self.stream.deleted:
                 async with self._telling:
                     if not self._has_left:
                         await self._tell()
                 state, limit = (self.stream.state, self.stream.detail), time.monotonic() + TELL_SECONDS
-                for task in tasks:
-                    if task.done():
-                        task.result()
+                if sending.done():
+                    sending.result()
                 while time.monotonic() < limit and (self.stream.state, self.stream.detail) == state:
                     await asyncio.sleep(_LOOK_SECONDS)
             await self._remove()
         finally:
-            await end(*tasks)
+            await end(sending)
 
     async def finish(self) -> None:
         """Wait for what is queued; then say that this server publishes the stream no more."""
@@ -176,7 +168,6 @@ class Publisher:
                 await self._store(found, data)
             if self._queue and self._queue[0] is waiting:  # it was not left out meanwhile
                 self._queue.popleft()
-                self._live.packets.store()
                 self.waiting_bytes -= len(waiting.packet.data)
             if not waiting.stored.done():
                 waiting.stored.set_result(None)
@@ -220,7 +211,6 @@ class Publisher:
         for waiting in self._queue:
             waiting.stored.cancel()
         self._queue.clear()
-        self._live.packets.clear()
         self.waiting_bytes, self._gap = 0, True
 
     def _say(self, text: str) -> None:

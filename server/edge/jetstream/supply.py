@@ -1,7 +1,4 @@
-"""One stream of another server, as JetStream has it: followed from its newest keyframe, its past behind that.
-
-Packets that JetStream does not take for a while come directly.
-"""
+"""One stream of another server, as JetStream has it: followed from its newest keyframe, its past behind that."""
 
 from __future__ import annotations
 
@@ -14,14 +11,13 @@ from streamlod.server.edge.ending import end
 from streamlod.server.edge.jetstream.archive import Archive, id_of
 from streamlod.server.edge.jetstream.bus import ArchiveBus
 from streamlod.server.edge.jetstream.connection import NatsConnection
-from streamlod.server.edge.jetstream.directory import SILENT_SECONDS, Directory
-from streamlod.server.edge.jetstream.live_reading import LiveReader
-from streamlod.server.edge.jetstream.merging import Merger
+from streamlod.server.edge.jetstream.directory import Directory
 from streamlod.server.edge.jetstream.messages import Assembler, Names
 from streamlod.server.edge.jetstream.reading import Selection, follow
 from streamlod.server.edge.origin import OriginStream
 from streamlod.server.edge.supply import PacketTaker
 from streamlod.server.protocol.messages import event
+from streamlod.server.protocol.packets import Place, stream_packet
 from streamlod.server.settings import Settings
 
 _LOG = logging.getLogger(__name__)
@@ -50,10 +46,7 @@ class ArchivedStream:
         self._packet_bytes = settings.limits.packet_bytes
         self._archive = Archive(connection, names, stream.id, stream.incarnation, self._packet_bytes)
         self.bus = ArchiveBus(settings.retention.memory_bytes, self._archive)
-        subjects = names.live(stream.id, stream.incarnation)
-        self._live = LiveReader(connection, subjects, stream.incarnation, self._packet_bytes)
         self._lost = False
-        self._live_at = -SILENT_SECONDS  # monotonic time of the newest packet that came directly
 
     async def pull(self, taker: PacketTaker) -> None:
         """See `Supply`."""
@@ -66,10 +59,7 @@ class ArchivedStream:
                 _LOG.debug("stream %s: %s", self._stream.id, error)
                 taker.on_break(_LOST)
                 await asyncio.sleep(_RETRY_SECONDS)
-        keys = self._archive.keys
-        merger = Merger(taker, keys[-1].epoch if keys else None)
-        works = self._archive.run(), self._follow(taker, merger), self._listen(merger), self._tell(taker, merger)
-        tasks = [asyncio.create_task(work) for work in works]
+        tasks = [asyncio.create_task(work) for work in (self._archive.run(), self._follow(taker), self._tell(taker))]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in tasks:
@@ -92,17 +82,18 @@ class ArchivedStream:
             now_ns,
         )
 
-    async def _follow(self, taker: PacketTaker, merger: Merger) -> None:
+    async def _follow(self, taker: PacketTaker) -> None:
         """Hand on every packet from the newest keyframe on; after a gap, from the next keyframe on."""
 
         def on_state(fault: str) -> None:
             self._lost = bool(fault)
             if fault:
                 _LOG.debug("stream %s: %s", self._stream.id, fault)
-                if not self._is_coming():
-                    taker.on_break(_LOST)
+                taker.on_break(_LOST)
 
         assembler = Assembler(self._packet_bytes)
+        held: Place | None = None
+        complete = True  # nothing is missing behind `held`
         messages = follow(
             self._connection,
             Selection(self._archive.stream, self._archive.subject),
@@ -113,34 +104,28 @@ class ArchivedStream:
             async for message in messages:
                 found = id_of(message)
                 data = None if found is None else assembler.push(found, message.data)
-                if found is not None and data is not None:
-                    await merger.take(found.position.epoch, data)
+                if found is None or data is None:
+                    continue
+                packet = stream_packet(0, found.position.epoch, data)
+                if held is not None and packet.place <= held:  # stored twice
+                    continue
+                if not packet.is_key and (held is None or not packet.follows(held[0])):
+                    complete = held is None
+                    continue
+                if not complete:
+                    taker.on_event(event("skipped"))
+                taker.on_event(event("epoch", epoch=found.position.epoch))
+                await taker.on_packet(data)
+                held, complete = packet.place, True
 
-    async def _listen(self, merger: Merger) -> None:
-        """Hand on what comes directly, too."""
-        async with aclosing(self._live.packets()) as packets:
-            async for packet in packets:
-                match await merger.take_live(packet):
-                    case "taken":
-                        self._live_at = time.monotonic()
-                        self._directory.hear(self._stream.id)
-                    case "gap":
-                        await self._live.ask(merger.held)
-
-    def _is_coming(self) -> bool:
-        """Whether viewers get new pictures all the same."""
-        return time.monotonic() - self._live_at < SILENT_SECONDS
-
-    async def _tell(self, taker: PacketTaker, merger: Merger) -> None:
-        """Hand on the stream's state, until it is deleted; where JetStream gives no packets, ask for them."""
+    async def _tell(self, taker: PacketTaker) -> None:
+        """Hand on the stream's state, until it is deleted."""
         progress = self._stream.progress
         while (told := self._directory.find(self._stream.id)) is not None:
             state = told.description
-            if not self._lost or self._is_coming():
+            if not self._lost:
                 taker.on_event(event("state", state=state.state, detail=state.detail))
             if state.progress is not None and state.progress != progress:
                 progress = state.progress
                 taker.on_event(event("progress", **progress))
-            if self._lost:
-                await self._live.ask(merger.held)
             await asyncio.sleep(_LOOK_SECONDS)

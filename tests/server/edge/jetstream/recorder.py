@@ -8,14 +8,12 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, contextmanager, suppress
 
-from nats.aio.msg import Msg
 from websockets.exceptions import ConnectionClosed
 
 from streamlod.server.edge.jetstream.archive import id_of
 from streamlod.server.edge.jetstream.connection import NatsConnection
 from streamlod.server.edge.jetstream.messages import Assembler, Names, parse_id
 from streamlod.server.edge.jetstream.reading import Selection, read
-from streamlod.server.protocol.packets import Position
 from streamlod.server.settings import Settings
 from tests.server.conftest import Running, Viewer, viewing
 from tests.server.edge.processes import Node
@@ -47,17 +45,8 @@ def recording(port: int, packets: list[bytes]) -> Iterator[Viewer]:
 
 def stored(settings: Settings, stream: str = "main") -> list[tuple[str, bytes]]:
     """Every message of a stream's packets in JetStream: its id and its body, in order."""
-    return [(str(id_of(message)), message.data) for message in _messages(settings, stream)]
 
-
-def stored_at(settings: Settings, stream: str = "main") -> dict[Position, float]:
-    """Unix time at which JetStream took the packet of each position."""
-    found = [(id_of(message), message.metadata.timestamp.timestamp()) for message in _messages(settings, stream)]
-    return {place.position: seconds for place, seconds in found if place is not None}
-
-
-def _messages(settings: Settings, stream: str) -> list[Msg]:
-    async def run() -> list[Msg]:
+    async def run() -> list[tuple[str, bytes]]:
         names, connection = Names(settings.jetstream.prefix), NatsConnection(settings.jetstream)
         await connection.open()
         selection = Selection(names.packets(stream), names.subject(stream, "*", "*"))
@@ -65,7 +54,7 @@ def _messages(settings: Settings, stream: str) -> list[Msg]:
             while True:
                 with suppress(OSError):  # servers that have come back agree on a leader first
                     async with aclosing(read(connection, selection, 1, None)) as messages:
-                        return [message async for message in messages]
+                        return [(str(id_of(message)), message.data) async for message in messages]
         finally:
             await connection.close()
 

@@ -30,7 +30,8 @@ INCARNATION, NAMES = "0123456789abcdef", Names("test")
 
 async def fill(connection: NatsConnection, packets: Sequence[bytes]) -> None:
     """Make the stream and publish packets."""
-    config = StreamConfig(name=NAMES.packets("main"), subjects=[NAMES.subject("main", "*", "*")])
+    subjects = [NAMES.subject("main", "*", "*")]
+    config = StreamConfig(name=NAMES.packets("main"), subjects=subjects, duplicate_window=0.5)
     await connection.jetstream.add_stream(config)
     for data in packets:
         for found, piece in pieces_of(INCARNATION, stream_packet(0, 1, data), MAX_PIECE_BYTES):
@@ -66,44 +67,6 @@ def test_after_a_loss_no_address_holds_another_packet(tmp_path: Path, long_clip:
                 assert packets in ([], long_clip.packets[key.version : key.version + 50])
             with pytest.raises(ValueError, match="made anew"):
                 await asyncio.wait_for(archive.run(), 10)
-        finally:
-            await connection.close()
-
-    with nats(tmp_path) as shared:
-        asyncio.run(asyncio.wait_for(run(), 30))
-
-
-def test_memory_that_is_ahead_of_jetstream_and_what_is_stored_fit_together(tmp_path: Path, long_clip: Clip) -> None:
-    """Packets that came directly; no group is given away as closed that lacks its end."""
-    clip, key = long_clip.packets, Position(1, 50)
-
-    async def run() -> None:
-        connection = NatsConnection(shared.settings().jetstream)
-        await connection.open()
-        try:
-            await fill(connection, clip[:70])
-            archive = Archive(connection, NAMES, "main", INCARNATION, 1 << 24)
-            await archive.load()
-            bus = ArchiveBus(1 << 24, archive)
-            packets = [stream_packet(number, 1, data) for number, data in enumerate(clip)]
-            for packet in packets[50:120]:
-                bus.publish(packet)
-            assert (bus.oldest, bus.key_before(Position(1, 110))) == (Position(1, 0), Position(1, 100))
-            files = await bus.files([Position(1, 0), key])
-            assert {place.version: _data(group) for place, group in files.items()} == {0: clip[:50], 50: clip[50:100]}
-            assert _data(await bus.read(Position(1, 90), Position(1, 95))) == clip[90:96]
-
-            bus.skip()
-            for packet in packets[200:210]:  # some were missed: what comes before is read from JetStream alone
-                bus.publish(packet)
-            assert _data(await bus.read(Position(1, 60), Position(1, 75))) == clip[60:70]
-            assert _data(await bus.read(Position(1, 200), Position(1, 300))) == clip[200:210]
-            assert bus.key_after(key) is not None  # so that it counts as closed
-            with pytest.raises(OSError, match="still to come"):
-                await bus.files([key])
-            await fill(connection, clip[70:210])
-            await archive.load()
-            assert _data((await bus.files([key]))[key]) == clip[50:100]
         finally:
             await connection.close()
 

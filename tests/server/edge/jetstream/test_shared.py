@@ -267,7 +267,7 @@ def test_nats_loses_its_disk(tmp_path: Path, long_clip: Clip) -> None:
 def test_the_permissions_of_the_documents_are_enough(
     tmp_path: Path, clip: Clip, caplog: pytest.LogCaptureFixture
 ) -> None:
-    allowed = '{publish: ["streamlod.>", "$JS.API.>"], subscribe: ["streamlod.live.>", "_INBOX.>"]}'
+    allowed = '{publish: ["streamlod.>", "$JS.API.>"], subscribe: ["_INBOX.>"]}'
     user = f"{{user: server, password: none, permissions: {allowed}}}"
     with nats(tmp_path, more=f"authorization {{users: [{user}]}}\nno_auth_user: server\n") as closed:
         spec = StreamSpec(play=clip.path, loop=False)
