@@ -22,7 +22,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from streamlod.client.evaluation.zoo.scenes import SCENES, ZooScene
 from streamlod.core.arrays import Bool, Float32, Float64
 from streamlod.core.camera import Camera
 from streamlod.core.data import Dataset, linspace_split
@@ -32,6 +31,7 @@ from streamlod.core.initialise.methods.plane_sweep import PlaneSweep
 from streamlod.core.initialise.sweep import DepthMap
 from streamlod.core.initialise.views import WorkingViews, working_views
 from streamlod.core.synthetic import open_synthetic, render_frame
+from tests.bench.zoo.scenes import SCENES, ZooScene
 
 _LOG = logging.getLogger(__name__)
 _DOWNSCALE = 2.0

@@ -16,7 +16,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from streamlod.client.evaluation.plain import PlainGaussians, plain_views
 from streamlod.codec.encoder import encode_keyframe
 from streamlod.core.arrays import Float32
 from streamlod.core.data import linspace_split, open_dataset
@@ -27,6 +26,7 @@ from streamlod.core.render.cpu import render
 from streamlod.core.scene.anchors import empty_level
 from streamlod.core.scene.expand import expand
 from streamlod.core.train import TrainConfig, Trainer, preset
+from tests.bench.zoo.plain import PlainGaussians, plain_views
 
 
 def fitted(picture: Float32, truth: Float32) -> Float32:

@@ -21,7 +21,6 @@ import numpy as np
 
 from streamlod.client.evaluation.measure.places import places, places_table
 from streamlod.client.evaluation.measure.scores import Perception, draw, score_picture
-from streamlod.client.evaluation.plain import PlainGaussians, plain_views
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
 from streamlod.codec.encoder import encode_keyframe
@@ -33,6 +32,7 @@ from streamlod.core.initialise import first_points
 from streamlod.core.synthetic import SyntheticSpec, read_spec, render_view
 from streamlod.core.train import Trainer, preset
 from tests.bench.first_frame_bench import changed
+from tests.bench.zoo.plain import PlainGaussians, plain_views
 
 _ANGLES = (-75.0, -25.0, 25.0, 75.0)  # degrees, of the wide rig round what it looks at
 _RADIUS, _FOCAL, _HEIGHT = 2.5, 0.6, (1.75, 1.25)

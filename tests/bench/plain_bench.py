@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from streamlod.client.evaluation.measure.footage import footage_of
-from streamlod.client.evaluation.plain import PlainConfig, PlainGaussians, plain_views
-from streamlod.client.evaluation.zoo.scenes import SCENES
 from streamlod.core.data import linspace_split
 from streamlod.core.metrics import psnr, ssim
+from tests.bench.zoo.plain import PlainConfig, PlainGaussians, plain_views
+from tests.bench.zoo.scenes import SCENES
 
 ROWS = (("room", 5, 2.0), ("bright", 5, 2.0), ("castle", 10, 3.0), ("flame_steak_frame0", 6, 2.5))
 

@@ -22,10 +22,10 @@ from typing import Any
 
 from streamlod.client.evaluation.measure.machine import machine
 from streamlod.client.evaluation.report.tables import number, table
-from streamlod.client.evaluation.zoo.cells import Cells, program_digest
-from streamlod.client.evaluation.zoo.run import ZooOptions, run_zoo
 from streamlod.core.files import write_text
 from streamlod.core.options import PRESETS
+from tests.bench.zoo.cells import Cells, program_digest
+from tests.bench.zoo.run import ZooOptions, run_zoo
 
 DOWNSCALE = 2.0  # of pictures of 480x270
 ROOT = Path(__file__).parents[2]

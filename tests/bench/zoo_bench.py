@@ -16,7 +16,7 @@ import logging
 import os
 from pathlib import Path
 
-from streamlod.client.evaluation.zoo.run import ZooOptions, run_zoo
+from tests.bench.zoo.run import ZooOptions, run_zoo
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from streamlod.core.errors import InputError
 
 _log = logging.getLogger(__name__)
 SCHEMA = 4
-_PACKAGES = ("core", "codec", "client/evaluation")  # whose source affects a cell's figures
+_PACKAGES = ("core", "codec", "client/evaluation", "tests/bench/zoo")  # whose source affects a cell's figures
 
 
 def program_digest() -> str:

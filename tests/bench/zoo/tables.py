@@ -11,8 +11,8 @@ import numpy as np
 
 from streamlod.client.evaluation.measure.places import PLACE_HEADINGS, PLACES, mean_figure
 from streamlod.client.evaluation.report.tables import number, table
-from streamlod.client.evaluation.zoo.cells import CellKey, Cells
-from streamlod.client.evaluation.zoo.scenes import SCENES
+from tests.bench.zoo.cells import CellKey, Cells
+from tests.bench.zoo.scenes import SCENES
 
 _HALF = {scene.name: scene.half for scene in SCENES}
 _ORDER = {scene.name: place for place, scene in enumerate(SCENES)}

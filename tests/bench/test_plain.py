@@ -8,10 +8,10 @@ from itertools import count
 import numpy as np
 import pytest
 
-from streamlod.client.evaluation.plain import PlainConfig, PlainGaussians, plain_views, thinned
 from streamlod.core.frames import FrameSet, PointCloud
 from streamlod.core.metrics import psnr
 from streamlod.core.synthetic import SyntheticSpec, cameras, open_synthetic
+from tests.bench.zoo.plain import PlainConfig, PlainGaussians, plain_views, thinned
 from tests.core.true_points import true_points
 
 SPEC = SyntheticSpec(cameras=4, frames=3, width=64, height=36)

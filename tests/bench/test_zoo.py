@@ -10,12 +10,12 @@ from typing import Any
 import cv2
 import pytest
 
-from streamlod.client.evaluation.zoo.cells import CellKey, Cells
-from streamlod.client.evaluation.zoo.run import ZooOptions, run_zoo
-from streamlod.client.evaluation.zoo.scenes import SCENES, view_counts
-from streamlod.client.evaluation.zoo.tables import zoo_report
 from streamlod.core.errors import InputError
 from streamlod.core.train import preset
+from tests.bench.zoo.cells import CellKey, Cells
+from tests.bench.zoo.run import ZooOptions, run_zoo
+from tests.bench.zoo.scenes import SCENES, view_counts
+from tests.bench.zoo.tables import zoo_report
 from tests.client.evaluation.conftest import shortened
 
 pytestmark = pytest.mark.timeout(600)  # one row is trained, however busy the machine
@@ -27,7 +27,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The zoo of one small row, trained in few steps."""
     folder = tmp_path_factory.mktemp("zoo") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("streamlod.client.evaluation.zoo.contenders.preset", lambda name: shortened(preset(name)))
+        patch.setattr("tests.bench.zoo.contenders.preset", lambda name: shortened(preset(name)))
         run_zoo(None, folder, QUICK)
     return folder
 

@@ -12,12 +12,12 @@ from streamlod.client.evaluation.measure.footage import Footage
 from streamlod.client.evaluation.measure.moving import MovingPixels, MovingScore, moving_figures, moving_score
 from streamlod.client.evaluation.measure.places import places
 from streamlod.client.evaluation.measure.scores import Perception
-from streamlod.client.evaluation.plain import PlainGaussians, plain_views
 from streamlod.client.evaluation.systems import FirstFrames, perceived_frames, run_system
 from streamlod.core.arrays import UInt8
 from streamlod.core.metrics import psnr, ssim
 from streamlod.core.synthetic import SyntheticSpec
 from streamlod.core.train import preset
+from tests.bench.zoo.plain import PlainGaussians, plain_views
 
 
 @dataclass(frozen=True, slots=True, eq=False)

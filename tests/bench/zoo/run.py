@@ -14,15 +14,15 @@ import numpy as np
 from streamlod.client.evaluation.measure.footage import footage_of
 from streamlod.client.evaluation.measure.scores import Perception, load_perception
 from streamlod.client.evaluation.report.output import result_folder
-from streamlod.client.evaluation.zoo.cells import CellKey, Cells, program_digest
-from streamlod.client.evaluation.zoo.contenders import Contest, Measured
-from streamlod.client.evaluation.zoo.scenes import SCENES, ZooScene, view_counts
-from streamlod.client.evaluation.zoo.tables import zoo_report
 from streamlod.client.recorder import write_png
 from streamlod.core.data import Dataset, linspace_split
 from streamlod.core.errors import InputError
 from streamlod.core.files import write_text
 from streamlod.core.initialise import METHODS
+from tests.bench.zoo.cells import CellKey, Cells, program_digest
+from tests.bench.zoo.contenders import Contest, Measured
+from tests.bench.zoo.scenes import SCENES, ZooScene, view_counts
+from tests.bench.zoo.tables import zoo_report
 
 _log = logging.getLogger(__name__)
 SYSTEMS = ("ours", "plain", "paper")
