@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 _Figures = dict[str, Any]
-_Family = tuple[type[GaugeMetricFamily] | type[CounterMetricFamily], str, Callable[[_Figures], float], str]
+# kind, name without its prefix, value of one labelled thing, help
+Family = tuple[type[GaugeMetricFamily] | type[CounterMetricFamily], str, Callable[[Any], float], str]
 _GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
 
-_OF_RIGS: tuple[_Family, ...] = (
+_OF_RIGS: tuple[Family, ...] = (
     (_GAUGE, "ingest_latency_seconds", lambda rig: rig["latency_ns"] / 1e9, "from filming to the start of training"),
     (_COUNTER, "ingest_frames", lambda rig: rig["delivered"], "instants given to training"),
     (_COUNTER, "ingest_dropped_stale", lambda rig: rig["dropped_stale"], "instants that training was too slow for"),
     (_COUNTER, "ingest_dropped_incomplete", lambda rig: rig["dropped_incomplete"], "instants with too few cameras"),
     (_COUNTER, "ingest_clock_steps", lambda rig: rig["clock_steps"], "times that most cameras' clocks were stepped"),
 )
-_OF_CAMERAS: tuple[_Family, ...] = (
+_OF_CAMERAS: tuple[Family, ...] = (
     (_GAUGE, "camera_lost", lambda one: one["state"] == "lost", "1 while a camera delivers nothing"),
     (_GAUGE, "camera_skew_seconds", lambda one: one["counts"]["skew_ns"] / 1e9, "distance of pictures from the grid"),
     (_GAUGE, "camera_clock_error_seconds", lambda one: one["error_ns"] / 1e9, "how far off its times may be"),
@@ -40,9 +41,16 @@ def ingest_families(streams: Mapping[str, _Figures | None]) -> Iterable[Metric]:
     """
     rigs = [((name,), rig) for name, rig in streams.items() if rig is not None]
     cameras = [((*label, camera), one) for label, rig in rigs for camera, one in rig["cameras"].items()]
-    for families, labels, rows in ((_OF_RIGS, ("stream",), rigs), (_OF_CAMERAS, ("stream", "camera"), cameras)):
-        for kind, name, value, text in families:
-            family = kind(f"streamlod_{name}", text, labels=labels)
-            for label, figures in rows:
-                family.add_metric(label, float(value(figures)))
-            yield family
+    yield from labelled(_OF_RIGS, ("stream",), rigs)
+    yield from labelled(_OF_CAMERAS, ("stream", "camera"), cameras)
+
+
+def labelled(
+    families: Iterable[Family], labels: Sequence[str], rows: Sequence[tuple[Sequence[str], Any]]
+) -> Iterable[Metric]:
+    """Each family with a value for each row: the values of its `labels`, and the thing that the value is of."""
+    for kind, name, value, text in families:
+        family = kind(f"streamlod_{name}", text, labels=labels)
+        for label, thing in rows:
+            family.add_metric(label, float(value(thing)))
+        yield family

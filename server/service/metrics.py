@@ -12,34 +12,43 @@ from prometheus_client.registry import Collector
 from streamlod.core.version import streamlod_version
 from streamlod.server.api.registry import Registry
 from streamlod.server.auth.gate import EVERYTHING, Grant, Right
-from streamlod.server.service.ingest_metrics import ingest_families
+from streamlod.server.service.ingest_metrics import Family, ingest_families, labelled
 from streamlod.server.stream.stream import Stream
 
-_GAUGES = {
-    "viewers": "viewers connected",
-    "thin_viewers": "viewers for which the server draws",
-    "live": "1 while packets come",
-    "window_bytes": "packets kept in memory",
-    "seconds_since_packet": "age of the newest packet",
-    "train_seconds": "training time of the newest frame",
-    "anchors": "anchors of the newest state",
-    "outbox_bytes": "packets that wait to be taken by JetStream",
-}
-_COUNTERS = {
-    "packets": "packets published",
-    "packet_bytes": "bytes of packets published",
-    "sent_bytes": "bytes of packets sent to viewers",
-    "skips": "times a viewer was brought forward by one residual",
-    "stuck": "viewers cut off for taking nothing",
-    "joins": "viewers that said hello",
-    "pictures": "pictures drawn for viewers",
-    "picture_bytes": "bytes of pictures sent",
-    "picture_seconds": "time spent on drawing them",
-    "thin_refused": "viewers for which there was no place to draw",
-    "worker_restarts": "workers that had to be restarted",
-    "recording_lost_packets": "packets that were not recorded",
-    "outbox_lost_packets": "packets that were not published to JetStream",
-}
+_GAUGE, _COUNTER = GaugeMetricFamily, CounterMetricFamily
+
+
+def _seconds_since_packet(stream: Stream) -> float:
+    """The age of the newest packet; 0 before the first one, and while none are wanted."""
+    return time.monotonic() - stream.live_at if stream.live_at and not stream.is_paused else 0.0
+
+
+_OF_STREAMS: tuple[Family, ...] = (
+    (_GAUGE, "viewers", lambda s: s.viewers, "viewers connected"),
+    (_GAUGE, "thin_viewers", lambda s: s.thin_viewers, "viewers for which the server draws"),
+    (_GAUGE, "live", lambda s: s.state == "live", "1 while packets come"),
+    (_GAUGE, "window_bytes", lambda s: s.bus.window.size_bytes, "packets kept in memory"),
+    (_GAUGE, "seconds_since_packet", _seconds_since_packet, "age of the newest packet"),
+    (_GAUGE, "train_seconds", lambda s: (s.report or {}).get("total_seconds", 0), "training time of the newest frame"),
+    (_GAUGE, "anchors", lambda s: s.hub.scene.anchor_count if s.hub.scene else 0, "anchors of the newest state"),
+    (_GAUGE, "outbox_bytes", lambda s: s.bus.outbox.waiting_bytes if s.bus.outbox else 0,
+     "packets that wait to be taken by JetStream"),
+    (_COUNTER, "packets", lambda s: s.counters.packets, "packets published"),
+    (_COUNTER, "packet_bytes", lambda s: s.counters.packet_bytes, "bytes of packets published"),
+    (_COUNTER, "sent_bytes", lambda s: s.counters.sent_bytes, "bytes of packets sent to viewers"),
+    (_COUNTER, "skips", lambda s: s.counters.skips, "times a viewer was brought forward by one residual"),
+    (_COUNTER, "stuck", lambda s: s.counters.stuck, "viewers cut off for taking nothing"),
+    (_COUNTER, "joins", lambda s: s.counters.joins, "viewers that said hello"),
+    (_COUNTER, "pictures", lambda s: s.counters.pictures, "pictures drawn for viewers"),
+    (_COUNTER, "picture_bytes", lambda s: s.counters.picture_bytes, "bytes of pictures sent"),
+    (_COUNTER, "picture_seconds", lambda s: s.counters.picture_seconds, "time spent on drawing them"),
+    (_COUNTER, "thin_refused", lambda s: s.counters.thin_refused, "viewers for which there was no place to draw"),
+    (_COUNTER, "worker_restarts", lambda s: s.restarts, "workers that had to be restarted"),
+    (_COUNTER, "recording_lost_packets", lambda s: s.bus.recording.lost_packets if s.bus.recording else 0,
+     "packets that were not recorded"),
+    (_COUNTER, "outbox_lost_packets", lambda s: s.bus.outbox.lost_packets if s.bus.outbox else 0,
+     "packets that were not published to JetStream"),
+)  # fmt: skip
 
 
 class StreamCollector(Collector):
@@ -55,51 +64,10 @@ class StreamCollector(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """All families."""
-        gauges = {
-            name: GaugeMetricFamily(f"streamlod_{name}", text, labels=["stream"]) for name, text in _GAUGES.items()
-        }
-        counters = {
-            name: CounterMetricFamily(f"streamlod_{name}", text, labels=["stream"]) for name, text in _COUNTERS.items()
-        }
         streams = {
             name: stream for name, stream in self._registry.streams.items() if self._grant.allows(Right.METRICS, name)
         }
-        for label, stream in streams.items():
-            counts, recording, outbox = stream.counters, stream.bus.recording, stream.bus.outbox
-            scene = stream.hub.scene
-            values = {
-                "viewers": stream.viewers,
-                "thin_viewers": stream.thin_viewers,
-                "live": float(stream.state == "live"),
-                "window_bytes": stream.bus.window.size_bytes,
-                "seconds_since_packet": time.monotonic() - stream.live_at
-                if stream.live_at and not stream.is_paused
-                else 0.0,
-                "train_seconds": float((stream.report or {}).get("total_seconds", 0.0)),
-                "anchors": scene.anchor_count if scene else 0,
-                "outbox_bytes": outbox.waiting_bytes if outbox else 0,
-            }
-            for name, value in values.items():
-                gauges[name].add_metric([label], value)
-            totals = {
-                "packets": counts.packets,
-                "packet_bytes": counts.packet_bytes,
-                "sent_bytes": counts.sent_bytes,
-                "skips": counts.skips,
-                "stuck": counts.stuck,
-                "joins": counts.joins,
-                "pictures": counts.pictures,
-                "picture_bytes": counts.picture_bytes,
-                "picture_seconds": counts.picture_seconds,
-                "thin_refused": counts.thin_refused,
-                "worker_restarts": stream.restarts,
-                "recording_lost_packets": recording.lost_packets if recording else 0,
-                "outbox_lost_packets": outbox.lost_packets if outbox else 0,
-            }
-            for name, value in totals.items():
-                counters[name].add_metric([label], value)
-        yield from gauges.values()
-        yield from counters.values()
+        yield from labelled(_OF_STREAMS, ("stream",), [((name,), stream) for name, stream in streams.items()])
         yield _workers(streams)
         yield from ingest_families({name: stream.ingest for name, stream in streams.items()})
         if self._grant.covers_all:
@@ -136,8 +104,3 @@ def collector_registry(registry: Registry, grant: Grant = EVERYTHING) -> Collect
     if grant.covers_all:
         ProcessCollector(registry=collectors)
     return collectors
-
-
-def _seconds_since_packet(stream: Stream) -> float:
-    """The age of the newest packet; 0 before the first one, and while none are wanted."""
-    return time.monotonic() - stream.live_at if stream.live_at and not stream.is_paused else 0.0
