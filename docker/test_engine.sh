@@ -87,7 +87,7 @@ cat "$WORK/refused"
 tail -1 "$WORK/refused" | grep -q "give the folder to user 10001" || { echo "not refused in one sentence" >&2; exit 1; }
 ! grep -q Traceback "$WORK/refused"
 
-for command in "--version" "--help" "doctor --quick" "info /clip/scene.slod"; do
+for command in version "--version" "--help" "doctor --quick" "info /clip/scene.slod"; do
     docker run --rm --network none --read-only --tmpfs /tmp -v "$WORK/clip:/clip:ro" streamlod:ci $command \
         >"$WORK/said" 2>&1 || { cat "$WORK/said"; echo "streamlod $command failed" >&2; exit 1; }
     echo "streamlod $command: $(head -1 "$WORK/said")"

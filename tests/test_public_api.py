@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -37,15 +38,15 @@ def test_dir_lists_the_names() -> None:
     assert set(streamlod.__all__) <= set(dir(streamlod))
 
 
-def test_version() -> None:
+@pytest.mark.parametrize("argument", ["--version", "version"])
+def test_version(argument: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "streamlod.server.cli", "--version"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, "-m", "streamlod.server.cli", argument], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert done.stdout == f"streamlod {streamlod_version()}\n"
+    first, *others = done.stdout.splitlines()
+    assert first == f"streamlod {streamlod_version()}"
+    formats = ["bitstream 1", "viewer protocol 1", f"Python {platform.python_version()}"]
+    assert others == ([] if argument == "--version" else formats)
 
 
 def test_the_reference_is_current() -> None:

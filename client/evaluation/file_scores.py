@@ -135,8 +135,9 @@ def _dataset(
     trained = (camera.name for camera in header.cameras if camera.name in full.names)
     names = tuple(dict.fromkeys((*test, *trained)))
     full = full.select(names)
-    widths = {camera.width for camera in header.cameras}
-    scale = full.cameras[0].width / widths.pop() if downscale is None and len(widths) == 1 else 1.0
+    sides = {max(camera.width, camera.height) for camera in header.cameras}
+    filmed = max(full.cameras[0].width, full.cameras[0].height)
+    scale = filmed / sides.pop() if downscale is None and len(sides) == 1 else 1.0
     if scale >= 1 + 1e-3:
         full = open_dataset(data, layout=layout, downscale=scale).select(names)
     # Files of other versions, or of a part of this rig, have a space of their own: their cameras tell which.

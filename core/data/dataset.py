@@ -123,6 +123,11 @@ class Dataset:
         return tuple(plan.camera for plan in self.developments)
 
     @property
+    def upright(self) -> tuple[Camera, ...]:
+        """The cameras as they stood: where pictures are turned to lie like others', before that."""
+        return tuple(self.space.camera(plan.upright) for plan in self.developments)
+
+    @property
     def layout(self) -> str:
         """Name of the layout that was read."""
         return self.recording.layout

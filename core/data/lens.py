@@ -95,34 +95,45 @@ class Development:
 
     Attributes:
         raw_size: (width, height) of the pictures that come in.
-        camera: the pinhole camera of the pictures that go out.
+        upright: the pinhole camera of the pictures before they are turned.
         maps: OpenCV fixed-point sampling maps, or none without distortion.
+        is_turned: whether pictures are turned a quarter, to lie like those of other cameras.
     """
 
     raw_size: tuple[int, int]
-    camera: Camera
+    upright: Camera
     maps: tuple[NDArray[Any], NDArray[Any]] | None
+    is_turned: bool = False
+
+    @property
+    def camera(self) -> Camera:
+        """The pinhole camera of the pictures that go out."""
+        return self.upright.turned() if self.is_turned else self.upright
 
     def __call__(self, picture: UInt8) -> UInt8:
-        """[H,W,3] raw picture -> [camera.height,camera.width,3]: undistorted first, then averaged by area."""
+        """[H,W,3] raw picture -> [camera.height,camera.width,3]: undistorted, averaged by area, turned."""
         straight: NDArray[Any] = picture
         if self.maps is not None:
             straight = cv2.remap(picture, *self.maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        if (self.camera.width, self.camera.height) != self.raw_size:
-            straight = cv2.resize(straight, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
-        return straight
+        size = self.upright.width, self.upright.height
+        if size != self.raw_size:
+            straight = cv2.resize(straight, size, interpolation=cv2.INTER_AREA)
+        return np.rot90(straight) if self.is_turned else straight
 
 
 def developments(cameras: Sequence[Camera], downscale: float) -> tuple[Development, ...]:
     """A plan for each camera; all pictures get one size, which is that of the smallest, scaled down.
+
+    Upright pictures among ones that lie, and the other way round, are turned to be like those of the first camera.
 
     Raises:
         InputError: pictures of different shapes, intrinsics that are none in pixels, or a distortion that cannot be
             undone.
     """
     first, smallest = cameras[0], min(cameras, key=lambda camera: camera.width * camera.height)
-    for camera in cameras:
-        if abs(camera.width * first.height / (camera.height * first.width) - 1) > _SHAPE_TOLERANCE:
+    turned = [not _have_one_shape(camera, first.width, first.height) for camera in cameras]
+    for camera, is_turned in zip(cameras, turned, strict=True):
+        if is_turned and not _have_one_shape(camera, first.height, first.width):
             raise InputError(
                 f"camera {camera.name}",
                 f"has pictures of {camera.width}x{camera.height}, but {first.name} of {first.width}x{first.height}; "
@@ -130,9 +141,18 @@ def developments(cameras: Sequence[Camera], downscale: float) -> tuple[Developme
             )
         _check_intrinsics(camera)
     size = scaled_size(smallest.width, smallest.height, downscale)
-    if any((camera.width, camera.height) != (smallest.width, smallest.height) for camera in cameras):
+    if turned[cameras.index(smallest)]:
+        size = size[::-1]
+    if len({(max(camera.width, camera.height), min(camera.width, camera.height)) for camera in cameras}) > 1:
         _log.warning("the cameras' pictures have several sizes; all are scaled to %dx%d", *size)
-    return tuple(development(camera, size) for camera in cameras)
+    return tuple(
+        replace(development(camera, size[::-1]), is_turned=True) if is_turned else development(camera, size)
+        for camera, is_turned in zip(cameras, turned, strict=True)
+    )
+
+
+def _have_one_shape(camera: Camera, width: int, height: int) -> bool:
+    return abs(camera.width * height / (camera.height * width) - 1) <= _SHAPE_TOLERANCE
 
 
 def _check_intrinsics(camera: Camera) -> None:

@@ -8,6 +8,7 @@ import json
 import logging
 import os
 import pkgutil
+import platform
 import re
 import runpy
 import shutil
@@ -21,6 +22,7 @@ from tqdm import tqdm
 from streamlod.core.errors import BackendUnavailable, BitstreamError, InputError, TrainingCutShort
 from streamlod.core.files import write_text
 from streamlod.core.runtime import cache_folder
+from streamlod.core.version import streamlod_version
 from streamlod.server.pipeline.trace import chrome_trace
 
 if TYPE_CHECKING:
@@ -197,6 +199,17 @@ def bench(name: str | None, arguments: list[str]) -> str:
     finally:
         sys.argv = before
     return ""
+
+
+def version() -> str:
+    """Versions that have to fit those of other machines, a line each."""
+    from streamlod.client.playback import PROTOCOL_VERSION
+    from streamlod.codec.packet.bytes import FORMAT_VERSION
+
+    return (
+        f"streamlod {streamlod_version()}\nbitstream {FORMAT_VERSION}\nviewer protocol {PROTOCOL_VERSION}\n"
+        f"Python {platform.python_version()}"
+    )
 
 
 def warm() -> str:

@@ -59,6 +59,11 @@ class LiveDataset:
         self.cameras = tuple(self.space.camera(plan.camera) for plan in self.developments)
 
     @property
+    def upright(self) -> tuple[Camera, ...]:
+        """The cameras as they stood, see `Dataset.upright`."""
+        return tuple(self.space.camera(plan.upright) for plan in self.developments)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the cameras."""
         return tuple(camera.name for camera in self.cameras)

@@ -177,7 +177,7 @@ def open_job(job: TrainJob, push_socket: Path | None = None) -> OpenJob:
             "--views", f"{len(chosen.cameras)} cameras are too many to train on; the most is {MAX_CAMERAS}"
         )
     # a scene's header has room for so many: of a larger rig, viewers are offered the places that trained
-    rig = dataset.cameras if len(dataset.cameras) <= MAX_CAMERAS else chosen.cameras
+    rig = dataset.upright if len(dataset.cameras) <= MAX_CAMERAS else chosen.upright
     return OpenJob(job, chosen, rig)
 
 

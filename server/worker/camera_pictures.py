@@ -6,8 +6,10 @@ import time
 from collections.abc import Sequence
 
 import msgpack
+import numpy as np
 
 from streamlod.core.arrays import UInt8
+from streamlod.core.camera import Camera
 from streamlod.core.frames import FrameSet
 
 MAX_SIDE = 320  # pixels
@@ -19,11 +21,11 @@ class CameraPictures:
     """Keeps the newest frame and compresses it now and then.
 
     Args:
-        names: of the cameras, in the order of the frames' images.
+        cameras: as they stood (`Dataset.upright`), in the order of the frames' images.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = tuple(names)
+    def __init__(self, cameras: Sequence[Camera]) -> None:
+        self._cameras = tuple(cameras)
         self._newest: FrameSet | None = None
         self._next = 0.0
 
@@ -37,8 +39,8 @@ class CameraPictures:
         if frame is None or now < self._next:
             return None
         self._newest, self._next = None, now + _SECONDS
-        seen = zip(self._names, frame.images, frame.present, strict=True)
-        pictures = {name: _small_jpeg(image) for name, image, present in seen if present}
+        seen = zip(self._cameras, frame.images, frame.present, strict=True)
+        pictures = {camera.name: _small_jpeg(_upright(image, camera)) for camera, image, present in seen if present}
         return bytes(msgpack.packb(pictures))
 
 
@@ -52,6 +54,11 @@ def unpack_pictures(body: bytes) -> dict[str, bytes]:
     if not isinstance(found, dict) or not all(isinstance(x, str) and isinstance(y, bytes) for x, y in found.items()):
         raise ValueError("camera pictures must be a map of names to JPEG files")
     return found
+
+
+def _upright(image: UInt8, camera: Camera) -> UInt8:
+    """An image [H,W,3] turned back to how `camera` stood, where it was turned to lie like others."""
+    return image if image.shape[:2] == (camera.height, camera.width) else np.rot90(image, -1)
 
 
 def _small_jpeg(image: UInt8) -> bytes:

@@ -195,7 +195,7 @@ def train(
 
     opened, pictures = open_job(job, push_socket), None
     if camera_pictures:
-        pictures = CameraPictures(opened.dataset.names)
+        pictures = CameraPictures(opened.dataset.upright)
         opened = replace(opened, on_read=pictures.note)
     frames = train_stream(opened, resume=scene, start=start, previews=True, on_progress=tell)
     with closing(frames), _told(opened, pictures, sender):

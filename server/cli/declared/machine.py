@@ -59,6 +59,14 @@ def doctor(
 
 
 @app.command()
+def version() -> None:
+    """Say which version of streamlod this is, and which bitstream, viewer protocol and Python it has."""
+    from streamlod.server.cli.commands import version as describe
+
+    typer.echo(describe())
+
+
+@app.command()
 def warm() -> None:
     """Compile the kernels now, so that the first frame does not wait for it."""
     from streamlod.server.cli.commands import warm as compile_all

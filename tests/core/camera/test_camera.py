@@ -65,6 +65,22 @@ def test_scaling_keeps_where_points_lie_in_the_picture(width: int, height: int) 
     np.testing.assert_allclose(scaled.scaled(96, 64).intrinsics, camera.intrinsics)
 
 
+@settings(deadline=None)
+@given(point=points)
+def test_a_turned_camera_sees_what_its_turned_picture_shows(point: np.ndarray) -> None:
+    camera = _camera(world_to_camera=look_at(np.array([1.0, 2, -40]), np.zeros(3), np.array([0.3, 1, 0])))
+    turned = camera.turned()
+    (u, v), seen = _project(camera, point), _project(turned, point)
+    np.testing.assert_allclose(seen, [v, camera.width - u], atol=1e-9)
+    assert (turned.width, turned.height) == (camera.height, camera.width)
+    np.testing.assert_allclose(turned.centre, camera.centre, atol=1e-12)
+    marked = np.zeros((camera.height, camera.width))
+    row, column = 3, 7
+    marked[row, column] = 1
+    again = np.argwhere(np.rot90(marked))[0] + 0.5
+    np.testing.assert_array_equal(again, [camera.width - (column + 0.5), row + 0.5])
+
+
 def test_distortion_is_dropped_only_on_request() -> None:
     bent = _camera(distortion=np.array([0, 0, 0, 1e-3, 0]))
     assert bent.has_distortion

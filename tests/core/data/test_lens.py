@@ -117,12 +117,27 @@ def test_pictures_of_one_shape_get_the_smallest_size() -> None:
     np.testing.assert_allclose(plans[1].camera.intrinsics[:2], _camera(BARREL).intrinsics[:2] / 4)
 
 
+def test_upright_pictures_are_turned_to_lie_like_the_first() -> None:
+    intrinsics = np.array([[200, 0, 83], [0, 204, 118], [0, 0, 1.0]])
+    tall = replace(_camera(BARREL), width=160, height=240, intrinsics=intrinsics)
+    wide, turned = developments([_camera(np.zeros(5)).scaled(480, 320), tall], 2)
+    assert (turned.upright.width, turned.upright.height) == (80, 120)
+    assert {(plan.camera.width, plan.camera.height) for plan in (wide, turned)} == {(120, 80)}, "the smaller one's size"
+    difference = np.abs(turned(_picture(tall)).astype(int) - np.rot90(_picture(turned.upright)))
+    assert difference.mean() < 0.5
+    assert difference.max() <= 6
+    np.testing.assert_array_equal(turned.camera.intrinsics, turned.upright.turned().intrinsics)
+    assert not wide.is_turned
+    first, other = developments([tall, _camera(BARREL)], 1)
+    assert (first.camera.width, first.camera.height) == (other.camera.width, other.camera.height) == (160, 240)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (
-            {"width": 160, "height": 240},
-            "has pictures of 160x240, but cam of 240x160; crop them to one",
+            {"width": 160, "height": 160},
+            "has pictures of 160x160, but cam of 240x160; crop them to one",
         ),
         ({"width": 240, "height": 150}, "crop them to one shape"),
         (

@@ -27,6 +27,28 @@ def _write(folder: Path, **extra: object) -> None:
         write_picture(folder / file, picture(index, 0))
 
 
+def test_an_upright_camera_among_lying_ones_shows_a_point_where_it_is(tmp_path: Path) -> None:
+    """A red dot at the origin, which all cameras look at from their own places, off the middle of the picture."""
+    lying = rig(NAMES)
+    tall = replace(lying[1], width=64, height=96, intrinsics=np.array([[80.0, 0, 20], [0, 90, 70], [0, 0, 1]]))
+    cameras = (lying[0], tall, lying[2])
+    write_transforms(tmp_path, FILES, cameras)
+    for file, camera in zip(FILES, cameras, strict=True):
+        image = np.zeros((camera.height, camera.width, 3), np.uint8)
+        column, row = (int(x) for x in camera.intrinsics[:2, 2])
+        image[row - 1 : row + 1, column - 1 : column + 1, 0] = 255
+        write_picture(tmp_path / file, image)
+    opened = open_dataset(tmp_path)
+    frame = next(iter(opened.frames()))
+    for camera, image in zip(opened.cameras, frame.images, strict=True):
+        x, y, z = camera.intrinsics @ camera.world_to_camera[:3, 3]
+        rows, columns = np.nonzero(image[..., 0])
+        np.testing.assert_allclose([columns.mean() + 0.5, rows.mean() + 0.5], [x / z, y / z], atol=1e-6)
+    assert [(camera.width, camera.height) for camera in opened.upright] == [(96, 64), (64, 96), (96, 64)]
+    np.testing.assert_allclose(opened.upright[1].intrinsics, tall.intrinsics)
+    np.testing.assert_allclose(opened.upright[1].world_to_camera, tall.world_to_camera, atol=1e-12)
+
+
 def _edit(folder: Path, **changes: object) -> None:
     """Change the settings of the first frame listed, which is cam10; None removes one."""
     path = folder / "transforms.json"

@@ -252,6 +252,18 @@ def test_of_more_cameras_than_a_header_holds_those_that_train_are_offered(tmp_pa
         open_job(TrainJob(data=tmp_path))
 
 
+def test_viewers_are_offered_cameras_as_they_stood(tmp_path: Path) -> None:
+    cameras = list(writers.rig(["a", "b", "c"], (32, 16)))
+    cameras[1] = replace(writers.rig(["b"], (16, 32))[0], world_to_camera=cameras[1].world_to_camera)
+    writers.write_transforms(tmp_path, [f"{camera.name}.png" for camera in cameras], cameras)
+    for camera in cameras:
+        size = camera.width, camera.height
+        writers.write_picture(tmp_path / f"{camera.name}.png", writers.picture(0, 0, size))
+    opened = open_job(TrainJob(data=tmp_path))
+    assert [(camera.width, camera.height) for camera in opened.dataset.cameras] == [(32, 16)] * 3
+    assert [(camera.width, camera.height) for camera in opened.rig] == [(32, 16), (16, 32), (32, 16)]
+
+
 def test_keyframes_come_at_the_interval(job: TrainJob) -> None:
     frames = list(train_stream(open_job(replace(job, keyframe_interval=2))))
     kinds = [[peek(packet).kind for packet in frame.packets] for frame in frames]

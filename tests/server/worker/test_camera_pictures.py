@@ -18,6 +18,7 @@ from streamlod.server.stream.worker_stream import WorkerStream
 from streamlod.server.worker.camera_pictures import CameraPictures, unpack_pictures
 from streamlod.server.worker.process import Tag
 from tests.attack.test_rights import bearer, write_tokens
+from tests.core.data.writers import rig
 from tests.server.conftest import Clip, running
 from tests.waiting import wait
 
@@ -30,7 +31,7 @@ def frame(brightness: int, *present: bool) -> FrameSet:
 def test_the_newest_frame_is_made_small_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr("time.monotonic", lambda: now)
-    pictures = CameraPictures(["left", "right"])
+    pictures = CameraPictures(rig(["left", "right"], (960, 480)))
     assert pictures.take() is None
     pictures.note(frame(10, True, True))
     pictures.note(frame(200, True, False))
@@ -46,6 +47,18 @@ def test_the_newest_frame_is_made_small_once_a_second(monkeypatch: pytest.Monkey
     now += 1.1
     assert pictures.take() is not None
     assert pictures.take() is None, "nothing new"
+
+
+def test_a_camera_whose_pictures_are_turned_for_training_is_shown_upright() -> None:
+    pictures = CameraPictures(rig(["tall"], (120, 160)))
+    upright = np.zeros((160, 120, 3), np.uint8)
+    upright[:40] = 255
+    pictures.note(FrameSet(0, 0, np.rot90(upright)[None], np.ones(1, np.bool_)))
+    body = pictures.take()
+    assert body is not None
+    seen = np.asarray(Image.open(io.BytesIO(unpack_pictures(body)["tall"])))
+    assert seen.shape == upright.shape
+    assert np.abs(seen.astype(int) - upright).mean() < 2, "the light part is above"
 
 
 @pytest.mark.parametrize("found", [[], {"left": "text"}])

@@ -28,6 +28,7 @@ from streamlod.server.worker.camera_pictures import CameraPictures
 from streamlod.server.worker.cluster.room import Shortage
 from streamlod.server.worker.process import Resume, Sender, Tag, _told, play, receive_resume, send_resume
 from streamlod.server.worker.supervisor import Ending, Supervisor
+from tests.core.data.writers import rig
 from tests.server.conftest import Clip, running
 
 
@@ -81,7 +82,7 @@ class _Filmed:
 def test_what_tells_of_cameras_ends_quietly_with_the_server() -> None:
     ours, theirs = multiprocessing.Pipe(duplex=False)
     ours.close()
-    pictures, job = CameraPictures(["cam"]), _Filmed()
+    pictures, job = CameraPictures(rig(["cam"], (8, 8))), _Filmed()
     pictures.note(FrameSet(0, 0, np.zeros((1, 8, 8, 3), np.uint8), np.ones(1, np.bool_)))
     with theirs, _told(job, pictures, Sender(theirs)):  # type: ignore[arg-type]
         (teller,) = (each for each in threading.enumerate() if each.name == "ingest statistics")
