@@ -1,12 +1,14 @@
 """Later frames of a recording where viewers stand: at the cameras that train, and at those that are held out.
 
     python -m tests.bench.rig_bench DATA [--downscale 2 --begin 0 --frames 16 --stride 1 --test cam00 --seed 0]
-        [--run predict.epochs=5,...] [--first FILE] [--out DIR]
+        [--run predict.epochs=5,...] [--first FILE] [--out DIR] [--total 1000]
 
 Every `--run` is a run of its own with these settings changed (`core.train.presets.settings`); all start from the same
 first frame, which `--first` keeps as a packet. Each run tells, as means over the later frames: PSNR at each camera that
 trains, at its best exposure; of the held-out pictures; and of pixels that differ from the first picture, there and
 there; bytes and CPU seconds a frame, and seconds of each stage. `--out` saves the last frame beside the truth.
+`--total` goes on for so many later frames, back and forth through the instants, and also tells the means of each
+hundred of them, with the peak of the memory, so that drift shows.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from streamlod.client.evaluation.measure.memory import forget_peak, peak_bytes
 from streamlod.client.evaluation.measure.scores import draw, fitted_psnr
 from streamlod.client.evaluation.report.output import result_folder, side_by_side
 from streamlod.client.recorder import write_png
@@ -38,6 +41,7 @@ from streamlod.server.cli.options import fields_in
 
 _DIFFERENT = 10  # grey levels, of pictures blurred over five pixels
 _SPREAD = np.ones((5, 5), np.uint8)
+_PART = 100  # later frames of which means are told
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +68,14 @@ class Course:
     size: list[int] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stages: Counter[str] = field(default_factory=Counter)
+
+    def of_latest(self, count: int) -> str:
+        """Means of the latest `count` frames."""
+        at, moving = np.mean(self.at[-count:]), np.nanmean(self.moving_at[-count:])
+        text = f"to frame {len(self.size)}: at {at:.2f} dB, changed {moving:.2f}"
+        if self.beside:
+            text += f", held out {np.mean(self.beside[-count:]):.2f}"
+        return text + f", {np.mean(self.size[-count:]):.0f} bytes, {np.mean(self.seconds[-count:]):.2f} CPU s"
 
     def told(self) -> str:
         """One line."""
@@ -94,9 +106,22 @@ def opened(options: argparse.Namespace) -> Subject:
     def of(chosen: list[int]) -> list[FrameSet]:
         return [FrameSet(f.index, f.time_ns, f.images[chosen], f.present[chosen]) for f in frames]
 
+    if options.total:
+        frames = _back_and_forth(frames, options.total + 1)
     cameras = [tuple(dataset.cameras[row] for row in chosen) for chosen in (rows, others)]
     points, bounds = dataset.points(), dataset.depth_bounds
     return Subject(cameras[0], of(rows), cameras[1], of(others), points, bounds, dataset.fps)
+
+
+def _back_and_forth(frames: list[FrameSet], count: int) -> list[FrameSet]:
+    """`count` instants as though the recording ran forward and backward in turn, its numbers and times going on."""
+    interval, turn = frames[1].time_ns - frames[0].time_ns, len(frames) - 1
+    rows = [turn - abs(turn - number % (2 * turn)) for number in range(count)]
+    begin = frames[0]
+    return [
+        replace(frames[row], index=begin.index + number, time_ns=begin.time_ns + number * interval)
+        for number, row in enumerate(rows)
+    ]
 
 
 def first_scene(subject: Subject, config: TrainConfig, kept: Path | None) -> Scene:
@@ -134,6 +159,9 @@ def follow(subject: Subject, config: TrainConfig, first: Scene, frames: slice = 
             drawn = [draw(result.scene, camera) for camera in subject.held_out]
             course.beside.append([psnr(one, true) for one, true in zip(drawn, test.images, strict=True)])
             course.moving_beside.append(_of_changed(drawn, test, subject.testing[0]))
+        if len(course.size) % _PART == 0:
+            print(f"  {course.of_latest(_PART)}, {peak_bytes() / 1e6:.0f} MB at most", flush=True)
+            forget_peak()
     return course, trainer.scene
 
 
@@ -178,6 +206,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--stride", type=int, default=1)
     parser.add_argument("--preset", default="live")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--total", type=int, help="later frames, back and forth through those of --frames")
     parser.add_argument("--views", type=int)
     parser.add_argument("--test", nargs="*", default=[], help="cameras that are held out")
     parser.add_argument("--first", type=Path, help="packet of the first frame, written where it is absent")
